@@ -1,0 +1,60 @@
+# The pipeline from an empty machine to a report. `make demo` and `make test` need only git, make
+# and Python 3.10 to 3.12; everything is installed into .venv on first use.
+PYTHON ?= $(firstword $(foreach v,3.12 3.11 3.10,$(shell command -v python$(v) 2>/dev/null)) python3)
+BIN := .venv/bin
+STAMP := .venv/installed
+DATASET ?= outputs/dataset
+CAPTURE ?= examples/captures/twill
+
+.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench example clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
+
+setup: $(STAMP)  ## system libraries, .venv and packages
+
+$(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
+	sh tools/system_libraries.sh
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))' || \
+	  { echo "$(PYTHON) is not Python 3.10 to 3.12; run: make PYTHON=python3.12"; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	@echo "installing packages into .venv (about 6 GB, a few minutes) ..."
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+demo: $(STAMP)  ## estimate the bundled capture
+	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo
+
+test: $(STAMP)  ## fast tests
+	$(BIN)/python -m pytest -q
+
+test-slow: $(STAMP)  ## tests that take minutes
+	$(BIN)/python -m pytest -q -m slow
+
+lint: $(STAMP)  ## style
+	$(BIN)/ruff check .
+
+sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
+	$(BIN)/python -m sim
+
+prior: $(STAMP)  ## refit the fabric prior: make prior TABLE=fabrics.csv
+	$(BIN)/python -m data.prior fit table=$(TABLE)
+
+dataset: $(STAMP)  ## simulate and render training drapes, resumes when interrupted
+	$(BIN)/python -m data.generate out=$(DATASET)
+
+train: $(STAMP)  ## train on that dataset, resumes when interrupted
+	$(BIN)/python train.py experiment=cpu_small data=$(DATASET)
+
+evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
+	$(BIN)/python -m drapenet.evaluate
+
+bench: $(STAMP)  ## time a drape on this machine, JSON
+	$(BIN)/python -m benchmarks.drapes
+
+example: $(STAMP)  ## make the bundled capture again
+	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
+
+clean:  ## remove what runs have made (not .venv)
+	rm -rf outputs build

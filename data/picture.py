@@ -1,0 +1,138 @@
+"""Shaded pictures of draped cloth, for people to look at."""
+
+import numpy as np
+
+from sim.errors import InputError
+
+_CLOTH = np.array([0.42, 0.55, 0.72])
+_STAND = np.array([0.62, 0.60, 0.57])
+_LIGHTS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4), 0.15))
+_SKY = 0.22
+
+
+def shade(
+    positions: np.ndarray,
+    faces: np.ndarray,
+    *,
+    plate_radius: float,
+    azimuth: float = -90.0,
+    elevation: float = 25.0,
+    size: tuple[int, int] = (640, 520),
+    field: float = 0.40,
+    supersampling: int = 3,
+) -> np.ndarray:
+    """Orthographic picture (H, W, 3) uint8 of a drape on its cylinder over a floor.
+
+    Args:
+        positions: (V, 3) m, z up.
+        faces: (F, 3).
+        plate_radius: of the cylinder, m.
+        azimuth, elevation: of the viewer, degrees; azimuth -90 looks towards +y, 90 elevation
+            looks straight down with +y up.
+        size: width and height, px.
+        field: width of the picture, m.
+    """
+    try:
+        import open3d as o3d
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"open3d does not load ({error}); on Debian or Ubuntu: "
+            "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
+        ) from None
+
+    floor = min(positions[:, 2].min(), -0.11) - 0.02
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    meshes = [(positions, faces), _cylinder(plate_radius * 0.985, floor)]
+    for points, triangles in meshes:
+        scene.add_triangles(
+            o3d.core.Tensor(points.astype(np.float32)),
+            o3d.core.Tensor(triangles.astype(np.uint32)),
+        )
+    normals = [_vertex_normals(*mesh) for mesh in meshes]
+    width, height = size[0] * supersampling, size[1] * supersampling
+    origin, right, up, forward = _view(azimuth, elevation)
+    pixel = field / width
+    x = (np.arange(width) + 0.5 - width / 2) * pixel
+    y = (height / 2 - np.arange(height) - 0.5) * pixel
+    centre = np.array([0.0, 0.0, -0.07]) * (elevation < 80)
+    starts = centre + origin + x[None, :, None] * right + y[:, None, None] * up
+    rays = np.concatenate([starts, np.broadcast_to(forward, starts.shape)], -1)
+    hits = scene.cast_rays(o3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
+    distance = hits["t_hit"].numpy()
+    which, triangle = hits["geometry_ids"].numpy(), hits["primitive_ids"].numpy()
+    uv = hits["primitive_uvs"].numpy()
+
+    image = _background(starts, forward, floor, positions)
+    for k, (colour, (_, triangles)) in enumerate(zip((_CLOTH, _STAND), meshes, strict=True)):
+        seen = np.isfinite(distance) & (which == k)
+        corners = triangles[triangle[seen].astype(int)]
+        u, v = uv[seen].T[..., None]
+        n = normals[k]
+        normal = (1 - u - v) * n[corners[:, 0]] + u * n[corners[:, 1]] + v * n[corners[:, 2]]
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal *= -np.sign(normal @ forward)[:, None]
+        image[seen] = colour * _illumination(normal, right, up, forward)[:, None]
+    image = image.reshape(size[1], supersampling, size[0], supersampling, 3).mean((1, 3))
+    return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+
+
+def _view(azimuth: float, elevation: float) -> tuple[np.ndarray, ...]:
+    a, e = np.deg2rad([azimuth, elevation])
+    towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    return 2.0 * towards, right, np.cross(towards, right), -towards
+
+
+def _illumination(
+    normal: np.ndarray, right: np.ndarray, up: np.ndarray, forward: np.ndarray
+) -> np.ndarray:
+    """Light on normals (N, 3): three lamps fixed to the viewer, and the sky."""
+    light = _SKY * (0.6 + 0.4 * normal[:, 2])
+    for (x, y, z), strength in _LIGHTS:
+        lamp = x * right + z * up - y * -forward
+        light = light + strength * np.maximum(normal @ (lamp / np.linalg.norm(lamp)), 0.0)
+    return light
+
+
+def _background(
+    starts: np.ndarray, forward: np.ndarray, floor: float, positions: np.ndarray
+) -> np.ndarray:
+    """White, with a soft shadow of the cloth on the floor."""
+    image = np.ones((*starts.shape[:2], 3)) * 0.93
+    if forward[2] < -1e-3:
+        reach = (floor - starts[..., 2]) / forward[2]
+        ground = starts + reach[..., None] * forward
+        radius = np.hypot(ground[..., 0], ground[..., 1])
+        extent = np.hypot(positions[:, 0], positions[:, 1]).max()
+        shadow = 1.0 / (1.0 + np.exp((radius - 0.9 * extent) / (0.12 * extent)))
+        image *= (1.0 - 0.35 * shadow)[..., None]
+    return image
+
+
+def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
+    count = 96
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    top = -1e-3
+    points = np.concatenate(
+        [np.column_stack([ring, np.full(count, z)]) for z in (top, floor)] + [[[0, 0, top]]]
+    )
+    i = np.arange(count)
+    j = (i + 1) % count
+    faces = np.concatenate(
+        [
+            np.stack([i, i + count, j], 1),
+            np.stack([j, i + count, j + count], 1),
+            np.stack([i, j, np.full(count, 2 * count)], 1),
+        ]
+    )
+    return points, faces
+
+
+def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(points)
+    for i in range(3):
+        np.add.at(normals, faces[:, i], face_normals)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

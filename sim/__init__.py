@@ -1,0 +1,1 @@
+"""Quasi-static cloth simulation of the drape test: physics only, no images, no networks."""

@@ -1,0 +1,64 @@
+"""Shared conduct of the command lines: ``key=value`` words, one-line errors, exit codes."""
+
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from sim.errors import InputError
+
+
+def parse_overrides(defaults: dict, argv: list[str]) -> dict:
+    """Lay ``key=value`` words over ``defaults`` (nested keys with dots).
+
+    A default of ``None`` accepts any value; otherwise the value must convert to the default's
+    type. Text defaults take the word literally, so that paths need no quoting. A list is
+    written with commas (``alpha=20,20,20``); its items take the type of the default's first.
+
+    Raises:
+        InputError: a word without ``=``, an unknown key, a value of the wrong type.
+    """
+    config = OmegaConf.create(defaults)
+    known = ", ".join(sorted(str(key) for key in defaults))
+    for word in argv:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise InputError(f"'{word}' is not of the form key=value; known keys: {known}")
+        missing = object()
+        old = OmegaConf.select(config, key, default=missing) if key else missing
+        if old is missing:
+            raise InputError(f"unknown key '{key}'; known keys: {known}")
+        OmegaConf.update(config, key, _convert(key, text, old))
+    return OmegaConf.to_container(config, resolve=True)
+
+
+def _convert(key: str, text: str, old: object) -> object:
+    if isinstance(old, str):
+        return text
+    if OmegaConf.is_list(old):
+        return [_convert(key, part, old[0]) for part in text.strip("[]()").split(",")]
+    try:
+        value = OmegaConf.from_dotlist([f"value={text}"])["value"]
+    except (OmegaConfBaseException, YAMLError):
+        raise InputError(f"{key}={text} cannot be read; give a number or a word") from None
+    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if old is None or type(value) is type(old):
+        return value
+    raise InputError(f"{key}={text} must be of type {type(old).__name__}, like {old}")
+
+
+def run_command(main: Callable[[list[str]], None]) -> NoReturn:
+    """Run ``main(sys.argv[1:])``; a user's mistake ends with one line and exit code 2."""
+    try:
+        main(sys.argv[1:])
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(0)

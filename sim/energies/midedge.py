@@ -1,0 +1,258 @@
+"""Bending by mid-edge rotations: a constant-curvature plate element with finite angles.
+
+Every edge carries a rotation zeta that splits its dihedral angle theta between its two
+triangles: phi = theta/2 + zeta on one, theta/2 - zeta on the other. A free boundary edge has
+phi = zeta alone, which makes the free edge exact; the edge between held and free cloth has
+phi = theta on its free side, which makes the clamp exact. In a triangle the shape operator is
+
+    S = sum_i (2 phi_i / h_i) n_i n_i^T
+
+with h_i the rest height over edge i and n_i that edge's rest normal, and the energy is A psi(S).
+For small angles this is the Morley plate element; unlike hinge energies it converges to the
+plate it discretises, on any triangulation (docs/physics.md).
+"""
+
+import numba
+import numpy as np
+
+from sim.energies import dihedral, plate_law
+from sim.material import SOFTENING_LIMIT, Fabric, plate_constants, softening
+from sim.mesh import Mesh
+
+
+class MidEdgeBending:
+    """Plate energy of the free triangles.
+
+    One element is a triangle with the 21 unknowns: its corners, the corners across its edges
+    (18 coordinates), and the rotations of its edges.
+
+    Args:
+        mesh: the specimen, material axes warp = x, weft = y.
+        active: (F,) bool, triangles that store energy (those not entirely held).
+        fabric: moduli; see :mod:`sim.energies.plate_law` for the law they enter.
+    """
+
+    def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
+        corners = np.concatenate([mesh.faces, mesh.neighbours], axis=1)[active]
+        edges = mesh.face_edges[active]
+        coordinates = np.where(
+            corners[:, :, None] >= 0, 3 * corners[:, :, None] + np.arange(3), -1
+        ).reshape(-1, 18)
+        rotation = 3 * len(mesh.rest) + edges
+        self._share, self._sign = split_of_angles(mesh, active)
+        self.dofs = np.concatenate(
+            [coordinates, np.where(self._sign != 0, rotation, -1)], axis=1
+        )
+        self._areas = mesh.areas[active]
+        self._maps = curvature_maps(mesh)[active]
+        a11, a22, a12, a66 = plate_constants(fabric.alpha)
+        self.law = np.array([a11, a22, a12, a66, *softening(fabric.alpha, fabric.beta),
+                             SOFTENING_LIMIT])
+
+    @property
+    def _constants(self) -> tuple[np.ndarray, ...]:
+        return self.dofs, self._share, self._sign, self._maps, self._areas, self.law
+
+    def value(self, q: np.ndarray) -> float:
+        return _value(q, *self._constants)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return _gradient(q, *self._constants)
+
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+        return _hessian(q, *self._constants, convexity)
+
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        """False when a hinge would fold past pi, where its angle jumps by 2 pi."""
+        return _largest_turn(old, new, self.dofs) < np.pi
+
+    def curvatures(self, q: np.ndarray) -> np.ndarray:
+        """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
+        return _curvatures(q, *self._constants[:4])
+
+
+def split_of_angles(mesh: Mesh, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How the active triangles' edges share their dihedral angles.
+
+    Returns:
+        (share (N, 3), sign (N, 3)) so that phi = share * theta + sign * zeta on each edge.
+    """
+    faces = mesh.edge_faces[mesh.face_edges[active]]  # (N, 3, 2)
+    boundary = faces[..., 1] < 0
+    clamped = ~boundary & ~active[faces].all(-1)
+    share = np.where(boundary, 0.0, np.where(clamped, 1.0, 0.5))
+    first = faces[..., 0] == np.flatnonzero(active)[:, None]
+    sign = np.where(clamped, 0.0, np.where(first, 1.0, -1.0))
+    return share, sign
+
+
+def curvature_maps(mesh: Mesh) -> np.ndarray:
+    """(F, 3, 3) matrices, 1/m, from the angles phi of a triangle's edges to (Sxx, Syy, Sxy)."""
+    corners = mesh.rest[mesh.faces]
+    edge = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)  # opposite corner i
+    length = np.linalg.norm(edge, axis=-1)
+    normal = np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
+    scale = length / mesh.areas[:, None]  # 2/h = |e|/A
+    nx, ny = normal[..., 0], normal[..., 1]
+    return np.stack([nx * nx * scale, ny * ny * scale, nx * ny * scale], axis=1)
+
+
+@numba.njit(cache=True)
+def _load_hinge(q, dofs, i, x):
+    """Copy the corners of the hinge on edge i of an element to x (4, 3)."""
+    slots = ((i + 1) % 3, (i + 2) % 3, i, 3 + i)
+    for c in range(4):
+        for k in range(3):
+            x[c, k] = q[dofs[3 * slots[c] + k]]
+    return slots
+
+
+@numba.njit(cache=True)
+def _angles(q, dofs, share, sign, x, phi):
+    """Fill phi (3,) of one element; x (4, 3) is scratch."""
+    for i in range(3):
+        phi[i] = 0.0
+        if share[i] != 0.0:
+            _load_hinge(q, dofs, i, x)
+            phi[i] = share[i] * dihedral.angle(x)
+        if sign[i] != 0.0:
+            phi[i] += sign[i] * q[dofs[18 + i]]
+
+
+@numba.njit(cache=True)
+def _curvatures(q, dofs, share, sign, maps):
+    s = np.empty((len(dofs), 3))
+    x, phi = np.empty((4, 3)), np.empty(3)
+    for t in range(len(dofs)):
+        _angles(q, dofs[t], share[t], sign[t], x, phi)
+        for a in range(3):
+            s[t, a] = maps[t, a, 0] * phi[0] + maps[t, a, 1] * phi[1] + maps[t, a, 2] * phi[2]
+    return s
+
+
+@numba.njit(cache=True)
+def _value(q, dofs, share, sign, maps, areas, law):
+    s = _curvatures(q, dofs, share, sign, maps)
+    total = 0.0
+    for t in range(len(dofs)):
+        total += areas[t] * plate_law.energy(s[t], law)
+    return total
+
+
+@numba.njit(cache=True)
+def _gradient(q, dofs, share, sign, maps, areas, law):
+    s = _curvatures(q, dofs, share, sign, maps)
+    result = np.zeros((len(dofs), 21))
+    stress, tangent = np.empty(3), np.empty((3, 3))
+    x, g, rows = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 21))
+    for t in range(len(dofs)):
+        plate_law.derivatives(s[t], law, stress, tangent)
+        _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
+        for i in range(3):
+            m = 0.0
+            for a in range(3):
+                m += areas[t] * maps[t, a, i] * stress[a]
+            for k in range(21):
+                result[t, k] += m * rows[i, k]
+    return result
+
+
+@numba.njit(cache=True)
+def _convexify(matrix, convexity):
+    """Shrink the negative eigenvalues of a symmetric (3, 3) matrix in place."""
+    minor = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    if matrix[0, 0] > 0.0 and minor > 0.0 and np.linalg.det(matrix) > 0.0:
+        return
+    value, vector = np.linalg.eigh(matrix)
+    for k in range(3):
+        if value[k] < 0.0:
+            for i in range(3):
+                for j in range(3):
+                    matrix[i, j] -= convexity * value[k] * vector[i, k] * vector[j, k]
+
+
+@numba.njit(cache=True)
+def _angle_rows(q, dofs, share, sign, x, g, rows):
+    """Fill rows (3, 21) with the derivatives of phi by one element's unknowns."""
+    rows[:, :] = 0.0
+    for i in range(3):
+        rows[i, 18 + i] = sign[i]
+        if share[i] != 0.0:
+            slots = _load_hinge(q, dofs, i, x)
+            dihedral.gradient(x, g)
+            for c in range(4):
+                for k in range(3):
+                    rows[i, 3 * slots[c] + k] = share[i] * g[c, k]
+
+
+@numba.njit(cache=True)
+def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
+    # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
+    # turning of the hinges under their torque, indefinite and dropped in full convexity.
+    s = _curvatures(q, dofs, share, sign, maps)
+    result = np.empty((len(dofs), 21, 21))
+    x, g, h = np.empty((4, 3)), np.empty((4, 3)), np.empty((12, 12))
+    foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
+    stress, tangent = np.empty(3), np.empty((3, 3))
+    rows, curvature, weighted = np.empty((3, 21)), np.empty((3, 21)), np.empty((3, 21))
+    for t in range(len(dofs)):
+        block = result[t]
+        plate_law.derivatives(s[t], law, stress, tangent)
+        if convexity > 0.0:
+            _convexify(tangent, convexity)
+        _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
+        for a in range(3):
+            for k in range(21):
+                curvature[a, k] = (
+                    maps[t, a, 0] * rows[0, k]
+                    + maps[t, a, 1] * rows[1, k]
+                    + maps[t, a, 2] * rows[2, k]
+                )
+        for a in range(3):
+            for k in range(21):
+                weighted[a, k] = areas[t] * (
+                    tangent[a, 0] * curvature[0, k]
+                    + tangent[a, 1] * curvature[1, k]
+                    + tangent[a, 2] * curvature[2, k]
+                )
+        for i in range(21):
+            for j in range(21):
+                block[i, j] = (
+                    curvature[0, i] * weighted[0, j]
+                    + curvature[1, i] * weighted[1, j]
+                    + curvature[2, i] * weighted[2, j]
+                )
+        if convexity == 1.0:
+            continue
+        for i in range(3):
+            if share[t, i] == 0.0:
+                continue
+            m = 0.0
+            for a in range(3):
+                m += maps[t, a, i] * stress[a]
+            m *= areas[t] * share[t, i] * (1.0 - convexity)
+            slots = _load_hinge(q, dofs[t], i, x)
+            dihedral.hessian(x, h, foot, derivative)
+            for a in range(4):
+                for b in range(4):
+                    for k in range(3):
+                        for n in range(3):
+                            block[3 * slots[a] + k, 3 * slots[b] + n] += (
+                                m * h[3 * a + k, 3 * b + n]
+                            )
+    return result
+
+
+@numba.njit(cache=True)
+def _largest_turn(old, new, dofs):
+    """Largest change of a dihedral angle between two states, rad."""
+    x = np.empty((4, 3))
+    largest = 0.0
+    for t in range(len(dofs)):
+        for i in range(3):
+            if dofs[t, 9 + 3 * i] >= 0:
+                _load_hinge(old, dofs[t], i, x)
+                before = dihedral.angle(x)
+                _load_hinge(new, dofs[t], i, x)
+                largest = max(largest, abs(dihedral.angle(x) - before))
+    return largest

@@ -1,0 +1,9 @@
+"""The one exception that stands for a user's mistake."""
+
+
+class InputError(ValueError):
+    """Bad input: the message is one line that says what is wrong and how to mend it.
+
+    Command lines turn it into that line on standard error and exit code 2
+    (:func:`sim.cli.run_command`); nobody should see a traceback for it.
+    """

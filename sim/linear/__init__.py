@@ -1,0 +1,6 @@
+"""Sparse symmetric systems: assembly into a fixed pattern, and solvers behind one interface."""
+
+from sim.linear.pattern import SparsePattern
+from sim.linear.solvers import CholeskySolver, available_solvers, make_solver
+
+__all__ = ["CholeskySolver", "SparsePattern", "available_solvers", "make_solver"]

@@ -1,0 +1,96 @@
+"""Assembly of element blocks into the upper triangle of one sparse matrix."""
+
+import numba
+import numpy as np
+from scipy import sparse
+
+
+class SparsePattern:
+    """Upper triangle (with diagonal) of the symmetric matrices that given stencils add up to.
+
+    The structure is found once; :meth:`assemble` then only adds numbers.
+
+    Args:
+        stencils: for each energy, (N, K) int64 rows of the matrix, -1 for absent or held.
+        size: number of rows.
+
+    Attributes:
+        indptr, indices: CSR structure, int32, sorted columns, every diagonal entry present.
+    """
+
+    def __init__(self, stencils: list[np.ndarray], size: int) -> None:
+        self.size = size
+        pairs = [np.repeat(np.arange(size)[:, None], 2, axis=1)]
+        pairs += [_upper_pairs(stencil) for stencil in stencils]
+        rows, columns = np.concatenate(pairs).T
+        structure = sparse.csr_matrix(
+            (np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(size, size)
+        )  # the conversion merges repeated entries
+        structure.sort_indices()
+        self.indices = structure.indices.astype(np.int32)
+        self.indptr = structure.indptr.astype(np.int32)
+        self.diagonal = self.indptr[:-1].copy()
+        self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
+
+    def assemble(self, blocks: list[np.ndarray]) -> np.ndarray:
+        """Sum of blocks (N, K, K), one array per stencil, as CSR data (nnz,)."""
+        data = np.zeros(len(self.indices))
+        for slots, block in zip(self._slots, blocks, strict=True):
+            _scatter(data, slots, block.reshape(len(block), -1))
+        return data
+
+    def upper(self, data: np.ndarray) -> sparse.csr_matrix:
+        """The upper triangle as a SciPy matrix."""
+        return sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
+
+    def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
+        """The whole matrix as a SciPy matrix."""
+        upper = self.upper(data)
+        return (upper + sparse.triu(upper, 1).T).tocsr()
+
+
+@numba.njit(cache=True)
+def _upper_pairs(stencil):
+    """(M, 2) row and column, row <= column, of the upper entries of all elements."""
+    n, k = stencil.shape
+    pairs = np.empty((n * k * (k + 1) // 2, 2), dtype=np.int32)
+    count = 0
+    for t in range(n):
+        for a in range(k):
+            for b in range(a, k):
+                i, j = stencil[t, a], stencil[t, b]
+                if i >= 0 and j >= 0:
+                    pairs[count, 0] = min(i, j)
+                    pairs[count, 1] = max(i, j)
+                    count += 1
+    return pairs[:count]
+
+
+@numba.njit(cache=True)
+def _slots(stencil, indptr, indices):
+    """(N, K*K) position of each block entry in the CSR data, -1 for the lower triangle."""
+    n, k = stencil.shape
+    slots = np.full((n, k * k), -1, dtype=np.int32)
+    for t in range(n):
+        for a in range(k):
+            for b in range(k):
+                i, j = stencil[t, a], stencil[t, b]
+                if i < 0 or j < i:
+                    continue
+                low, high = indptr[i], indptr[i + 1] - 1
+                while low < high:
+                    middle = (low + high) // 2
+                    if indices[middle] < j:
+                        low = middle + 1
+                    else:
+                        high = middle
+                slots[t, a * k + b] = low
+    return slots
+
+
+@numba.njit(cache=True)
+def _scatter(data, slots, blocks):
+    for t in range(slots.shape[0]):
+        for a in range(slots.shape[1]):
+            if slots[t, a] >= 0:
+                data[slots[t, a]] += blocks[t, a]

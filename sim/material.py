@@ -1,0 +1,141 @@
+"""Fabrics: the six bending moduli, their scaling with density, and the torque law.
+
+Moduli are per unit width: a linear modulus alpha in N·m and a quadratic modulus beta in N·m²
+for each of the directions warp, bias (45°) and weft. The torque per width of cloth bent to the
+curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.2.1).
+
+Nearly all measured fabrics have beta < 0, so that the parabola peaks at
+``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. It is followed up to the
+fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continued with the slope it has there; see
+:func:`torque` and ``docs/physics.md``.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim.errors import InputError
+
+WARP, BIAS, WEFT = 0, 1, 2
+DIRECTIONS = ("warp", "bias", "weft")
+REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (section 5.1.2)
+
+MICRO = 1e-6  # N·m per µN·m
+NANO = 1e-9  # N·m² per nN·m²
+
+SOFTENING_LIMIT = 0.4
+"""u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
+the slope 1 - 2*u_c of the parabola at u_c, so that a fabric never loses all stiffness."""
+
+TWIST_FLOOR = 0.05
+"""Least twisting stiffness A66 as a fraction of sqrt(A11*A22), see :func:`plate_constants`."""
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Bending moduli and density of a fabric.
+
+    Attributes:
+        alpha: (3,) linear moduli, N·m, in the order warp, bias, weft.
+        beta: (3,) quadratic moduli, N·m², same order.
+        density: mass per area, kg/m².
+
+    Raises:
+        InputError: a modulus or the density is not finite, an alpha or the density is not
+            positive, or no elastic plate has these three linear moduli.
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    density: float = REFERENCE_DENSITY
+
+    def __post_init__(self) -> None:
+        alpha, beta = (np.asarray(v, dtype=np.float64) for v in (self.alpha, self.beta))
+        object.__setattr__(self, "alpha", alpha)
+        object.__setattr__(self, "beta", beta)
+        object.__setattr__(self, "density", float(self.density))
+        if alpha.shape != (3,) or beta.shape != (3,):
+            raise InputError("alpha and beta need three values each: warp, bias, weft")
+        if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
+            raise InputError("alpha and beta must be finite numbers")
+        if not (np.isfinite(self.density) and self.density > 0):
+            raise InputError(f"density must be positive, not {self.density * 1e3:g} g/m²")
+        if alpha.min() <= 0:
+            raise InputError("every linear modulus alpha must be positive")
+        if not is_admissible(alpha, beta):
+            raise InputError(
+                "no elastic plate is this soft along the bias: alpha_bias must exceed "
+                f"{bias_limit(alpha) / MICRO:.3g} µN·m for these warp and weft moduli"
+            )
+
+    def at_density(self, density: float) -> "Fabric":
+        """The fabric of another density (kg/m²) that drapes the same: moduli scale with it."""
+        scale = density / self.density
+        return Fabric(alpha=self.alpha * scale, beta=self.beta * scale, density=density)
+
+
+def bias_limit(alpha: np.ndarray) -> float:
+    """Least alpha_bias (N·m) for which a positive-definite plate exists; see plate_constants."""
+    a11, a22 = alpha[WARP], alpha[WEFT]
+    return float((np.sqrt(a11) - np.sqrt(a22)) ** 2 / 4)
+
+
+def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> bool:
+    """Whether moduli alpha (3,) N·m and beta (3,) N·m² belong to a stable plate.
+
+    All of alpha must be positive and alpha_bias above :func:`bias_limit`. Any finite beta is
+    admissible, because the torque is continued monotonically.
+    """
+    alpha, beta = np.asarray(alpha, float), np.asarray(beta, float)
+    if not (np.isfinite(alpha).all() and np.isfinite(beta).all() and alpha.min() > 0):
+        return False
+    return bool(alpha[BIAS] > bias_limit(alpha) * (1 + 1e-9))
+
+
+def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
+    """Orthotropic plate (A11, A22, A12, A66), N·m, with the moduli alpha (3,) N·m.
+
+    The energy per area 1/2 (A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²) of the curvature
+    S must give alpha_warp, alpha_weft and alpha_bias for cylinders bent along 0°, 90° and 45°:
+    A11 = alpha_warp, A22 = alpha_weft and
+
+        2 A12 + 4 A66 = c,  c = 4 alpha_bias - alpha_warp - alpha_weft,
+
+    which leaves one constant free. The rule: A12 = 0 and A66 = c/4, unless that falls below a
+    small positive floor; then A66 is the floor and A12 = (c - 4 A66)/2 is negative. The floor,
+    ``TWIST_FLOOR`` * sqrt(A11 A22), shrinks where it must for the form to stay positive
+    definite. Everything is continuous in alpha.
+    """
+    a11, a22 = float(alpha[WARP]), float(alpha[WEFT])
+    c = 4 * float(alpha[BIAS]) - a11 - a22
+    mean = np.sqrt(a11 * a22)
+    floor = min(TWIST_FLOOR * mean, (c / 2 + mean) / 4)
+    a66 = max(c / 4, floor)
+    return a11, a22, (c - 4 * a66) / 2, a66
+
+
+def softening(alpha: np.ndarray, beta: np.ndarray) -> tuple[float, float, float]:
+    """Softening lengths (rho_warp, rho_weft, rho_twist), m, from moduli (3,) N·m and N·m².
+
+    rho = -beta/alpha in each direction; rho_twist = 2 rho_bias - (rho_warp + rho_weft)/2 makes
+    q(S) = rho_warp Sxx² + rho_weft Syy² + 2 rho_twist Sxy² equal rho_bias kappa² for a cylinder
+    bent along the bias.
+    """
+    rho = -np.asarray(beta, float) / np.asarray(alpha, float)
+    return float(rho[WARP]), float(rho[WEFT]), float(2 * rho[BIAS] - (rho[WARP] + rho[WEFT]) / 2)
+
+
+def torque(curvature: np.ndarray, alpha: float, beta: float) -> np.ndarray:
+    """Torque per width (N) at ``curvature`` >= 0 (1/m), any shape, for one direction.
+
+    alpha kappa + beta kappa², continued with its own slope once u = -beta kappa/alpha exceeds
+    ``SOFTENING_LIMIT``.
+    """
+    kappa = np.asarray(curvature, dtype=np.float64)
+    u = -beta / alpha * kappa
+    beyond = np.maximum(u - SOFTENING_LIMIT, 0.0)
+    # The parabola in reduced curvature is u (1 - u); beyond the limit its u² stops growing
+    # quadratically, which adds `beyond²` back.
+    return alpha * kappa * (1 - u) + np.where(
+        u > SOFTENING_LIMIT, alpha * kappa * beyond**2 / np.where(u > 0, u, 1.0), 0.0
+    )

@@ -1,0 +1,265 @@
+"""Minimisation of a smooth energy with a sparse Hessian by a globalised Newton method.
+
+Far from a minimum the Hessian is indefinite. It is blended with a positive semi-definite
+version of itself, ``convexity`` from 0 (exact) to 1, just far enough for a Cholesky
+factorisation to exist; the blend is remembered between iterations and lowered after success, so
+that the end of the iteration is exact Newton with quadratic convergence, and a factor of the
+exact Hessian at the end proves a minimum rather than a saddle.
+"""
+
+import time
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from sim.linear import SparsePattern, make_solver
+
+
+class Status(str, Enum):
+    """How a minimisation ended; only CONVERGED is a proven minimum."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "max_iterations"
+    LINE_SEARCH = "line_search"
+    SADDLE = "saddle"
+    SINGULAR = "singular"
+    NOT_FINITE = "not_finite"
+
+
+class Objective(Protocol):
+    """What is minimised; :class:`sim.potential.Potential` is one."""
+
+    size: int
+    pattern: SparsePattern
+    regularisation: np.ndarray
+
+    def value(self, y: np.ndarray) -> float: ...
+
+    def gradient(self, y: np.ndarray) -> np.ndarray: ...
+
+    def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray: ...
+
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
+
+    def residual(self, gradient: np.ndarray) -> float: ...
+
+    def step_length(self, step: np.ndarray) -> float: ...
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """When to stop, in the units of the objective's scales.
+
+    Attributes:
+        residual: largest residual of a converged state.
+        step: largest last step of a converged state.
+        max_iterations: per minimisation.
+        linear_solver: name for :func:`sim.linear.make_solver`, None for the fastest.
+    """
+
+    residual: float = 1e-5
+    step: float = 1e-5
+    max_iterations: int = 500
+    linear_solver: str | None = None
+
+
+@dataclass
+class NewtonResult:
+    """Where a minimisation ended and what it took.
+
+    Attributes:
+        y: (n,) last unknowns; use them only if ``status`` is CONVERGED.
+        residual, step: scaled figures of the last iteration.
+        positive_definite: whether the exact Hessian at ``y`` has a Cholesky factor.
+        factorisations: all of them, also those that failed.
+        seconds: time by activity: assemble, factorise, search, total.
+    """
+
+    y: np.ndarray
+    status: Status
+    message: str
+    iterations: int = 0
+    residual: float = np.inf
+    step: float = np.inf
+    positive_definite: bool = False
+    factorisations: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+_CONVEXITY_DOWN = 0.25
+_CONVEXITY_UP = 4.0
+_CONVEXITY_LEAST = 0.02  # below it the exact Hessian is tried
+_SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # multiples of the regularisation, if all else fails
+_SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+_SMALLEST_STEP = 2.0**-30
+_NUDGES = 5
+
+
+def minimise(
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
+) -> NewtonResult:
+    """Find a local minimum near ``start`` (n,). Never raises for a numerical failure."""
+    run = _Run(objective, np.array(start, dtype=np.float64), options or NewtonOptions())
+    began = time.perf_counter()
+    with np.errstate(all="ignore"):
+        run.iterate()
+    run.result.seconds["total"] = time.perf_counter() - began
+    return run.result
+
+
+class _Run:
+    """State of one minimisation."""
+
+    def __init__(self, objective: Objective, y: np.ndarray, options: NewtonOptions) -> None:
+        self.objective, self.options = objective, options
+        self.convexity = 1.0
+        self.result = NewtonResult(y=y, status=Status.MAX_ITERATIONS, message="")
+        self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
+        self.rng = np.random.default_rng(0)
+        with self._timed("analyse"):
+            self.solver = make_solver(objective.pattern, options.linear_solver)
+
+    def iterate(self) -> None:
+        result, options = self.result, self.options
+        value = self.objective.value(result.y)
+        gradient = self.objective.gradient(result.y)
+        nudges = 0
+        while result.iterations < options.max_iterations:
+            result.residual = self.objective.residual(gradient)
+            if not np.isfinite(value) or not np.isfinite(result.residual):
+                return self._end(Status.NOT_FINITE, "the energy is not a finite number")
+            if result.residual < options.residual:
+                # Only the exact Hessian can tell a minimum from a saddle.
+                result.positive_definite = self._factorise(0.0)
+                if result.positive_definite:
+                    step = self._solve(-gradient)
+                    result.step = self.objective.step_length(step)
+                    if result.step < options.step:
+                        return self._end(Status.CONVERGED, "equilibrium")
+                elif nudges < _NUDGES:
+                    nudges += 1
+                    result.y = result.y + self._nudge()
+                    value = self.objective.value(result.y)
+                    gradient = self.objective.gradient(result.y)
+                    self.convexity = 1.0
+                    result.iterations += 1
+                    continue
+                else:
+                    return self._end(Status.SADDLE, "stationary but not a minimum")
+            step = self._direction(gradient)
+            if step is None:
+                return self._end(Status.SINGULAR, "no regularisation makes the Hessian definite")
+            with self._timed("search"):
+                found = self._search(value, gradient, step)
+            if found is None:
+                if self.convexity < 1.0:
+                    # The exact model may point far out of its range; fall back to convexity.
+                    self.convexity = 1.0
+                    result.iterations += 1
+                    continue
+                return self._end(
+                    Status.LINE_SEARCH, f"no descent at residual {result.residual:.1e}"
+                )
+            length, result.y, value, gradient = found
+            result.step = length * self.objective.step_length(step)
+            result.iterations += 1
+        result.residual = self.objective.residual(gradient)
+        return self._end(
+            Status.MAX_ITERATIONS,
+            f"residual {result.residual:.1e} after {result.iterations} iterations",
+        )
+
+    def _end(self, status: Status, message: str) -> None:
+        self.result.status, self.result.message = status, message
+
+    def _timed(self, activity: str) -> "_Timer":
+        return _Timer(self.result.seconds, activity)
+
+    def _factorise(self, convexity: float, shift: float = 0.0) -> bool:
+        with self._timed("assemble"):
+            data = self.objective.hessian(self.result.y, convexity)
+            if shift:
+                data[self.objective.pattern.diagonal] += shift * self.objective.regularisation
+        with self._timed("factorise"):
+            self.result.factorisations += 1
+            return bool(np.isfinite(data).all()) and self.solver.factorise(data)
+
+    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+        with self._timed("factorise"):
+            return self.solver.solve(rhs)
+
+    def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
+        """Newton step with the least convexity that works; None if nothing does."""
+        trial = self.convexity * _CONVEXITY_DOWN
+        if trial < _CONVEXITY_LEAST:
+            trial = 0.0
+        while True:
+            if self._factorise(trial):
+                self.convexity = trial
+                return self._solve(-gradient)
+            if trial == 1.0:
+                break
+            trial = min(1.0, max(trial * _CONVEXITY_UP, 4 * _CONVEXITY_LEAST))
+        self.convexity = 1.0
+        for shift in _SHIFTS[1:]:
+            if self._factorise(1.0, shift):
+                return self._solve(-gradient)
+        return None
+
+    def _search(
+        self, value: float, gradient: np.ndarray, step: np.ndarray
+    ) -> tuple[float, np.ndarray, float, np.ndarray] | None:
+        """Step length by backtracking from 1, doubling while the energy keeps falling."""
+        objective, y = self.objective, self.result.y
+        slope = float(gradient @ step)
+        if not slope < 0:
+            return None
+        noise = 1e-14 * abs(value)
+        length, best = 1.0, None
+        while length > _SMALLEST_STEP:
+            trial = y + length * step
+            if objective.allows(y, trial):
+                trial_value = objective.value(trial)
+                if trial_value <= value + _SUFFICIENT * length * slope:
+                    best = (length, trial, trial_value)
+                    break
+                if abs(length * slope) < noise and trial_value < value + noise:
+                    # Energies differ by rounding only: let the gradient decide.
+                    trial_gradient = objective.gradient(trial)
+                    if objective.residual(trial_gradient) < objective.residual(gradient):
+                        return length, trial, trial_value, trial_gradient
+            length /= 2
+        if best is None:
+            return None
+        while best[0] >= 1.0:
+            length = 2 * best[0]
+            trial = y + length * step
+            if not objective.allows(y, trial):
+                break
+            trial_value = objective.value(trial)
+            if not trial_value < min(best[2], value + _SUFFICIENT * length * slope):
+                break
+            best = (length, trial, trial_value)
+        return *best, objective.gradient(best[1])
+
+    def _nudge(self) -> np.ndarray:
+        """A small move out of a saddle: random, smoothed by the convex Hessian."""
+        if not self._factorise(1.0, _SHIFTS[1]):
+            return np.zeros(self.objective.size)
+        move = self._solve(self.rng.standard_normal(self.objective.size))
+        return move * (0.1 / self.objective.step_length(move))
+
+
+class _Timer:
+    """Adds the time spent in a ``with`` block to an entry of a dictionary."""
+
+    def __init__(self, seconds: dict[str, float], activity: str) -> None:
+        self._seconds, self._activity = seconds, activity
+
+    def __enter__(self) -> None:
+        self._began = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._seconds[self._activity] += time.perf_counter() - self._began

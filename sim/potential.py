@@ -1,0 +1,87 @@
+"""The total energy of a cloth as a function of its free unknowns, for an optimiser."""
+
+import numpy as np
+
+from sim.energies.base import Energy
+from sim.linear import SparsePattern
+
+
+class Potential:
+    """A sum of energies over the free entries of the unknowns ``q`` (see :class:`Energy`).
+
+    Args:
+        energies: the terms.
+        template: (Q,) unknowns; entries that are not free keep these values.
+        free: (Q,) bool.
+        force_scale: (Q,) forces (N, or N·m for rotations) that count as 1 in residuals.
+        length_scale: (Q,) moves (m or rad) that count as 1 in step lengths and
+            regularisation.
+    """
+
+    def __init__(
+        self,
+        energies: list[Energy],
+        *,
+        template: np.ndarray,
+        free: np.ndarray,
+        force_scale: np.ndarray,
+        length_scale: np.ndarray,
+    ) -> None:
+        self.energies = energies
+        self._template = template
+        self._free = np.flatnonzero(free)
+        row = np.full(len(free), -1)
+        row[self._free] = np.arange(len(self._free))
+        self._stencils = [
+            np.where(energy.dofs >= 0, row[energy.dofs], -1) for energy in energies
+        ]
+        self.size = len(self._free)
+        self.pattern = SparsePattern(self._stencils, self.size)
+        self._force_scale = force_scale[self._free]
+        self.length_scale = length_scale[self._free]
+        self.regularisation = self._force_scale / self.length_scale
+
+    def full(self, y: np.ndarray) -> np.ndarray:
+        """All unknowns (Q,) from the free ones (n,)."""
+        q = self._template.copy()
+        q[self._free] = y
+        return q
+
+    def free_part(self, q: np.ndarray) -> np.ndarray:
+        """The free unknowns (n,) of all (Q,)."""
+        return q[self._free]
+
+    def value(self, y: np.ndarray) -> float:
+        """Energy, J."""
+        q = self.full(y)
+        return sum(energy.value(q) for energy in self.energies)
+
+    def gradient(self, y: np.ndarray) -> np.ndarray:
+        """(n,) derivative of the energy."""
+        q = self.full(y)
+        total = np.zeros(self.size + 1)  # the last entry collects absent and held unknowns
+        for energy, stencil in zip(self.energies, self._stencils, strict=True):
+            total += np.bincount(
+                stencil.ravel() % (self.size + 1),
+                energy.gradient(q).ravel(),
+                minlength=self.size + 1,
+            )
+        return total[:-1]
+
+    def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray:
+        """CSR data (nnz,) in ``pattern``; ``convexity`` as in :meth:`Energy.hessian`."""
+        q = self.full(y)
+        return self.pattern.assemble([energy.hessian(q, convexity) for energy in self.energies])
+
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        """Whether every energy allows the step between free unknowns (n,)."""
+        old, new = self.full(old), self.full(new)
+        return all(energy.allows(old, new) for energy in self.energies)
+
+    def residual(self, gradient: np.ndarray) -> float:
+        """Largest entry of a gradient (n,) in units of its force scale."""
+        return float(np.abs(gradient / self._force_scale).max())
+
+    def step_length(self, step: np.ndarray) -> float:
+        """Largest entry of a step (n,) in units of its length scale."""
+        return float(np.abs(step / self.length_scale).max())
