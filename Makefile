@@ -1,6 +1,8 @@
 # The pipeline from an empty machine to a report. `make demo` and `make test` need only git, make
 # and Python 3.10 to 3.12; everything is installed into .venv on first use.
-PYTHON ?= $(firstword $(foreach v,3.12 3.11 3.10,$(shell command -v python$(v) 2>/dev/null)) python3)
+SUITABLE := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
+PYTHON ?= $(shell for p in python3 python3.12 python3.11 python3.10; do \
+	$$p -c '$(SUITABLE)' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 STAMP := .venv/installed
 DATASET ?= outputs/dataset
@@ -15,8 +17,8 @@ setup: $(STAMP)  ## system libraries, .venv and packages
 
 $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
 	sh tools/system_libraries.sh
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))' || \
-	  { echo "$(PYTHON) is not Python 3.10 to 3.12; run: make PYTHON=python3.12"; exit 2; }
+	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
+	  { echo "Python 3.10 to 3.12 is needed; run: make PYTHON=/path/to/python3.12" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	@echo "installing packages into .venv (about 6 GB, a few minutes) ..."

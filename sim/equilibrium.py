@@ -3,6 +3,7 @@
 import numpy as np
 
 from sim.energies.contact import CylinderContact
+from sim.energies.fold_limit import FoldLimit
 from sim.energies.gravity import Gravity
 from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending, split_of_angles
@@ -31,10 +32,10 @@ def build_potential(
     """
     mesh = scene.mesh
     weight_per_area = fabric.density * scene.gravity
-    bending = MidEdgeBending(mesh, scene.active, fabric=fabric)
     energies = [
         CorotationalMembrane(mesh, scene.active, stiffness=membrane_stiffness),
-        bending,
+        MidEdgeBending(mesh, scene.active, fabric=fabric),
+        FoldLimit(mesh, scene.active, stiffness=float(fabric.alpha.min())),
         Gravity(mesh, density=fabric.density, gravity=scene.gravity),
     ]
     if scene.cylinder_radius is not None:

@@ -23,7 +23,7 @@ REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (secti
 MICRO = 1e-6  # N·m per µN·m
 NANO = 1e-9  # N·m² per nN·m²
 
-SOFTENING_LIMIT = 0.4
+SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
 the slope 1 - 2*u_c of the parabola at u_c, so that a fabric never loses all stiffness."""
 

@@ -19,6 +19,8 @@ from sim.energies import dihedral, plate_law
 from sim.material import SOFTENING_LIMIT, Fabric, plate_constants, softening
 from sim.mesh import Mesh
 
+_CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+
 
 class MidEdgeBending:
     """Plate energy of the free triangles.
@@ -63,8 +65,7 @@ class MidEdgeBending:
         return _hessian(q, *self._constants, convexity)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        """False when a hinge would fold past pi, where its angle jumps by 2 pi."""
-        return _largest_turn(old, new, self.dofs) < np.pi
+        return True
 
     def curvatures(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
@@ -158,17 +159,18 @@ def _gradient(q, dofs, share, sign, maps, areas, law):
 
 
 @numba.njit(cache=True)
-def _convexify(matrix, convexity):
-    """Shrink the negative eigenvalues of a symmetric (3, 3) matrix in place."""
-    minor = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
-    if matrix[0, 0] > 0.0 and minor > 0.0 and np.linalg.det(matrix) > 0.0:
-        return
+def _convexify(matrix, floor, convexity):
+    """Raise the eigenvalues of a symmetric (3, 3) matrix below ``floor`` towards it, in place.
+
+    The floor is positive: the rotations of the edges have no other stiffness.
+    """
     value, vector = np.linalg.eigh(matrix)
     for k in range(3):
-        if value[k] < 0.0:
+        if value[k] < floor:
             for i in range(3):
                 for j in range(3):
-                    matrix[i, j] -= convexity * value[k] * vector[i, k] * vector[j, k]
+                    lift = convexity * (floor - value[k])
+                    matrix[i, j] += lift * vector[i, k] * vector[j, k]
 
 
 @numba.njit(cache=True)
@@ -194,12 +196,13 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
     x, g, h = np.empty((4, 3)), np.empty((4, 3)), np.empty((12, 12))
     foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
     stress, tangent = np.empty(3), np.empty((3, 3))
+    floor = _CONVEX_FLOOR * min(law[0], law[1], 4.0 * law[3])
     rows, curvature, weighted = np.empty((3, 21)), np.empty((3, 21)), np.empty((3, 21))
     for t in range(len(dofs)):
         block = result[t]
         plate_law.derivatives(s[t], law, stress, tangent)
         if convexity > 0.0:
-            _convexify(tangent, convexity)
+            _convexify(tangent, floor, convexity)
         _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
         for a in range(3):
             for k in range(21):
@@ -241,18 +244,3 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
                                 m * h[3 * a + k, 3 * b + n]
                             )
     return result
-
-
-@numba.njit(cache=True)
-def _largest_turn(old, new, dofs):
-    """Largest change of a dihedral angle between two states, rad."""
-    x = np.empty((4, 3))
-    largest = 0.0
-    for t in range(len(dofs)):
-        for i in range(3):
-            if dofs[t, 9 + 3 * i] >= 0:
-                _load_hinge(old, dofs[t], i, x)
-                before = dihedral.angle(x)
-                _load_hinge(new, dofs[t], i, x)
-                largest = max(largest, abs(dihedral.angle(x) - before))
-    return largest

@@ -1,0 +1,1 @@
+"""From material parameters to training tensors: fabrics, cameras, pictures, shards."""

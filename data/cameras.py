@@ -1,0 +1,252 @@
+"""Pinhole cameras and the drape tester's camera rig, with its jitter.
+
+Pictures. Column ``u`` grows to the right, row ``v`` downwards, and the *centre* of the pixel in
+column i and row j lies at (u, v) = (i, j), as in OpenCV and in the intrinsics that depth sensors
+report. The middle of a picture is therefore ((width - 1)/2, (height - 1)/2).
+
+Axes. Camera axes are x right, y down, z forward along the optical axis; depth is the z of a
+point in these axes (z-depth), not the length of the ray. World axes are z up, with the origin at
+the centre of the plate's top face. The camera stands on the -y side and looks towards +y, so that
+world +x is to the right in the picture and the direction at 90 degrees points away from it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+import yaml
+from scipy.special import ndtr, ndtri
+
+from data.configs import CONFIG_DIR, group_options
+from sim.errors import InputError
+
+DEFAULT_RIG = "square300_cylinder100"
+
+# Jitter is normal, cut off here, so that no sample leaves the specimen outside the picture.
+JITTER_LIMIT_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Focal lengths and principal point in pixels, and the picture's size.
+
+    A point (x, y, z) in camera axes falls on u = fx x/z + cx, v = fy y/z + cy.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        if not all(math.isfinite(value) for value in numbers) or min(self.fx, self.fy) <= 0:
+            raise InputError(
+                f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} are not usable; "
+                "give finite pixels and positive focal lengths"
+            )
+        # No lens is centred on a picture's edge; intrinsics of another picture size are.
+        for centre, size in ((self.cx, self.width), (self.cy, self.height)):
+            if not 0.1 * size < centre < 0.9 * size:
+                raise InputError(
+                    f"principal point ({self.cx:g}, {self.cy:g}) is not in the inner part of the "
+                    f"{self.width}x{self.height} picture; give the intrinsics of this picture size"
+                )
+
+    def directions(self) -> np.ndarray:
+        """Ray through every pixel centre in camera axes, scaled to z = 1: (height, width, 3).
+
+        With this scale a hit's ray parameter *is* its z-depth.
+        """
+        x = (np.arange(self.width) - self.cx) / self.fx
+        y = (np.arange(self.height) - self.cy) / self.fy
+        rays = np.ones((self.height, self.width, 3))
+        rays[..., 0] = x[None, :]
+        rays[..., 1] = y[:, None]
+        return rays
+
+    def back_project(self, depth: np.ndarray) -> np.ndarray:
+        """Points (..., height, width, 3) in camera axes, metres, from z-depth (..., height, width).
+
+        Background (depth 0) gives the camera's own position.
+        """
+        return self.directions() * np.asarray(depth, dtype=float)[..., None]
+
+
+@dataclass(frozen=True)
+class Camera(Intrinsics):
+    """A posed pinhole camera.
+
+    Attributes:
+        world_to_camera: (4, 4) float64, rigid; metres.
+    """
+
+    world_to_camera: np.ndarray
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        return Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
+
+    @property
+    def position(self) -> np.ndarray:
+        """Optical centre in the world, (3,) m."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (N, 2) as (u, v), and z-depth (N,) m, of world points (N, 3) m."""
+        local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        depth = local[:, 2]
+        u = self.fx * local[:, 0] / depth + self.cx
+        v = self.fy * local[:, 1] / depth + self.cy
+        return np.stack([u, v], axis=1), depth
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view on another pixel grid (pixel *corners* of the picture stay in place)."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+            width=width,
+            height=height,
+            world_to_camera=self.world_to_camera,
+        )
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the plate's centre is seen from: metres and radians.
+
+    Attributes:
+        distance: optical centre to plate centre.
+        pitch: optical axis below the horizontal.
+        above: plate centre above the optical axis, across the picture.
+        aside: plate centre to the right of the optical axis, across the picture.
+        roll: turn of the picture's content about its axis, clockwise positive.
+    """
+
+    distance: float
+    pitch: float
+    above: float
+    aside: float
+    roll: float
+
+    def world_to_camera(self) -> np.ndarray:
+        """(4, 4) rigid transform from world axes to camera axes."""
+        c, s = math.cos(self.pitch), math.sin(self.pitch)
+        level = np.array([[1.0, 0.0, 0.0], [0.0, -s, -c], [0.0, c, -s]])  # rows: right, down, axis
+        c, s = math.cos(self.roll), math.sin(self.roll)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        across = self.above**2 + self.aside**2
+        if across >= self.distance**2:
+            raise InputError("camera distance must exceed the plate's offset from the optical axis")
+        transform = np.eye(4)
+        transform[:3, :3] = turn @ level
+        transform[:3, 3] = self.aside, -self.above, math.sqrt(self.distance**2 - across)
+        return transform
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Standard deviations of what differs from one set-up of the rig to the next.
+
+    ``focal`` is relative, ``principal`` in pixels, the rest in metres and radians.
+    """
+
+    focal: float
+    principal: float
+    distance: float
+    pitch: float
+    above: float
+    aside: float
+    roll: float
+
+
+@dataclass(frozen=True)
+class CameraRig:
+    """Nominal camera of a drape tester, and how much real set-ups vary around it.
+
+    Loaded from ``configs/rig/NAME.yaml``, where lengths are in mm and angles in degrees.
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    pose: Pose
+    jitter: Jitter
+
+    @classmethod
+    def load(cls, name: str = DEFAULT_RIG) -> "CameraRig":
+        """Read ``configs/rig/NAME.yaml``; InputError when there is no such rig."""
+        known = group_options("rig")
+        if name not in known:
+            raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(known)}")
+        text = (CONFIG_DIR / "rig" / f"{name}.yaml").read_text(encoding="utf-8")
+        return cls.from_config(yaml.safe_load(text))
+
+    @classmethod
+    def from_config(cls, config: Mapping) -> "CameraRig":
+        """Build from the mapping of a rig file (Hydra's group ``rig`` gives the same)."""
+        try:
+            camera, jitter = config["camera"], config["jitter"]
+            return cls(
+                name=str(config["name"]),
+                intrinsics=Intrinsics(**{f.name: camera[f.name] for f in fields(Intrinsics)}),
+                pose=Pose(**_si(camera, Pose)),
+                jitter=Jitter(
+                    focal=jitter["focal_percent"] / 100,
+                    principal=jitter["principal_px"],
+                    **_si(jitter, Pose),
+                ),
+            )
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"rig configuration is incomplete ({error}); see configs/rig/{DEFAULT_RIG}.yaml"
+            ) from None
+
+    def nominal(self) -> Camera:
+        """The camera without jitter."""
+        return self._camera(np.zeros(len(fields(Jitter)) + 1))
+
+    def sample(self, rng: np.random.Generator) -> Camera:
+        """A camera of a randomly varied set-up; one capture's four views share it.
+
+        Every deviate is normal, cut off at ``JITTER_LIMIT_SIGMAS``; a fixed number of random
+        numbers is drawn.
+        """
+        tail = ndtr(-JITTER_LIMIT_SIGMAS)
+        return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(fields(Jitter)) + 1)))
+
+    def _camera(self, deviates: np.ndarray) -> Camera:
+        focal, shift_x, shift_y, distance, pitch, above, aside, roll = deviates.tolist()
+        nominal, base, sigma = self.intrinsics, self.pose, self.jitter
+        pose = Pose(
+            distance=base.distance + sigma.distance * distance,
+            pitch=base.pitch + sigma.pitch * pitch,
+            above=base.above + sigma.above * above,
+            aside=base.aside + sigma.aside * aside,
+            roll=base.roll + sigma.roll * roll,
+        )
+        return Camera(
+            fx=nominal.fx * (1 + sigma.focal * focal),
+            fy=nominal.fy * (1 + sigma.focal * focal),
+            cx=nominal.cx + sigma.principal * shift_x,
+            cy=nominal.cy + sigma.principal * shift_y,
+            width=nominal.width,
+            height=nominal.height,
+            world_to_camera=pose.world_to_camera(),
+        )
+
+
+def _si(config: Mapping, kind: type) -> dict[str, float]:
+    """Pose entries of a rig file, from mm and degrees to metres and radians."""
+    angles = {"pitch", "roll"}
+    return {
+        f.name: math.radians(config[f"{f.name}_deg"])
+        if f.name in angles
+        else config[f"{f.name}_mm"] * 1e-3
+        for f in fields(kind)
+    }

@@ -1,0 +1,291 @@
+"""Captures: folders with four depth pictures of one specimen, read, checked and written.
+
+Two formats are recognised by their files:
+
+- ``capture.yaml`` with ``view_0.png`` to ``view_3.png``: 16-bit grey, depth in units of
+  ``depth_unit_m`` (millimetres unless stated), background 0, any size with matching intrinsics.
+- ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
+  count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
+  taken), the rig's intrinsics.
+
+The background must have been removed: cloth only. Nothing in a capture is trusted; whatever is
+wrong with one is reported as an InputError of one line that names the file.
+"""
+
+import math
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from PIL import Image
+
+from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
+from data.reading import finite_number, read_mapping, read_picture, read_text
+from data.remap import remap_depth
+from data.render import VIEWS
+from sim.errors import InputError
+
+DENSITY_RANGE = (10.0, 1000.0)  # g/m2
+DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
+CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
+PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
+PUBLISHED_BACKGROUND = 250  # counts above are background
+CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "warp_direction_deg", "rig"}
+INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Four views of one specimen, a quarter turn apart.
+
+    Attributes:
+        views: (4, H, W) float32 z-depth in metres, background 0.
+        intrinsics: of these pictures.
+        density: kg/m2.
+        warp_direction: angle of the warp direction in the first view, in [0, pi) radians, 0 to
+            the right in the picture, pi/2 away from the camera; None when it is not marked.
+        rig: name of the rig.
+        path: folder it was read from.
+        warnings: one line each, for the report.
+    """
+
+    views: np.ndarray
+    intrinsics: Intrinsics
+    density: float
+    warp_direction: float | None
+    rig: str
+    path: Path
+    warnings: tuple[str, ...]
+
+
+def read_capture(path: str | Path) -> Capture:
+    """Read and check a capture folder of either format.
+
+    Raises:
+        InputError: anything that makes the capture unusable.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"capture folder '{path}' does not exist; check the path")
+    if not path.is_dir():
+        raise InputError(f"capture '{path}' is not a folder; give the folder with the four views")
+    if (path / "capture.yaml").exists():
+        return _read_metric(path)
+    if (path / "density.txt").exists():
+        return _read_published(path)
+    raise InputError(
+        f"capture folder '{path}' has neither capture.yaml nor density.txt; "
+        "write capture.yaml with density_g_m2 and intrinsics"
+    )
+
+
+def write_capture(
+    path: str | Path,
+    *,
+    views: np.ndarray,
+    intrinsics: Intrinsics,
+    density: float,
+    warp_direction: float | None = None,
+    rig: str = DEFAULT_RIG,
+    depth_unit: float = 1e-3,
+) -> None:
+    """Write a capture in the 16-bit format, whole or not at all, to a new or empty folder.
+
+    Args:
+        views: (4, H, W) z-depth in metres, background 0.
+        density: kg/m2; warp_direction: radians in the first view; depth_unit: metres per count.
+
+    Raises:
+        InputError: wrong shape, depth that does not fit 16 bits, or a folder that is not empty.
+    """
+    path = Path(path)
+    views = np.asarray(views)
+    if views.shape != (VIEWS, intrinsics.height, intrinsics.width):
+        raise InputError(f"views of shape {views.shape} do not fit the intrinsics and four views")
+    counts = np.rint(views / depth_unit)
+    if not (np.isfinite(counts).all() and counts.min() >= 0 and counts.max() <= 65535):
+        raise InputError(f"depth does not fit 16 bits at {depth_unit:g} m per count")
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"'{path}' exists already; remove it or choose another folder")
+    description = {
+        "density_g_m2": round(density * 1e3, 6),
+        "depth_unit_m": depth_unit,
+        "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
+        "rig": rig,
+    }
+    if warp_direction is not None:
+        description["warp_direction_deg"] = round(math.degrees(warp_direction), 6)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    try:
+        for k, picture in enumerate(counts.astype(np.uint16)):
+            Image.fromarray(picture).save(temporary / f"view_{k}.png")
+        text = yaml.safe_dump(description, sort_keys=False)
+        (temporary / "capture.yaml").write_text(text, encoding="utf-8")
+        temporary.chmod(0o755)  # mkdtemp's folders are private
+        os.replace(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def to_camera(capture: Capture, rig: CameraRig) -> np.ndarray:
+    """The views as the rig's nominal intrinsics would show them, (4, H, W) float32 m.
+
+    A remapping of pixels about the principal points: the viewpoint stays, so depth does. The
+    rig's pixels that lie outside the captured pictures become background.
+    """
+    source, target = capture.intrinsics, rig.intrinsics
+    if source == target:
+        return capture.views.copy()
+    u = (np.arange(target.width) - target.cx) / target.fx * source.fx + source.cx
+    v = (np.arange(target.height) - target.cy) / target.fy * source.fy + source.cy
+    return remap_depth(capture.views, u[None, :], v[:, None])
+
+
+def _read_metric(path: Path) -> Capture:
+    file = path / "capture.yaml"
+    description = read_mapping(file)
+    unknown = set(map(str, description)) - CAPTURE_KEYS
+    if unknown:
+        raise InputError(
+            f"{file}: unknown key '{min(unknown)}'; known keys: {', '.join(sorted(CAPTURE_KEYS))}"
+        )
+    density = _density(description.get("density_g_m2"), f"{file}: density_g_m2")
+    unit = finite_number(description.get("depth_unit_m", 1e-3), f"{file}: depth_unit_m")
+    if unit <= 0:
+        raise InputError(f"{file}: depth_unit_m={unit:g} must be positive, 0.001 for millimetres")
+    rig = str(description.get("rig", DEFAULT_RIG))
+    try:
+        CameraRig.load(rig)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    direction = description.get("warp_direction_deg")
+    if direction is not None:
+        direction = math.radians(finite_number(direction, f"{file}: warp_direction_deg")) % math.pi
+    counts = _read_views(path, "view_{}.png", {"I;16", "I"}, "16-bit grey")
+    height, width = counts.shape[1:]
+    intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
+    views = (counts * unit).astype(np.float32)
+    return _checked(path, views, intrinsics, density, direction, rig, ())
+
+
+def _read_published(path: Path) -> Capture:
+    density = _density(*_read_density(path / "density.txt"))
+    counts = _read_views(path, "{}.png", {"L"}, "8-bit grey")
+    height, width = counts.shape[1:]
+    if (width, height) not in PUBLISHED_SIZES:
+        raise InputError(
+            f"{path}: pictures of {width}x{height} pixels; the 8-bit format is 240x180 or 480x360"
+        )
+    keep = PUBLISHED_SIZES[width, height]
+    counts = counts[:, ::keep, ::keep]
+    views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
+    warning = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
+    intrinsics = CameraRig.load(DEFAULT_RIG).intrinsics
+    return _checked(path, views, intrinsics, density, None, DEFAULT_RIG, (warning,))
+
+
+def _checked(
+    path: Path,
+    views: np.ndarray,
+    intrinsics: Intrinsics,
+    density: float,
+    warp_direction: float | None,
+    rig: str,
+    warnings: tuple[str, ...],
+) -> Capture:
+    """The capture, once its pictures have shown a piece of cloth within reach."""
+    for k, view in enumerate(views):
+        cloth = view > 0
+        if not cloth.any():
+            raise InputError(f"{path}: view {k} is all background; no cloth in the picture")
+        if cloth.mean() < CLOTH_SHARE[0]:
+            raise InputError(
+                f"{path}: view {k} is background but for {cloth.sum()} pixels; "
+                "the cloth is missing or too far away"
+            )
+        if cloth.mean() > CLOTH_SHARE[1]:
+            raise InputError(
+                f"{path}: view {k} has no background; set every pixel that is not cloth to 0"
+            )
+        distance = float(np.median(view[cloth]))
+        if not DISTANCE_RANGE[0] <= distance <= DISTANCE_RANGE[1]:
+            raise InputError(
+                f"{path}: view {k} has the cloth {distance:.4g} m away, not within "
+                f"{DISTANCE_RANGE[0]:g}-{DISTANCE_RANGE[1]:g} m; check the depth unit"
+            )
+        border = np.concatenate([cloth[0], cloth[-1], cloth[:, 0], cloth[:, -1]])
+        if border.any():
+            warnings += (f"view {k}: the cloth touches the picture's border",)
+    return Capture(views, intrinsics, density, warp_direction, rig, path, warnings)
+
+
+def _read_views(path: Path, pattern: str, modes: set[str], kind: str) -> np.ndarray:
+    """Counts of the four pictures, (4, H, W); exactly four, of one size and kind."""
+    expected = [pattern.format(k) for k in range(VIEWS)]
+    shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
+    found = {file.name for file in path.iterdir() if shape.fullmatch(file.name)}
+    for name in expected:
+        if name not in found:
+            raise InputError(f"{path}: {name} is missing; a capture has {', '.join(expected)}")
+    extra = found - set(expected)
+    if extra:
+        raise InputError(
+            f"{path}: {min(extra)} is one view too many; a capture has {', '.join(expected)}"
+        )
+    pictures = [read_picture(path / name, modes=modes, kind=kind) for name in expected]
+    for name, picture in zip(expected, pictures, strict=True):
+        if picture.shape != pictures[0].shape:
+            sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, pictures[0])]
+            raise InputError(
+                f"{path}: {name} has {sizes[0]} pixels but {expected[0]} has {sizes[1]}; "
+                "all views must have one size"
+            )
+    return np.stack(pictures)
+
+
+def _read_density(file: Path) -> tuple[str, str]:
+    """The number in ``density.txt`` (one line, 'name value') and what to call it."""
+    lines = [line.split() for line in read_text(file).splitlines() if line.strip()]
+    if len(lines) != 1 or len(lines[0]) > 2:
+        raise InputError(f"{file} must hold one line such as 'data0 300' (g/m2)")
+    return lines[0][-1], f"{file}: density"
+
+
+def _density(value: object, what: str) -> float:
+    """kg/m2 from g/m2."""
+    if value is None:
+        raise InputError(f"{what} is missing; weigh the specimen and give its g/m2")
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            raise InputError(f"{what}='{value}' is not a number; give g/m2") from None
+    grams = finite_number(value, what)
+    low, high = DENSITY_RANGE
+    if not low <= grams <= high:
+        raise InputError(f"{what}={grams:g} is outside {low:g}-{high:g} g/m2; check the unit")
+    return grams * 1e-3
+
+
+def _intrinsics(value: object, file: Path, width: int, height: int) -> Intrinsics:
+    if not isinstance(value, Mapping) or set(value) != set(INTRINSICS_KEYS):
+        raise InputError(
+            f"{file}: intrinsics must give fx, fy, cx and cy in pixels, "
+            "such as {fx: 305.0, fy: 305.0, cx: 119.5, cy: 89.5}"
+        )
+    numbers = {
+        key: finite_number(value[key], f"{file}: intrinsics.{key}") for key in INTRINSICS_KEYS
+    }
+    try:
+        return Intrinsics(**numbers, width=width, height=height)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+

@@ -1,0 +1,76 @@
+"""The keys of ``configs/generate.yaml``: their types, and the dataset that they ask for."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from data.cameras import CameraRig
+from data.prior import load_prior
+from data.records import DatasetConfig
+from data.sampling import SamplingConfig
+from sim.scene import Rig
+
+
+@dataclass
+class DatasetOptions:
+    """The group ``dataset``; see ``configs/dataset``."""
+
+    starts_per_fabric: int = 2
+    starts: list[str] = field(default_factory=list)
+    drift_mm: float = 3.0
+    orientations: int = 8
+    turn_deg: float = 2.0
+    drapes_per_shard: int = 16
+    compression: int = 4
+
+
+@dataclass
+class SolverOptions:
+    """The group ``solver``; see ``configs/solver``."""
+
+    jitter: float = 0.15
+
+
+@dataclass
+class PriorOptions:
+    """The group ``prior``; see ``configs/prior``."""
+
+    file: str | None = None
+
+
+@dataclass
+class Options:
+    """Types of the keys of ``configs/generate.yaml``."""
+
+    out: str = "outputs/dataset"
+    drapes: int = 512
+    workers: int = 2
+    seed: int = 0
+    resolution: int = 41
+    dataset: DatasetOptions = field(default_factory=DatasetOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    prior: PriorOptions = field(default_factory=PriorOptions)
+    rig: Any = None
+
+
+def config_from_options(options: Options) -> DatasetConfig:
+    """The dataset that the composed options ask for; InputError where a value makes no sense."""
+    dataset = options.dataset
+    return DatasetConfig(
+        drapes=options.drapes,
+        sampling=SamplingConfig(
+            seed=options.seed,
+            starts_per_fabric=dataset.starts_per_fabric,
+            starts=tuple(dataset.starts),
+            drift=dataset.drift_mm * 1e-3,
+            orientations=dataset.orientations,
+            turn=math.radians(dataset.turn_deg),
+        ),
+        prior=load_prior(options.prior.file),
+        rig=Rig.from_name(options.rig["name"]),
+        cameras=CameraRig.from_config(options.rig),
+        resolution=options.resolution,
+        jitter=options.solver.jitter,
+        drapes_per_shard=dataset.drapes_per_shard,
+        compression=dataset.compression,
+    )

@@ -1,0 +1,205 @@
+"""From the index of a drape to its record: plan, equilibrium, views, rows of a shard."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from data.cameras import CameraRig
+from data.fabrics import fabric_from_theta
+from data.prior import Prior, prior_content
+from data.render import VIEWS, DepthRenderer
+from data.sampling import DrapePlan, SamplingConfig, Stream, plan_drape, stream
+from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
+from sim.errors import InputError
+from sim.scene import Rig
+
+Solver = Callable[..., object]
+"""Like :func:`sim.drape.drape`."""
+Renderer = Callable[..., object]
+"""Like :class:`data.render.DepthRenderer`: of positions and faces, with a method ``view``."""
+
+
+def code_version() -> str:
+    """Version of the project that makes the drapes."""
+    try:
+        return version("drapenet")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """All that determines a dataset's bytes.
+
+    Attributes:
+        drapes: number of drapes.
+        sampling: fabrics, starts, orientations, seed.
+        prior: distribution of the fabrics.
+        rig: specimen and plate.
+        cameras: camera, with its jitter.
+        resolution: vertices along a side of the specimen.
+        jitter: perturbation of the rest triangulation, in edges.
+        drapes_per_shard: drapes in a file.
+        compression: gzip level, 1 to 9.
+    """
+
+    drapes: int
+    sampling: SamplingConfig
+    prior: Prior
+    rig: Rig
+    cameras: CameraRig
+    resolution: int = 41
+    jitter: float = 0.15
+    drapes_per_shard: int = 16
+    compression: int = 4
+
+    def __post_init__(self) -> None:
+        for name in ("drapes", "drapes_per_shard"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}={getattr(self, name)} must be at least 1")
+        if not 8 <= self.resolution <= 401:
+            raise InputError(f"resolution={self.resolution} must lie between 8 and 401 vertices")
+        if not 0 <= self.jitter <= 0.3:
+            raise InputError(f"jitter={self.jitter} must lie between 0 and 0.3 edges")
+        if not 1 <= self.compression <= 9:
+            raise InputError(f"compression={self.compression} must lie between 1 and 9")
+
+    @property
+    def layout(self) -> Layout:
+        """Sizes of the arrays in a shard."""
+        return Layout(
+            resolution=self.resolution,
+            orientations=self.sampling.orientations,
+            height=self.cameras.intrinsics.height,
+            width=self.cameras.intrinsics.width,
+            compression=self.compression,
+        )
+
+    def as_dict(self) -> dict:
+        """All that determines a drape and its record, in JSON's types; not their number."""
+        return {
+            "sampling": self.sampling.as_dict(),
+            "prior": prior_content(self.prior),
+            "rig": asdict(self.rig),
+            "cameras": _plain(asdict(self.cameras)),
+            "solver": {"resolution": self.resolution, "jitter": self.jitter},
+            "storage": {
+                "drapes_per_shard": self.drapes_per_shard,
+                "compression": self.compression,
+            },
+            "code_version": code_version(),
+        }
+
+    def rows(self, shard: int) -> range:
+        """Indices of the drapes in a shard."""
+        first = shard * self.drapes_per_shard
+        return range(first, min(first + self.drapes_per_shard, self.drapes))
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.drapes // self.drapes_per_shard)
+
+
+def _plain(value: object) -> object:
+    """``value`` with arrays and tuples as lists."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def simulate(plan: DrapePlan, config: DatasetConfig, solver: Solver) -> tuple[dict, object]:
+    """Drape the plan's fabric; return the record without views, and the solver's result.
+
+    A drape that fails, even by an arithmetical exception, keeps its record and says why.
+    """
+    fabric = fabric_from_theta(plan.theta)
+    empty = {name: np.zeros(field.shape, field.dtype)
+             for name, field in fields(config.layout).items()}
+    record = empty | {
+        "index": plan.index,
+        "fabric": plan.fabric,
+        "theta": plan.theta,
+        "rejected": plan.rejected,
+        "density": fabric.density,
+        "start": plan.start.encode(),
+        "seed": plan.seed,
+        "offset": plan.offset,
+        "orientations": plan.orientations,
+        "turns": plan.turns,
+        "residual": np.nan,
+        "drape_coefficient": np.nan,
+        "folds": -1,
+    }
+    try:
+        result = solver(
+            fabric,
+            rig=config.rig,
+            resolution=config.resolution,
+            start=plan.start,
+            seed=plan.seed,
+            offset=tuple(plan.offset),
+            jitter=config.jitter,
+        )
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return record | _outcome("exception", f"{type(error).__name__}: {error}"), None
+    record |= _outcome(str(getattr(result.status, "value", result.status)), result.message)
+    record |= {"residual": result.residual, "iterations": result.iterations}
+    try:
+        record |= {
+            "positions": to_counts(result.positions, unit=LENGTH_UNIT, dtype=np.int16),
+            "rest": to_counts(result.rest, unit=LENGTH_UNIT, dtype=np.int16),
+            "diagonals": pack_diagonals(result.diagonals),
+        }
+    except ValueError as error:
+        if result.converged:
+            record |= _outcome("out_of_range", str(error))
+        return record, None
+    return record, result if result.converged else None
+
+
+def _outcome(status: str, message: str) -> dict:
+    return {"status": status.encode("ascii", "replace")[:24],
+            "message": message.encode("ascii", "replace")[:160]}
+
+
+def _solver() -> Solver:
+    # Imported late: the main process and --help do without compiled kernels.
+    from sim.drape import drape
+
+    return drape
+
+
+def make_record(
+    index: int,
+    config: DatasetConfig,
+    *,
+    solver: Solver | None = None,
+    renderer: Renderer | None = None,
+) -> dict[str, np.ndarray]:
+    """The record of drape ``index``: one row of each of :func:`data.shards.fields`."""
+    solver, renderer = solver or _solver(), renderer or DepthRenderer
+    plan = plan_drape(index, config=config.sampling, prior=config.prior)
+    record, result = simulate(plan, config, solver)
+    if result is None:
+        return record
+    # Imported here like the solver, see _solver.
+    from sim.measures import drape_coefficient, fold_count
+
+    record["drape_coefficient"] = drape_coefficient(result.positions, result.faces, config.rig)
+    record["folds"] = fold_count(result.positions, result.rest, config.rig)
+    rng = stream(config.sampling.seed, Stream.VIEWS, index)
+    cameras = [config.cameras.sample(rng) for _ in plan.orientations]
+    scene = renderer(result.positions, result.faces)
+    angles = plan.orientations[:, None] + plan.turns + np.arange(VIEWS) * (np.pi / 2)
+    views = [[scene.view(camera, float(angle)) for angle in row]
+             for camera, row in zip(cameras, angles, strict=True)]
+    record["views"] = to_counts(np.array(views), unit=DEPTH_UNIT, dtype=np.uint16)
+    record["intrinsics"] = [[c.fx, c.fy, c.cx, c.cy] for c in cameras]
+    record["world_to_camera"] = np.stack([c.world_to_camera for c in cameras])
+    record["rendered"] = 1
+    return record

@@ -1,0 +1,92 @@
+"""Depth pictures of a drape: four views, a quarter turn of the table apart.
+
+The table turns counter-clockwise seen from above and the camera stands still: in view k the
+specimen's warp axis points along (cos a, sin a) in the world, a = orientation + k 90 degrees
+(Feng et al. 2022, section 3.1). Only the cloth is in the picture. The cylinder is left out because
+captures are cut out to the cloth; its top is covered by the specimen anyway.
+"""
+
+import math
+from types import ModuleType
+
+import numpy as np
+
+from data.cameras import Camera
+from sim.errors import InputError
+
+VIEWS = 4
+OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
+
+
+def import_open3d() -> ModuleType:
+    """The module open3d; InputError with the remedy when its system libraries are missing."""
+    # Imported late: it takes a second, and needs system libraries that inference on a picture
+    # alone can do without.
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        cause = str(error).splitlines()[0]
+        raise InputError(
+            f"open3d cannot be imported ({cause}); install its libraries with: {OPEN3D_REMEDY}"
+        ) from None
+    return open3d
+
+
+class DepthRenderer:
+    """Casts rays at one drape; build it once, then render it from many sides.
+
+    Args:
+        positions: (V, 3) vertices in metres, world axes at orientation 0.
+        faces: (F, 3) triangles; both sides are visible.
+        threads: ray-casting threads. One is right inside worker processes.
+    """
+
+    def __init__(self, positions: np.ndarray, faces: np.ndarray, *, threads: int = 1) -> None:
+        positions = np.ascontiguousarray(positions, dtype=np.float32)
+        faces = np.ascontiguousarray(faces, dtype=np.uint32)
+        if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
+            raise InputError("positions to render must be finite, of shape (V, 3), in metres")
+        if faces.ndim != 2 or faces.shape[1] != 3 or (faces >= len(positions)).any():
+            raise InputError("faces to render must be of shape (F, 3) and name existing vertices")
+        open3d = import_open3d()
+        self._tensor = open3d.core.Tensor
+        self._threads = threads
+        self._scene = open3d.t.geometry.RaycastingScene(nthreads=threads)
+        self._scene.add_triangles(self._tensor(positions), self._tensor(faces))
+
+    def view(self, camera: Camera, angle: float = 0.0) -> np.ndarray:
+        """One picture with the specimen turned by ``angle`` (radians, counter-clockwise).
+
+        Returns:
+            (height, width) float32 z-depth in metres, background 0.
+        """
+        # The mesh stays and the camera turns the other way, so the ray tree is built only once.
+        c, s = math.cos(angle), math.sin(angle)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        specimen_to_camera = camera.world_to_camera[:3, :3] @ turn
+        rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
+        rays[..., :3] = -specimen_to_camera.T @ camera.world_to_camera[:3, 3]
+        # Directions have z = 1 along the optical axis, so the hit parameter is the z-depth.
+        rays[..., 3:] = camera.directions() @ specimen_to_camera
+        hit = self._scene.cast_rays(self._tensor(rays), nthreads=self._threads)["t_hit"].numpy()
+        return np.where(np.isfinite(hit), hit, np.float32(0.0))
+
+    def views(self, camera: Camera, orientation: float = 0.0) -> np.ndarray:
+        """The four pictures of a capture, (4, height, width) float32 m, background 0."""
+        return np.stack(
+            [self.view(camera, orientation + k * math.pi / 2) for k in range(VIEWS)]
+        )
+
+
+def render_views(
+    positions: np.ndarray, faces: np.ndarray, camera: Camera, orientation: float = 0.0
+) -> np.ndarray:
+    """Four views of a drape, (4, height, width) float32 z-depth in metres, background 0.
+
+    Args:
+        positions: (V, 3) m; faces: (F, 3); see :class:`DepthRenderer`, which is the better choice
+            for several orientations of one drape.
+        orientation: direction of the warp axis in the first view, radians; 0 is to the right in
+            the picture, pi/2 away from the camera.
+    """
+    return DepthRenderer(positions, faces).views(camera, orientation)

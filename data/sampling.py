@@ -1,0 +1,114 @@
+"""The plan of a dataset: which fabric, which start and which views each drape has.
+
+Everything here is a pure function of the dataset's seed and the index of a fabric or drape, so
+a drape is the same whichever process makes it, and however often the work was interrupted.
+"""
+
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from data.prior import Prior, sample_admissible
+from data.render import VIEWS
+from sim.errors import InputError
+
+STARTS = ("sine", "fold")
+
+
+class Stream(IntEnum):
+    """Independent streams of random numbers; the values are part of a dataset's definition."""
+
+    FABRIC = 0
+    START = 1
+    VIEWS = 2
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """What determines the drapes of a dataset besides the prior, the solver and the rig.
+
+    Attributes:
+        seed: seed of the dataset.
+        starts_per_fabric: drapes of each fabric.
+        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1).
+        drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
+            and weft each.
+        orientations: sets of four views of each drape, stratified over the full turn
+            (section 5.2.2; 12 there).
+        turn: standard deviation of the turntable's angle from a whole number of quarter turns,
+            in each view after the first, radians.
+    """
+
+    seed: int = 0
+    starts_per_fabric: int = 2
+    starts: tuple[str, ...] = STARTS
+    drift: float = 0.003
+    orientations: int = 8
+    turn: float = 0.035
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "starts", tuple(self.starts))
+        if self.seed < 0:
+            raise InputError(f"seed={self.seed} must not be negative")
+        if self.starts_per_fabric < 1 or self.orientations < 1:
+            raise InputError("starts_per_fabric and orientations must be at least 1")
+        if not self.starts or not set(self.starts) <= set(STARTS):
+            raise InputError(f"starts must be some of {', '.join(STARTS)}")
+        if not 0 <= self.drift <= 0.02:
+            raise InputError(f"the drift must lie between 0 and 20 mm, not {self.drift * 1e3:g}")
+        if not 0 <= self.turn <= 0.2:
+            raise InputError("the turntable's deviation must lie between 0 and 11 degrees, not "
+                             f"{np.degrees(self.turn):g}")
+
+    def as_dict(self) -> dict:
+        """All fields, in JSON's types."""
+        return asdict(self) | {"starts": list(self.starts)}
+
+
+@dataclass(frozen=True)
+class DrapePlan:
+    """What makes one drape.
+
+    Attributes:
+        index: position in the dataset.
+        fabric: index of the fabric; drapes of one fabric share theta.
+        theta: (6,) parameters, see :mod:`data.fabrics`.
+        rejected: inadmissible samples drawn before this fabric.
+        start: initial state, one of :data:`STARTS`.
+        seed: seed of the mesh and of the initial state.
+        offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
+        orientations: (K,) angle of the warp in the first view, counter-clockwise seen from
+            above, radians in [0, 2 pi), one in each K-th of a turn, ascending.
+    """
+
+    index: int
+    fabric: int
+    theta: np.ndarray
+    rejected: int
+    start: str
+    seed: int
+    offset: np.ndarray
+    orientations: np.ndarray
+    turns: np.ndarray
+
+
+def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
+    """The random numbers of one fabric's or drape's purpose."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(kind), index)))
+
+
+def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan:
+    """The plan of drape ``index``; consecutive drapes share a fabric."""
+    fabric, turn = divmod(index, config.starts_per_fabric)
+    theta, rejected = sample_admissible(prior, stream(config.seed, Stream.FABRIC, fabric))
+    rng = stream(config.seed, Stream.START, index)
+    # With one drape a fabric the initial states alternate between fabrics.
+    start = config.starts[(fabric + turn) % len(config.starts)]
+    seed = int(rng.integers(2**31))
+    offset = rng.normal(0.0, config.drift, 2)
+    sectors = np.arange(config.orientations) + rng.random(config.orientations)
+    orientations = sectors * (2 * np.pi / config.orientations)
+    turns = rng.normal(0.0, config.turn, (config.orientations, VIEWS))
+    turns[:, 0] = 0.0
+    return DrapePlan(index, fabric, theta, rejected, start, seed, offset, orientations, turns)

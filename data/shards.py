@@ -1,0 +1,240 @@
+"""HDF5 shards: the file format of simulated drapes (``docs/data_format.md``).
+
+A shard holds a fixed block of drapes, one row each in every array of :func:`fields`. A file's
+bytes depend on its content only: no times, no machine, no random identifiers.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from data.render import VIEWS
+from sim.errors import InputError
+from sim.mesh import grid_faces
+
+SCHEMA_VERSION = 1
+LENGTH_UNIT = 1e-5  # m per count of stored coordinates
+DEPTH_UNIT = 1e-4  # m per count of stored depth
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a dataset's arrays.
+
+    Attributes:
+        resolution: vertices along a side of the specimen, n.
+        orientations: sets of four views of a drape, K.
+        height, width: pixels of a view, H and W.
+        compression: gzip level, 1 to 9.
+    """
+
+    resolution: int
+    orientations: int
+    height: int
+    width: int
+    compression: int = 4
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of a shard: type and shape of a drape's row, unit and meaning."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    unit: str
+    meaning: str
+
+
+def fields(layout: Layout) -> dict[str, Field]:
+    """The arrays of a shard; each has the drape in the shard as its first axis."""
+    n, k = layout.resolution, layout.orientations
+    vertices, cells = n * n, (n - 1) ** 2
+    image = (VIEWS, layout.height, layout.width)
+    return {
+        "index": Field("i8", (), "", "position of the drape in the dataset"),
+        "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
+        "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics"),
+        "rejected": Field("i4", (), "", "impossible samples of the prior before this fabric"),
+        "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
+        "start": Field("S8", (), "", "initial state: sine or fold"),
+        "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
+        "offset": Field("f8", (2,), "m", "specimen's centre from the plate's axis: warp, weft"),
+        "status": Field("S24", (), "", "outcome of the solver; views only of 'converged'"),
+        "message": Field("S160", (), "", "the solver's words about it"),
+        "residual": Field("f8", (), "a vertex's weight", "force residual at the end"),
+        "iterations": Field("i4", (), "", "Newton iterations"),
+        "drape_coefficient": Field("f8", (), "1", "of the drape; NaN unless converged"),
+        "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
+        "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
+        "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
+        "diagonals": Field("u1", (-(-cells // 8),), "bits", "diagonal of each cell, packbits"),
+        "rendered": Field("u1", (), "", "1 where the views are valid, else they are zeros"),
+        "orientations": Field("f8", (k,), "rad", "warp in view 0, counter-clockwise from above"),
+        "turns": Field("f8", (k, VIEWS), "rad", "turntable beyond k quarter turns in view k"),
+        "intrinsics": Field("f8", (k, 4), "px", "fx, fy, cx, cy of each set of views"),
+        "world_to_camera": Field("f8", (k, 4, 4), "m", "camera: x right, y down, z forward"),
+        "views": Field("u2", (k, *image), "1e-4 m", "z-depth without noise; 0 is background"),
+    }
+
+
+def to_counts(values: np.ndarray, *, unit: float, dtype: type[np.integer]) -> np.ndarray:
+    """Values divided by ``unit`` and rounded; ValueError where ``dtype`` cannot hold them."""
+    counts = np.rint(np.asarray(values, dtype=np.float64) / unit)
+    limits = np.iinfo(dtype)
+    if not (np.isfinite(counts).all() and (counts >= limits.min).all()
+            and (counts <= limits.max).all()):
+        raise ValueError(f"values outside {limits.min * unit:g} to {limits.max * unit:g}")
+    return counts.astype(dtype)
+
+
+def pack_diagonals(diagonals: np.ndarray) -> np.ndarray:
+    """Bits ((n-1)²/8,) uint8, rounded up, of the diagonals (n-1, n-1) bool."""
+    return np.packbits(np.asarray(diagonals, dtype=bool).ravel())
+
+
+def unpack_diagonals(packed: np.ndarray, resolution: int) -> np.ndarray:
+    """The inverse of :func:`pack_diagonals`."""
+    cells = resolution - 1
+    return np.unpackbits(packed, count=cells * cells).astype(bool).reshape(cells, cells)
+
+
+def shard_name(shard: int) -> str:
+    """File name of a shard."""
+    return f"shard_{shard:05d}.h5"
+
+
+def write_shard(
+    path: Path,
+    records: Sequence[Mapping[str, np.ndarray]],
+    *,
+    layout: Layout,
+    attributes: Mapping[str, str | int | float],
+) -> None:
+    """Write ``records`` (one mapping from each name of :func:`fields` to its row) to ``path``.
+
+    The file appears under its name only when it is complete.
+    """
+    temporary = path.with_name(path.name + ".part")
+    with h5py.File(temporary, "w", libver=("earliest", "v110")) as file:
+        for name, value in attributes.items():
+            # Fixed-length text: variable-length text goes through a heap with unused bytes.
+            file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+        for name, field in fields(layout).items():
+            rows = np.stack([np.asarray(record[name]).astype(field.dtype) for record in records])
+            if rows.shape[1:] != field.shape:
+                raise ValueError(f"{name} has shape {rows.shape[1:]}, expected {field.shape}")
+            options = {}
+            if rows.ndim > 1 and rows[0].size > 64:
+                # A chunk is what is read at a time: one set of views, one drape's mesh.
+                chunk = (1, 1, *rows.shape[2:]) if name == "views" else (1, *rows.shape[1:])
+                options = {"chunks": chunk, "compression": "gzip", "shuffle": True,
+                           "compression_opts": layout.compression}
+            data = file.create_dataset(name, data=rows, **options)
+            if field.unit:
+                data.attrs["unit"] = np.bytes_(field.unit.encode())
+    with open(temporary, "rb+") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+class Shard:
+    """An open shard, for reading.
+
+    Raises:
+        InputError: the file cannot be read or is of another schema version.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            self._file = h5py.File(self.path, "r")
+        except OSError:
+            raise InputError(f"{self.path} is not a readable HDF5 file; generate it anew") from None
+        if self.attribute("schema_version") != SCHEMA_VERSION:
+            self.close()
+            raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}")
+
+    def __enter__(self) -> "Shard":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __len__(self) -> int:
+        return len(self._file["index"])
+
+    def attribute(self, name: str) -> str | int | float | None:
+        """An attribute of the file; None where there is none."""
+        value = self._file.attrs.get(name)
+        return value.decode() if isinstance(value, bytes) else value
+
+    def column(self, name: str) -> np.ndarray:
+        """All rows of a field, as stored; text as str."""
+        rows = self._file[name][:]
+        return np.char.decode(rows, "utf-8") if rows.dtype.kind == "S" else rows
+
+    def views(self, row: int, orientation: int) -> np.ndarray:
+        """One set of views (4, H, W) float32, z-depth in m, background 0."""
+        return self._file["views"][row, orientation].astype(np.float32) * np.float32(DEPTH_UNIT)
+
+    def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) of a drape."""
+        positions = self._file["positions"][row] * LENGTH_UNIT
+        rest = self._file["rest"][row] * LENGTH_UNIT
+        resolution = round(len(rest) ** 0.5)
+        diagonals = unpack_diagonals(self._file["diagonals"][row], resolution)
+        return positions, rest, grid_faces(diagonals)
+
+
+MANIFEST = "dataset.json"
+
+
+def write_manifest(root: Path, content: dict) -> None:
+    """Write the dataset's ``dataset.json`` in one step."""
+    temporary = root / (MANIFEST + ".part")
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, root / MANIFEST)
+
+
+def read_manifest(root: Path) -> dict | None:
+    """The content of ``dataset.json``; None where there is none.
+
+    Raises:
+        InputError: it cannot be read, or belongs to another schema version.
+    """
+    path = Path(root) / MANIFEST
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError):
+        raise InputError(f"{path} cannot be read; generate the dataset anew") from None
+    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}")
+    return content
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def json_text(content: object) -> str:
+    """The canonical text of a JSON value."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def json_digest(content: object) -> str:
+    """SHA-256 of a JSON value, hexadecimal."""
+    return hashlib.sha256(json_text(content).encode()).hexdigest()

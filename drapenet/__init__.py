@@ -1,0 +1,1 @@
+"""The network that reads bending moduli from four depth images of a drape."""

@@ -1,0 +1,92 @@
+"""From depth images in metres to the network's input: one function for training and inference."""
+
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as functional
+
+from sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class InputFormat:
+    """What the network sees of a view; stored in every checkpoint.
+
+    Attributes:
+        width, height: pixels of the network's input.
+        centre: depth that becomes 0, m.
+        scale: depth difference that becomes 1, m.
+        crop_width, crop_height: window around the cloth that is kept, pixels of the views; 0 keeps
+            the whole picture. Most of a view is background, which costs as much as cloth.
+        background: value of a pixel without cloth; "behind everything", so that depth and
+            silhouette point the same way.
+    """
+
+    width: int = 120
+    height: int = 90
+    centre: float = 0.535
+    scale: float = 0.1
+    background: float = 2.0
+    crop_width: int = 0
+    crop_height: int = 0
+
+    def __post_init__(self) -> None:
+        if self.width < 32 or self.height < 24:
+            raise InputError(
+                f"network input {self.width}x{self.height} is too small; use at least 32x24"
+            )
+        if self.crop_width < 0 or self.crop_height < 0:
+            raise InputError("the crop of the network's input must not be negative")
+        if not self.scale > 0:
+            raise InputError("the depth scale of the network's input must be positive")
+
+    def as_dict(self) -> dict:
+        """All fields, in JSON's types."""
+        return asdict(self)
+
+
+def prepare(views: torch.Tensor, *, form: InputFormat) -> torch.Tensor:
+    """Crop, shrink and normalise depth images.
+
+    A pixel of the result is the mean of the cloth's pixels in its area, and background if less
+    than half of the area is cloth, so that a silhouette never becomes a ramp of depths between
+    the cloth and nothing.
+
+    Args:
+        views: (..., V, H, W) z-depth in m, 0 (or anything not positive) is background. The V
+            views of a capture are cropped alike.
+        form: the size and normalisation.
+
+    Returns:
+        (..., V, height, width) float32, without unit.
+    """
+    views = _crop(views, form).to(torch.float32)
+    flat = views.reshape(-1, 1, *views.shape[-2:])
+    cloth = (flat > 0).to(torch.float32)
+    size = (form.height, form.width)
+    coverage = functional.interpolate(cloth, size=size, mode="area")
+    depth = functional.interpolate(flat * cloth, size=size, mode="area")
+    depth = depth / coverage.clamp_min(1e-6)
+    values = (depth - form.centre) / form.scale
+    values = torch.where(coverage >= 0.5 - 1e-6, values, torch.full_like(values, form.background))
+    return values.reshape(*views.shape[:-2], *size)
+
+
+def _crop(views: torch.Tensor, form: InputFormat) -> torch.Tensor:
+    """The window of the views (..., V, H, W) in whose middle the cloth is."""
+    if not (form.crop_width or form.crop_height):
+        return views
+    if views.ndim > 3:
+        return torch.stack([_crop(capture, form) for capture in views])
+    cloth = (views > 0).any(dim=0)
+    window = []
+    for size, kept, line in (
+        (views.shape[-2], form.crop_height, cloth.any(dim=1)),
+        (views.shape[-1], form.crop_width, cloth.any(dim=0)),
+    ):
+        places = line.nonzero()
+        middle = (places[0] + places[-1] + 1).item() / 2 if len(places) else size / 2
+        kept = min(kept or size, size)
+        first = min(max(round(middle - kept / 2), 0), size - kept)
+        window.append(slice(first, first + kept))
+    return views[..., window[0], window[1]]

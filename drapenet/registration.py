@@ -1,0 +1,100 @@
+"""What can be read from a capture without a network: where the camera stood, and the folds."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from data.cameras import Camera
+
+DEPTH_STEP = 4e-3  # m, of the coarsest depth format
+INNER_RADIUS = 0.035  # m, where the cloth lies flat on a plate of 50 mm
+FOLD_PROMINENCE = 3e-3  # m; smaller ripples of the radius are depth steps, not folds
+
+
+def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
+    """The camera's pose relative to the plate, from the flat top of the drape.
+
+    The plate's plane is fitted to the highest points, its centre is the centroid of the points
+    on it. Pooling the four views makes that centroid symmetric, whatever the drape.
+
+    Args:
+        views: (4, H, W) z-depth, m, background 0, of the nominal camera's size.
+        nominal: its intrinsics are kept, its pose is the first guess.
+
+    Returns:
+        ``nominal`` with the pose found, its world x axis parallel to the picture's rows.
+    """
+    cloth = views > 0
+    points = np.concatenate([nominal.back_project(view)[mask]
+                             for view, mask in zip(views, cloth, strict=True)])
+    rotation, shift = nominal.world_to_camera[:3, :3], nominal.world_to_camera[:3, 3]
+    normal = rotation[:, 2]
+    height = (points - shift) @ normal
+    on_plate = height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
+    centre = points[on_plate].mean(axis=0)
+    inner = on_plate
+    for _ in range(20):
+        middle = points[inner].mean(axis=0)
+        normal = np.linalg.svd(points[inner] - middle, full_matrices=False)[2][2]
+        normal *= -np.sign(normal @ middle)  # up is towards the camera
+        above = (points - middle) @ normal
+        on_plate = np.abs(above) < DEPTH_STEP / 2
+        # Pixels are denser where the plate is nearer; z³ undoes that on a plane.
+        weights = points[on_plate, 2] ** 3
+        centre = weights @ points[on_plate] / weights.sum()
+        # Near the rim the cloth bends down already, and more of it is seen in front.
+        inner = (np.linalg.norm(points - centre, axis=1) < INNER_RADIUS) & (above > -DEPTH_STEP)
+    east = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    east /= np.linalg.norm(east)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([east, np.cross(normal, east), normal], axis=1)
+    pose[:3, 3] = centre
+    return replace(nominal, world_to_camera=pose)
+
+
+def radius_profile(
+    views: np.ndarray, camera: Camera, *, height: float = -0.04, bins: int = 180
+) -> np.ndarray:
+    """Distance (bins,), m, of the cloth from the axis around the drape at a height below the plate.
+
+    Each view contributes mostly what faces the camera. NaN where no view saw any cloth.
+
+    Args:
+        views: (4, H, W) z-depth, m, background 0.
+        camera: of all four, see :func:`locate_camera`.
+        height: m above the plate; a band of 16 mm around it counts.
+    """
+    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    total, weight = np.zeros(bins), np.zeros(bins)
+    for k, view in enumerate(views):
+        points = (camera.back_project(view)[view > 0] - shift) @ rotation
+        band = points[np.abs(points[:, 2] - height) < 0.008]
+        azimuth = np.arctan2(band[:, 1], band[:, 0])
+        facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera stands at -y
+        # The table has turned by k quarter turns since the first view.
+        bin_of = np.floor((azimuth - k * np.pi / 2) / (2 * np.pi) * bins).astype(int) % bins
+        np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
+        np.add.at(weight, bin_of, facing)
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
+
+
+def count_folds(profile: np.ndarray) -> int:
+    """Number of outward folds of a radius profile (bins,), which may have gaps."""
+    known = np.flatnonzero(np.isfinite(profile))
+    if len(known) < len(profile) // 2:
+        return 0
+    filled = np.interp(np.arange(len(profile)), known, profile[known], period=len(profile))
+    smooth = gaussian_filter1d(filled, sigma=len(profile) / 90, mode="wrap")
+    # Peaks are sought on the circle: begin at the lowest point, so that none is cut in two.
+    opened = np.roll(smooth, -int(smooth.argmin()))
+    opened = np.append(opened, opened[0])
+    return len(find_peaks(opened, prominence=FOLD_PROMINENCE)[0])
+
+
+def silhouette_overlap(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean intersection over union of the cloth in views (4, H, W) and (4, H, W)."""
+    a, b = first > 0, second > 0
+    union = (a | b).sum(axis=(1, 2))
+    return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))

@@ -1,0 +1,95 @@
+"""The estimate, put to the test: is its simulated drape like the captured one?
+
+A fabric can drape in many ways; which one a specimen took is chance. So a few drapes of the
+estimate are made, and the one that fits the captured silhouettes best stands beside the capture.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.cameras import Camera
+from data.render import DepthRenderer
+from drapenet.registration import count_folds, locate_camera, radius_profile, silhouette_overlap
+from sim.drape import drape
+from sim.material import Fabric
+from sim.scene import Rig
+
+TURNS = 48  # orientations tried for the fit
+STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
+
+
+@dataclass(frozen=True)
+class Resimulation:
+    """A drape of the estimate beside the captured one.
+
+    Attributes:
+        views: (4, H, W) of the simulated drape, z-depth, m.
+        camera: pose found from the capture, used for ``views``.
+        profiles: radius profiles (bins,), m, captured and simulated.
+        folds: captured and simulated.
+        overlap: mean intersection over union of the silhouettes.
+        statuses: of all drapes made, in the order of :data:`STARTS`.
+    """
+
+    views: np.ndarray
+    camera: Camera
+    profiles: tuple[np.ndarray, np.ndarray]
+    folds: tuple[int, int]
+    overlap: float
+    statuses: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """The figures, in JSON's types."""
+        return {"folds_captured": self.folds[0], "folds_simulated": self.folds[1],
+                "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
+
+
+def resimulate(
+    fabric: Fabric,
+    views: np.ndarray,
+    *,
+    rig: Rig,
+    nominal: Camera,
+    resolution: int,
+    drapes: int,
+) -> Resimulation | None:
+    """Drape ``fabric`` as a capture shows it; None if no drape converges.
+
+    Args:
+        fabric: stiff along warp.
+        views: (4, H, W) captured z-depth, m, in the nominal camera's intrinsics.
+        nominal: the rig's camera.
+        resolution: vertices a side of the simulated specimen.
+        drapes: how many to make, at most as many as there are :data:`STARTS`.
+    """
+    camera = locate_camera(views, nominal)
+    small = camera.resized(camera.width // 2, camera.height // 2)
+    captured = views[:, ::2, ::2] > 0
+    best, statuses = None, []
+    for start, seed in STARTS[:drapes]:
+        result = drape(fabric, rig=rig, resolution=resolution, start=start, seed=seed)
+        statuses.append(str(getattr(result.status, "value", result.status)))
+        if not result.converged:
+            continue
+        renderer = DepthRenderer(result.positions, result.faces)
+        # A quarter turn moves each view to the next, so only a quarter needs rendering.
+        steps = [renderer.views(small, turn * 2 * math.pi / TURNS) for turn in range(TURNS // 4)]
+        for turn in range(TURNS):
+            quarter, step = divmod(turn, TURNS // 4)
+            overlap = silhouette_overlap(captured, np.roll(steps[step], -quarter, axis=0))
+            if best is None or overlap > best[0]:
+                best = overlap, renderer, turn * 2 * math.pi / TURNS
+    if best is None:
+        return None
+    simulated = best[1].views(camera, best[2])
+    profiles = tuple(radius_profile(v, camera) for v in (views, simulated))
+    return Resimulation(
+        views=simulated,
+        camera=camera,
+        profiles=profiles,
+        folds=(count_folds(profiles[0]), count_folds(profiles[1])),
+        overlap=silhouette_overlap(views, simulated),
+        statuses=tuple(statuses),
+    )

@@ -1,0 +1,21 @@
+"""The estimate as a table on the terminal."""
+
+from typing import Any
+
+
+def format_table(content: dict[str, Any]) -> str:
+    """The content of ``estimate.json`` as lines for a terminal."""
+    density = content["capture"]["density_g_m2"]
+    lines = [f"{'':8}{f'at {density:g} g/m²':^29}{'at 300 g/m²':^29}{'typical error':^16}",
+             f"{'':8}{'alpha [µN·m]':>14}{'beta [nN·m²]':>15}{'alpha [µN·m]':>14}"
+             f"{'beta [nN·m²]':>15}{'of alpha':>12}"]
+    for name, own in content["moduli"].items():
+        at_reference = content["moduli_at_300_g_m2"][name]
+        error = content["typical_error"][name]["alpha_percent"]
+        lines.append(f"{name:8}{own['alpha_uN_m']:14.2f}{own['beta_nN_m2']:15.1f}"
+                     f"{at_reference['alpha_uN_m']:14.2f}{at_reference['beta_nN_m2']:15.1f}"
+                     f"{error:11.0f}%")
+    axis = content["stiff_axis"]
+    lines.append(f"stiff axis {axis['direction_deg']:.0f}° in the first view "
+                 f"(confidence {axis['confidence']:.2f}), convention {content['convention']}")
+    return "\n".join(lines + [f"warning: {line}" for line in content["warnings"]])

@@ -1,0 +1,235 @@
+"""The parts of training that ``train.py`` puts together.
+
+Nothing random is drawn from a running generator: the order of an epoch, the noise and the view
+order of a drape are functions of (seed, epoch, index). So the state at the end of an epoch is
+the weights, Adam's moments and the number of epochs done, and a resumed run repeats exactly what
+an uninterrupted one would have done.
+"""
+
+from dataclasses import asdict
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from data.dataset import DrapeDataset
+from data.records import code_version
+from data.sensor import SensorNoise
+from data.view_order import ORDERS, reorder_axis, reorder_views
+from drapenet.config import TrainConfig
+from drapenet.convention import TARGET_NAMES, TARGET_UNITS
+from drapenet.metrics import regression_metrics
+from drapenet.preprocess import InputFormat, prepare
+from drapenet.targets import TargetScale, direction_vectors, to_stiff_soft
+from sim.errors import InputError
+from sim.material import REFERENCE_DENSITY
+
+Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+"""Views (N, 4, h, w), standardised targets (N, 6), stiff axes (N, 2)."""
+
+
+def choose_device(config: TrainConfig) -> torch.device:
+    """Set threads and reproducible kernels; return the device.
+
+    Raises:
+        InputError: CUDA is asked for and absent, or an unknown device.
+    """
+    if config.threads > 0:
+        torch.set_num_threads(config.threads)
+    torch.backends.cudnn.benchmark = False
+    torch.backends.cudnn.deterministic = True
+    if config.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if config.device not in ("cpu", "cuda"):
+        raise InputError(f"unknown device '{config.device}'; use auto, cpu or cuda")
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("no CUDA device is available; use device=cpu")
+    return torch.device(config.device)
+
+
+class DrapeSet(Dataset):
+    """Drapes as the network and the loss want them: an item is one row of a :data:`Batch`."""
+
+    def __init__(self, drapes: DrapeDataset, *, form: InputFormat, scale: TargetScale) -> None:
+        self.drapes, self.form, self.scale = drapes, form, scale
+
+    def __len__(self) -> int:
+        return len(self.drapes)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch whose noise, orientations and view orders are drawn."""
+        self.drapes.set_epoch(epoch)
+
+    def __getitem__(self, index: int) -> Batch:
+        item = self.drapes[index]
+        views = prepare(torch.from_numpy(item["views"]), form=self.form)
+        return self.row(views, torch.from_numpy(item["theta"]), float(item["orientation"]))
+
+    def row(self, views: torch.Tensor, theta: torch.Tensor, psi: float) -> Batch:
+        """Join prepared views (4, h, w) with the labels of theta (6,) and the warp's angle."""
+        targets = self.scale.encode(to_stiff_soft(theta))
+        return views, targets, direction_vectors(theta, torch.tensor(psi))
+
+
+class CachedSet(DrapeSet):
+    """Drapes read, made noisy and shrunk once, and held in memory in half precision (0.1 mm).
+
+    Doing that anew for every epoch costs a processor about as much as the network does. Each
+    item keeps one realisation of the noise here, and gets a new view order every epoch.
+
+    Args:
+        drapes: without augmentation.
+        augment: draw view orders, from (``seed``, epoch, item).
+        workers: processes that prepare.
+    """
+
+    def __init__(self, drapes: DrapeDataset, *, form: InputFormat, scale: TargetScale,
+                 augment: bool, seed: int, workers: int) -> None:
+        super().__init__(drapes, form=form, scale=scale)
+        self.augment, self.seed, self.epoch = augment, seed, 0
+        self.views = torch.empty(len(drapes), 4, form.height, form.width, dtype=torch.float16)
+        self.labels = []
+        loader = DataLoader(_Prepared(drapes, form), batch_size=16, num_workers=workers)
+        filled = 0
+        for views, theta, psi in tqdm(loader, desc="preparing views", unit="batch", leave=False):
+            self.views[filled : filled + len(views)] = views
+            self.labels += zip(theta, psi.tolist(), strict=True)
+            filled += len(views)
+
+    def set_epoch(self, epoch: int) -> None:
+        self.epoch = epoch
+
+    def __getitem__(self, index: int) -> Batch:
+        theta, psi = self.labels[index]
+        views = self.views[index]
+        if self.augment:
+            rng = np.random.default_rng([self.seed, self.epoch, index])
+            first, mirror = ORDERS[rng.integers(len(ORDERS))]
+            views = torch.from_numpy(reorder_views(views.numpy(), first=first, mirror=mirror))
+            psi = reorder_axis(psi, first=first, mirror=mirror)
+        return self.row(views.float(), theta, psi)
+
+
+class _Prepared(Dataset):
+    """Prepared views in half precision, theta and the warp's angle of each item."""
+
+    def __init__(self, drapes: DrapeDataset, form: InputFormat) -> None:
+        self.drapes, self.form = drapes, form
+
+    def __len__(self) -> int:
+        return len(self.drapes)
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor, float]:
+        item = self.drapes[index]
+        views = prepare(torch.from_numpy(item["views"]), form=self.form).half()
+        return views, torch.from_numpy(item["theta"]), float(item["orientation"])
+
+
+def open_splits(config: TrainConfig) -> tuple[DrapeSet, DrapeSet, TargetScale]:
+    """Training and validation drapes of different fabrics, and the training set's scale.
+
+    Raises:
+        InputError: see :class:`data.dataset.DrapeDataset`; or too few drapes for one batch.
+    """
+    shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
+    noise = SensorNoise.from_config(config.sensor)
+
+    def open_split(split: str, **options: object) -> DrapeDataset:
+        return DrapeDataset(config.data, split=split, fractions=shares, noise=noise,
+                            seed=config.seed, **options)
+
+    training = open_split("train", augment=not config.cache,
+                          orientations_per_epoch=config.orientations_per_epoch)
+    if len(training) < config.optim.batch_size:
+        raise InputError(f"{config.data} has {len(training)} training samples an epoch, less "
+                         f"than one batch of {config.optim.batch_size}; generate more drapes or "
+                         "lower optim.batch_size")
+    scale = TargetScale.fit(torch.from_numpy(training.theta))
+    common = {"form": config.model.form, "scale": scale}
+    cached = {**common, "seed": config.seed, "workers": config.workers}
+    # Validation sees the same pictures every epoch, so they are always worth keeping.
+    validation = CachedSet(open_split("validation"), augment=False, **cached)
+    if config.cache:
+        return CachedSet(training, augment=True, **cached), validation, scale
+    return DrapeSet(training, **common), validation, scale
+
+
+def training_batches(drapes: DrapeSet, *, epoch: int, config: TrainConfig) -> DataLoader:
+    """The batches of an epoch, in an order that depends on (seed, epoch) only.
+
+    The last, incomplete batch is left out: its statistics would disturb the normalisation.
+    """
+    drapes.set_epoch(epoch)
+    order = np.random.default_rng([config.seed, epoch]).permutation(len(drapes))
+    return DataLoader(
+        drapes,
+        batch_size=config.optim.batch_size,
+        sampler=order.tolist(),
+        drop_last=True,
+        # What is in memory already is not worth a process.
+        num_workers=0 if isinstance(drapes, CachedSet) else config.workers,
+    )
+
+
+@torch.no_grad()
+def validate(model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device) -> dict:
+    """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``."""
+    model.eval()
+    rows = [(model(views.to(device)).cpu(), targets, axes)
+            for views, targets, axes in DataLoader(drapes, batch_size=128)]
+    return regression_metrics(*(torch.cat(column) for column in zip(*rows, strict=True)))
+
+
+def log_metrics(
+    board: SummaryWriter, bar: tqdm, metrics: dict, *, epoch: int, train_loss: float, rate: float
+) -> None:
+    """Write an epoch's figures to TensorBoard and beside the progress bar."""
+    board.add_scalar("loss/train", train_loss, epoch)
+    board.add_scalar("loss/validation", metrics["loss"], epoch)
+    board.add_scalar("learning_rate", rate, epoch)
+    for name in ("rmse_log_alpha", "rmse_beta_over_alpha", "axis_error_deg"):
+        if metrics[name] is not None:
+            board.add_scalar(f"validation/{name}", metrics[name], epoch)
+    for name, value in metrics["rmse"].items():
+        board.add_scalar(f"validation_rmse/{name}", value, epoch)
+    bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.3f}, "
+                        f"validation {metrics['loss']:.3f}, "
+                        f"log alpha {metrics['rmse_log_alpha']:.3f}, "
+                        f"beta/alpha {metrics['rmse_beta_over_alpha']:.3f}")
+
+
+def describe(
+    config: TrainConfig, training: DrapeSet, scale: TargetScale, metrics: dict, epoch: int
+) -> dict:
+    """The content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
+    drapes = training.drapes
+    targets = to_stiff_soft(torch.from_numpy(drapes.theta))
+    limits = torch.quantile(targets, torch.tensor([0.01, 0.99], dtype=targets.dtype), dim=0)
+    return {
+        "rig": drapes.manifest["config"]["rig"]["name"],
+        "convention": "stiff/soft",
+        "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
+        "model": {"backbone": config.model.backbone},
+        "input": config.model.form.as_dict(),
+        "targets": {
+            "names": list(TARGET_NAMES),
+            "units": list(TARGET_UNITS),
+            "mean": scale.mean.tolist(),
+            "std": scale.std.tolist(),
+            # What 98 % of the training fabrics lie between: beyond it, estimates are guesses.
+            "low": limits[0].tolist(),
+            "high": limits[1].tolist(),
+        },
+        "dataset": {
+            "sha256": drapes.hash,
+            "training_drapes": drapes.drapes,
+            "training_fabrics": len(set(drapes.fabric.tolist())),
+            "generation": drapes.manifest["config"],
+        },
+        "validation": metrics,
+        "epochs": epoch + 1,
+        "config": asdict(config),
+        "versions": {"project": code_version(), "torch": torch.__version__},
+    }

@@ -1,0 +1,90 @@
+"""Estimate the six bending moduli of a fabric from a capture: four depth images of its drape.
+
+    python infer.py capture=DIR [out=DIR] [checkpoint=FILE]
+
+Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. The formats of a
+capture are described in :mod:`data.captures`, all keys in ``configs/infer.yaml``.
+"""
+
+import json
+from pathlib import Path
+from typing import NoReturn
+
+import yaml
+
+from data.captures import Capture, read_capture
+from data.configs import CONFIG_DIR
+from drapenet.checkpoint import BUNDLED, Header, load_model, read_header, replace_file
+from drapenet.table import format_table
+from sim.cli import parse_overrides, run_command
+from sim.errors import InputError
+
+
+def infer(
+    capture: Capture, header: Header, *, drapes: int = 2, resolution: int = 41
+) -> tuple[dict, bytes | None]:
+    """The content of ``estimate.json`` and, unless ``drapes`` is 0, the bytes of ``report.png``."""
+    # Imported here because torch takes seconds, and a bad capture should be told at once.
+    from data.cameras import CameraRig
+    from data.captures import to_camera
+    from drapenet.estimate import make_estimate, to_json
+    from drapenet.predict import predict
+
+    rig = CameraRig.load(header.rig)
+    views = to_camera(capture, rig)
+    prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
+    estimate = make_estimate(prediction, capture=capture, header=header)
+    content = to_json(estimate, capture=capture, header=header)
+    if not drapes:
+        return content, None
+
+    from drapenet.report import draw_report
+    from drapenet.resimulate import resimulate
+    from sim.scene import Rig
+
+    drape = resimulate(estimate.fabric, views, rig=Rig.from_name(header.rig),
+                       nominal=rig.nominal(), resolution=resolution, drapes=drapes)
+    if drape is None:
+        content["warnings"].append("no drape of the estimate converged; the report shows none")
+    else:
+        content["resimulation"] = drape.as_dict()
+    picture = draw_report(estimate, views, drape, typical_error=content["typical_error"],
+                          title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
+    return content, picture
+
+
+def main(argv: list[str]) -> None:
+    """The command line: words ``key=value`` over ``configs/infer.yaml``."""
+    defaults = yaml.safe_load((CONFIG_DIR / "infer.yaml").read_text(encoding="utf-8"))
+    config = parse_overrides(defaults, argv)
+    if config["capture"] is None:
+        raise InputError("no capture; give capture=DIR, a folder with four depth images")
+    header = read_header(config["checkpoint"] or BUNDLED)
+    capture = read_capture(str(config["capture"]))
+    if capture.rig != header.rig:
+        raise InputError(f"the capture is of the rig '{capture.rig}' but the checkpoint of "
+                         f"'{header.rig}'; choose a checkpoint trained for this rig")
+    if not 0 <= config["drapes"] <= 4:
+        raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
+    out = Path(config["out"] or Path("outputs/infer") / capture.path.resolve().name)
+    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
+        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+
+    content, picture = infer(capture, header, drapes=config["drapes"],
+                             resolution=config["resolution"])
+    out.mkdir(parents=True, exist_ok=True)
+    replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
+    print(format_table(content))
+    print(f"estimate: {out / 'estimate.json'}")
+    if picture is not None:
+        replace_file(out / "report.png", picture)
+        print(f"report:   {out / 'report.png'}")
+
+
+def entry() -> NoReturn:
+    """Console script."""
+    run_command(main)
+
+
+if __name__ == "__main__":
+    entry()

@@ -1,0 +1,59 @@
+"""A small dataset whose pictures show theta plainly, so that learning is fast to test."""
+
+from pathlib import Path
+
+import numpy as np
+
+from data.shards import DEPTH_UNIT, SCHEMA_VERSION, Layout, fields, write_manifest, write_shard
+
+HEIGHT, WIDTH, ORIENTATIONS = 60, 80, 2
+
+
+def blob_views(theta: np.ndarray, psi: float) -> np.ndarray:
+    """Views (4, H, W) m of an ellipse: stiffer is larger, elongated along the stiff axis.
+
+    Not a drape, but with a drape's symmetries: another first view or the mirror image of the
+    views is what the correspondingly turned or mirrored specimen gives.
+    """
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    x, y = (x - (WIDTH - 1) / 2) / 20, (y - (HEIGHT - 1) / 2) / 20
+    size = 1 + 0.25 * (theta[1] + 10.4)
+    views = []
+    for k in range(4):
+        # Seen from the side, a table shows what lies across the line of sight.
+        across = np.tanh(theta[0] - theta[2]) * np.cos(2 * (psi + k * np.pi / 2))
+        tilt = np.tanh(theta[0] - theta[2]) * np.sin(2 * (psi + k * np.pi / 2))
+        radius = (x * (1 - 0.3 * across)) ** 2 + y**2
+        depth = 0.5 + 0.03 * radius + 0.05 * tilt * x
+        views.append(np.where(radius < size**2, depth, 0.0))
+    return np.stack(views)
+
+
+def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0) -> Path:
+    """A dataset of blobs, one fabric each, in two shards."""
+    rng = np.random.default_rng(seed)
+    layout = Layout(resolution=3, orientations=ORIENTATIONS, height=HEIGHT, width=WIDTH)
+    root.mkdir(parents=True)
+    rows = []
+    for index in range(drapes):
+        row = {name: np.zeros(f.shape, f.dtype) for name, f in fields(layout).items()}
+        theta = np.concatenate([rng.normal(-10.4, 0.9, 3), rng.normal(-0.003, 0.002, 3)])
+        psi = rng.uniform(0, 2 * np.pi, ORIENTATIONS)
+        views = np.stack([blob_views(theta, angle) for angle in psi])
+        row |= {"index": index, "fabric": index, "theta": theta, "status": b"converged",
+                "start": b"sine", "rendered": 1, "orientations": psi,
+                "views": np.rint(views / DEPTH_UNIT)}
+        rows.append(row)
+    half = drapes // 2
+    names = []
+    for shard, block in enumerate((rows[:half], rows[half:])):
+        names.append(f"shard_{shard:05d}.h5")
+        write_shard(root / names[-1], block, layout=layout,
+                    attributes={"schema_version": SCHEMA_VERSION})
+    write_manifest(root, {
+        "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
+        "hash": f"{seed:064x}", "shards": {name: "" for name in names},
+        "config": {"sampling": {"orientations": ORIENTATIONS, "seed": seed}, "prior": "blobs",
+                   "rig": {"name": "square300_cylinder100"}},
+    })
+    return root

@@ -1,0 +1,77 @@
+"""A drape and a camera view that cost nothing, importable by worker processes."""
+
+import os
+import signal
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+from sim.mesh import draped_square
+
+FAIL_SEED_MODULUS = 5  # the fake solver fails where the seed is a multiple
+
+
+def cone(fabric, *, rig, resolution, start, seed, offset, jitter):
+    """Cloth that slopes down from the plate, the steeper the softer; some fail, by their seed."""
+    mesh, _, cells = draped_square(
+        size=rig.specimen_size, plate_radius=rig.plate_radius, resolution=resolution,
+        offset=offset, jitter=jitter, seed=seed,
+    )
+    reach = np.maximum(np.linalg.norm(mesh.rest, axis=1) - rig.plate_radius, 0)
+    slope = 1 / (1 + fabric.alpha.mean() / 20e-6)
+    positions = np.column_stack([mesh.rest, -slope * reach])
+    failed = seed % FAIL_SEED_MODULUS == 0
+    return SimpleNamespace(
+        status="max_iterations" if failed else "converged",
+        converged=not failed,
+        message="the fake gave up" if failed else "",
+        positions=positions, rest=mesh.rest, faces=mesh.faces, diagonals=cells,
+        residual=0.5 if failed else 1e-5, iterations=seed % 50,
+    )
+
+
+def slow_cone(fabric, **settings):
+    """The same, slowly enough to be interrupted."""
+    time.sleep(0.15)
+    return cone(fabric, **settings)
+
+
+def overflowing(fabric, **settings):
+    """A solver with a numerical accident."""
+    raise FloatingPointError("overflow in the bending energy")
+
+
+def exploding(fabric, **settings):
+    """A solver whose drape, so it says, is metres wide."""
+    result = cone(fabric, **settings)
+    result.positions = result.positions * 10
+    result.status, result.converged = "converged", True
+    return result
+
+
+def killed(fabric, **settings):
+    """A solver whose process the system ends, as it does when memory runs out."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def process_id(fabric, **settings):
+    """The same drape, and a trace of the process in a folder named by the environment."""
+    folder = os.environ["DRAPE_TEST_TRACES"]
+    name = f"{os.getpid()}-{os.environ['OMP_NUM_THREADS']}-{os.environ['NUMBA_NUM_THREADS']}"
+    open(os.path.join(folder, name), "w").close()
+    return cone(fabric, **settings)
+
+
+class Stripes:
+    """In place of the ray caster: pictures that tell the mesh, the camera and the angle."""
+
+    def __init__(self, positions, faces):
+        self._drop = -positions[:, 2].min()
+
+    def view(self, camera, angle):
+        column = np.arange(camera.width) * np.ones((camera.height, 1))
+        picture = 0.5 + 1e-4 * column + self._drop + 0.01 * np.cos(angle)
+        picture += 1e-3 * (camera.fx - 300)
+        picture[: camera.height // 4] = 0
+        return picture.astype(np.float32)

@@ -1,0 +1,308 @@
+"""Captures: both formats read as written, and every bad one is refused in one clear line."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from data.cameras import CameraRig
+from data.captures import Capture, read_capture, to_camera, write_capture
+from data.render import DepthRenderer
+from sim.errors import InputError
+
+CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
+RIG = CameraRig.load()
+
+
+def cone(count: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """A plate with a lopsided skirt: positions and faces."""
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+    hem = ring * (0.08 + 0.02 * np.cos(angle))[:, None] - [0, 0, 0.09]
+    positions = np.vstack([np.zeros((1, 3)), 0.05 * ring, hem])
+    here, after = np.arange(count), np.roll(np.arange(count), -1)
+    top = np.stack([np.zeros(count, int), 1 + here, 1 + after], axis=1)
+    first = np.stack([1 + here, 1 + count + here, 1 + count + after], axis=1)
+    second = np.stack([1 + here, 1 + count + after, 1 + after], axis=1)
+    return positions, np.vstack([top, first, second])
+
+
+@pytest.fixture(scope="module")
+def renderer() -> DepthRenderer:
+    return DepthRenderer(*cone())
+
+
+@pytest.fixture(scope="module")
+def views(renderer) -> np.ndarray:
+    return renderer.views(RIG.nominal(), 0.3)
+
+
+@pytest.fixture
+def folder(tmp_path, views) -> Path:
+    """A good capture in the 16-bit format."""
+    path = tmp_path / "capture"
+    write_capture(path, views=views, intrinsics=RIG.intrinsics, density=0.15, warp_direction=0.3)
+    return path
+
+
+@pytest.fixture
+def published(tmp_path, views) -> Path:
+    """A good capture in the 8-bit format."""
+    path = tmp_path / "published"
+    path.mkdir()
+    for k, view in enumerate(views):
+        Image.fromarray(np.rint(view * 255).astype(np.uint8)).save(path / f"{k}.png")
+    (path / "density.txt").write_text("data0 300")
+    return path
+
+
+def edit(folder: Path, **changes: object) -> None:
+    """Change keys of capture.yaml; None removes one."""
+    file = folder / "capture.yaml"
+    content = {**yaml.safe_load(file.read_text()), **changes}
+    file.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
+
+
+def test_what_is_written_is_read(folder, views):
+    capture = read_capture(folder)
+    assert capture.views.shape == (4, 180, 240) and capture.views.dtype == np.float32
+    assert np.abs(capture.views - views).max() < 0.51e-3
+    assert ((capture.views > 0) == (views > 0)).all()
+    assert capture.intrinsics == RIG.intrinsics and capture.rig == RIG.name
+    assert capture.density == pytest.approx(0.15)
+    assert capture.warp_direction == pytest.approx(0.3)
+    assert capture.path == folder and capture.warnings == ()
+
+
+def test_depth_unit_and_direction_are_converted(tmp_path, views):
+    path = tmp_path / "fine"
+    write_capture(
+        path, views=views, intrinsics=RIG.intrinsics, density=0.2, depth_unit=1e-4,
+        warp_direction=math.radians(200),
+    )  # fmt: skip
+    capture = read_capture(path)
+    assert np.abs(capture.views - views).max() < 0.051e-3
+    assert capture.warp_direction == pytest.approx(math.radians(20), abs=1e-6)
+    content = yaml.safe_load((path / "capture.yaml").read_text())
+    assert content["density_g_m2"] == 200 and content["warp_direction_deg"] == pytest.approx(200)
+    edit(path, warp_direction_deg=None)
+    assert read_capture(path).warp_direction is None
+
+
+def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
+    common = {"intrinsics": RIG.intrinsics, "density": 0.15}
+    with pytest.raises(InputError, match="four views"):
+        write_capture(tmp_path / "three", views=views[:3], **common)
+    with pytest.raises(InputError, match="16 bits"):
+        write_capture(tmp_path / "far", views=views, depth_unit=1e-6, **common)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        write_capture(tmp_path / "taken", views=views, **common)
+    assert [p.name for p in tmp_path.rglob("*")] == ["taken", "notes.txt"]
+
+
+def test_published_format_is_recognised(published, views):
+    capture = read_capture(published)
+    assert np.abs(capture.views - views).max() < 0.51 / 255
+    assert capture.density == pytest.approx(0.3) and capture.warp_direction is None
+    assert capture.intrinsics == RIG.intrinsics and "8-bit" in capture.warnings[0]
+
+
+def test_published_background_is_zero_or_bright_and_large_pictures_are_decimated(published, views):
+    for k, view in enumerate(views):
+        counts = np.rint(view * 255).astype(np.uint8)
+        counts[counts == 0] = 251 + k
+        large = np.repeat(np.repeat(counts, 2, axis=0), 2, axis=1)
+        large[1::2] = large[:, 1::2] = 77  # the rows and columns that are left out
+        Image.fromarray(large).save(published / f"{k}.png")
+    capture = read_capture(published)
+    assert capture.views.shape == views.shape
+    assert ((capture.views > 0) == (views > 0)).all()
+
+
+def test_cloth_at_the_border_is_a_warning(folder):
+    picture = np.array(Image.open(folder / "view_2.png"))
+    picture[-1, 120] = 520
+    Image.fromarray(picture).save(folder / "view_2.png")
+    assert read_capture(folder).warnings == ("view 2: the cloth touches the picture's border",)
+
+
+def test_other_intrinsics_are_brought_to_the_rig(renderer, views, tmp_path):
+    nominal = RIG.nominal()
+    other = replace(nominal, fx=504.0, fy=503.0, cx=322.0, cy=285.0, width=640, height=576)
+    path = tmp_path / "sensor"
+    write_capture(
+        path, views=renderer.views(other, 0.3), intrinsics=other.intrinsics, density=0.15,
+        depth_unit=1e-5,
+    )  # fmt: skip
+    moved = to_camera(read_capture(path), RIG)
+    assert moved.shape == views.shape and moved.dtype == np.float32
+    both = (moved > 0) & (views > 0)
+    assert np.mean((moved > 0) != (views > 0)) < 0.005
+    error = np.abs(moved - views)[both]
+    assert np.median(error) < 2e-5 and np.quantile(error, 0.97) < 5e-4
+
+
+def test_the_rigs_own_intrinsics_change_nothing(folder):
+    capture = read_capture(folder)
+    assert (to_camera(capture, RIG) == capture.views).all()
+
+
+def remove(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+def copy(source: str, target: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / target).write_bytes((folder / source).read_bytes())
+
+
+def picture(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        counts = change(np.array(Image.open(folder / name)))
+        Image.fromarray(np.ascontiguousarray(counts)).save(folder / name)
+
+    return apply
+
+
+def pictures(change: Callable[[np.ndarray], np.ndarray], names: str) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        for k in range(4):
+            picture(names.format(k), change)(folder)
+
+    return apply
+
+
+def truncate(name: str, share: float) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: int(share * len(data))])
+
+    return apply
+
+
+def write(name: str, data: bytes) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_bytes(data)
+
+
+def setting(**changes: object) -> Callable[[Path], None]:
+    return lambda folder: edit(folder, **changes)
+
+
+GOOD = {"fx": 305.0, "fy": 305.0, "cx": 119.5, "cy": 89.5}
+
+BAD_METRIC = {
+    "missing view": (remove("view_2.png"), "view_2.png is missing"),
+    "fifth view": (copy("view_0.png", "view_4.png"), "view_4.png is one view too many"),
+    "view 10": (copy("view_0.png", "view_10.png"), "view_10.png is one view too many"),
+    "views of two sizes": (picture("view_1.png", lambda a: a[:, ::2]), "view_1.png has 120x180"),
+    "too small": (pictures(lambda a: a[::4, ::4], "view_{}.png"), "wrong size, 60x45"),
+    "intrinsics of another size": (
+        pictures(lambda a: a[::2, ::2], "view_{}.png"), "inner part of the 120x90 picture"),
+    "all background": (picture("view_3.png", lambda a: a * 0), "view 3 is all background"),
+    "a few pixels": (
+        picture("view_3.png", lambda a: a * (np.arange(240) == 120)), "view 3 is background but"),
+    "no background": (
+        picture("view_1.png", lambda a: np.where(a > 0, a, 900).astype(a.dtype)),
+        "view 1 has no background"),
+    "depth in other units": (setting(depth_unit_m=1.0), "check the depth unit"),
+    "truncated picture": (truncate("view_1.png", 0.6), "view_1.png cannot be read"),
+    "truncated header": (truncate("view_1.png", 0.005), "view_1.png is not a PNG"),
+    "empty picture": (write("view_0.png", b""), "view_0.png is not a PNG"),
+    "text called png": (write("view_0.png", b"not a picture\n"), "view_0.png is not a PNG"),
+    "8-bit": (picture("view_0.png", lambda a: (a // 4).astype(np.uint8)), "must be 16-bit grey"),
+    "colour": (
+        picture("view_0.png", lambda a: np.stack([a // 4] * 3, axis=-1).astype(np.uint8)),
+        "must be 16-bit grey"),
+    "NaN density": (setting(density_g_m2=float("nan")), "not a finite number"),
+    "negative density": (setting(density_g_m2=-150), "density_g_m2=-150 is outside 10-1000"),
+    "density in kg": (setting(density_g_m2=0.15), "density_g_m2=0.15 is outside 10-1000"),
+    "heavy density": (setting(density_g_m2=1000.1), "is outside 10-1000"),
+    "density in words": (setting(density_g_m2="light"), "density_g_m2='light' is not a number"),
+    "density true": (setting(density_g_m2=True), "not a finite number"),
+    "no density": (setting(density_g_m2=None), "density_g_m2 is missing"),
+    "no intrinsics": (setting(intrinsics=None), "must give fx, fy, cx and cy"),
+    "half the intrinsics": (setting(intrinsics={"fx": 305.0}), "must give fx, fy, cx and cy"),
+    "NaN focal length": (setting(intrinsics=GOOD | {"fx": float("inf")}), "intrinsics.fx=inf"),
+    "negative focal length": (setting(intrinsics=GOOD | {"fy": -305.0}), "positive focal"),
+    "negative unit": (setting(depth_unit_m=-0.001), "must be positive"),
+    "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
+    "unknown rig": (setting(rig="disc300"), "unknown rig 'disc300'"),
+    "misspelt key": (setting(density=150), "unknown key 'density'"),
+    "broken YAML": (write("capture.yaml", b"density_g_m2: [1\n"), "is not valid YAML"),
+    "YAML of a list": (write("capture.yaml", b"- 150\n"), "must hold 'key: value' lines"),
+    "binary YAML": (write("capture.yaml", b"\xff\xfe\x00"), "is not text in UTF-8"),
+    "an object in YAML": (
+        write("capture.yaml", b"!!python/object/apply:os.getcwd []\n"), "is not valid YAML"),
+    "no description": (remove("capture.yaml"), "neither capture.yaml nor density.txt"),
+}  # fmt: skip
+
+BAD_PUBLISHED = {
+    "missing view": (remove("0.png"), "0.png is missing"),
+    "fifth view": (copy("0.png", "4.png"), "4.png is one view too many"),
+    "wrong size": (pictures(lambda a: a[:160], "{}.png"), "240x160 pixels; the 8-bit format"),
+    "all background": (picture("2.png", lambda a: a * 0 + 255), "view 2 is all background"),
+    "truncated picture": (truncate("3.png", 0.7), "3.png cannot be read"),
+    "16-bit": (picture("1.png", lambda a: a.astype(np.uint16) * 4), "must be 8-bit grey"),
+    "NaN density": (write("density.txt", b"data0 nan"), "not a finite number"),
+    "negative density": (write("density.txt", b"data0 -300"), "-300 is outside 10-1000"),
+    "density in words": (write("density.txt", b"data0 thick"), "'thick' is not a number"),
+    "no density": (write("density.txt", b"\n"), "must hold one line"),
+    "many densities": (write("density.txt", b"data0 300\ndata1 200\n"), "must hold one line"),
+}
+
+
+def assert_refused(path: Path, message: str) -> None:
+    before = sorted(path.rglob("*"))
+    with pytest.raises(InputError) as raised:
+        read_capture(path)
+    text = str(raised.value)
+    assert message in text
+    assert "\n" not in text and path.name in text and len(text) < 600
+    assert sorted(path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("fault", BAD_METRIC)
+def test_bad_capture_is_refused_in_one_line(folder, fault):
+    spoil, message = BAD_METRIC[fault]
+    spoil(folder)
+    assert_refused(folder, message)
+
+
+@pytest.mark.parametrize("fault", BAD_PUBLISHED)
+def test_bad_published_capture_is_refused_in_one_line(published, fault):
+    spoil, message = BAD_PUBLISHED[fault]
+    spoil(published)
+    assert_refused(published, message)
+
+
+def test_truncation_anywhere_is_noticed(folder):
+    data = (folder / "view_1.png").read_bytes()
+    for share in np.linspace(0.02, 0.98, 25):
+        (folder / "view_1.png").write_bytes(data[: int(share * len(data))])
+        assert_refused(folder, "view_1.png")
+
+
+def test_a_folder_that_is_none(tmp_path, folder):
+    with pytest.raises(InputError, match="nowhere' does not exist"):
+        read_capture(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="is not a folder"):
+        read_capture(folder / "view_0.png")
+    (tmp_path / "empty").mkdir()
+    assert_refused(tmp_path / "empty", "neither capture.yaml nor density.txt")
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the published captures are not here")
+@pytest.mark.parametrize("name", ["mesh0", "mesh1"])
+def test_the_published_captures_are_read(name):
+    capture = read_capture(CAPTURES / name)
+    assert isinstance(capture, Capture) and capture.views.shape == (4, 180, 240)
+    assert capture.density == pytest.approx(0.3)
+    cloth = capture.views[capture.views > 0]
+    assert 0.45 < cloth.min() and cloth.max() < 0.66
+    assert (to_camera(capture, RIG) == capture.views).all()

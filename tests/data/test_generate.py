@@ -1,0 +1,286 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import fake_drapes
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig
+from data.fabrics import fabric_from_theta
+from data.generate import generate_dataset, main
+from data.prior import load_prior
+from data.records import DatasetConfig, make_record
+from data.sampling import SamplingConfig, plan_drape
+from data.shards import LENGTH_UNIT, Shard, unpack_diagonals
+from sim.errors import InputError
+from sim.scene import Rig
+
+ROOT = Path(__file__).parents[2]
+
+
+def small_rig():
+    rig = CameraRig.load()
+    intrinsics = replace(rig.intrinsics, fx=30, fy=30, cx=11.5, cy=8.5, width=24, height=18)
+    return replace(rig, intrinsics=intrinsics, jitter=replace(rig.jitter, principal=0.1))
+
+
+def small_config(drapes=10, **sampling):
+    return DatasetConfig(
+        drapes=drapes,
+        sampling=SamplingConfig(**({"orientations": 2} | sampling)),
+        prior=load_prior(),
+        rig=Rig(),
+        cameras=small_rig(),
+        resolution=9,
+        jitter=0.1,
+        drapes_per_shard=4,
+    )
+
+
+def generate(out, config=None, **options):
+    options = {"progress": False, "solver": fake_drapes.cone, "renderer": fake_drapes.Stripes,
+               **options}
+    return generate_dataset(config or small_config(), out, **options)
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder with a finished dataset, and its manifest."""
+    folder = tmp_path_factory.mktemp("generated") / "set"
+    return folder, generate(folder)
+
+
+def test_records_hold_the_plan_the_drape_and_the_views(finished):
+    folder, manifest = finished
+    config = small_config()
+    assert list(manifest["shards"]) == ["shard_00000.h5", "shard_00001.h5", "shard_00002.h5"]
+    seen = []
+    for name in manifest["shards"]:
+        with Shard(folder / name) as shard:
+            for row, index in enumerate(shard.column("index")):
+                seen.append(int(index))
+                plan = plan_drape(int(index), config=config.sampling, prior=config.prior)
+                np.testing.assert_array_equal(shard.column("theta")[row], plan.theta)
+                np.testing.assert_array_equal(shard.column("offset")[row], plan.offset)
+                np.testing.assert_array_equal(shard.column("turns")[row], plan.turns)
+                assert shard.column("start")[row] == plan.start
+                assert shard.column("seed")[row] == plan.seed
+                failed = plan.seed % fake_drapes.FAIL_SEED_MODULUS == 0
+                expected = "max_iterations" if failed else "converged"
+                assert shard.column("status")[row] == expected
+                assert shard.column("rendered")[row] == (not failed)
+                assert np.isnan(shard.column("drape_coefficient")[row]) == failed
+                assert (shard.column("folds")[row] < 0) == failed
+                # A failed drape keeps its mesh, for whoever wants to know why.
+                assert shard.mesh(row)[0][:, 2].min() < -0.01
+                assert shard.views(row, 0).any() == (not failed)
+    assert seen == list(range(10))
+
+
+def test_views_have_the_recorded_camera_and_angle(finished):
+    folder, _ = finished
+    with Shard(folder / "shard_00000.h5") as shard:
+        row = int(np.flatnonzero(shard.column("rendered"))[0])
+        positions, _, faces = shard.mesh(row)
+        camera = small_rig().nominal()
+        scene = fake_drapes.Stripes(positions, faces)
+        for k in range(2):
+            fx, fy, cx, cy = shard.column("intrinsics")[row, k]
+            shot = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
+            for view in range(4):
+                angle = (shard.column("orientations")[row, k] + view * np.pi / 2
+                         + shard.column("turns")[row, k, view])
+                expected = scene.view(shot, angle)
+                # Half a count of depth, and half a count of the stored mesh.
+                assert np.abs(shard.views(row, k)[view] - expected).max() < 0.06e-3
+            pose = shard.column("world_to_camera")[row, k]
+            np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        assert not np.array_equal(*shard.column("world_to_camera")[row])
+
+
+def test_manifest_counts_everything(finished):
+    folder, manifest = finished
+    assert json.loads((folder / "dataset.json").read_text()) == manifest
+    statuses = [plan_drape(i, config=small_config().sampling, prior=load_prior()).seed
+                % fake_drapes.FAIL_SEED_MODULUS == 0 for i in range(10)]
+    assert manifest["outcomes"] == {"converged": 10 - sum(statuses),
+                                    "max_iterations": sum(statuses)}
+    assert 0 < sum(statuses) < 10  # else this dataset tests nothing
+    assert manifest["complete"] and manifest["drapes"] == 10 and manifest["fabrics"] == 5
+    assert 0 <= manifest["rejection_rate"] < 0.2
+    # Machine and command line leave no trace.
+    text = json.dumps(manifest)
+    assert str(folder) not in text and "workers" not in text
+
+
+def test_bytes_do_not_depend_on_workers(finished, tmp_path):
+    generate(tmp_path / "two", workers=2)
+    assert files(tmp_path / "two") == files(finished[0])
+
+
+def test_another_seed_gives_another_dataset(finished, tmp_path):
+    manifest = generate(tmp_path / "other", small_config(drapes=1, seed=1))
+    assert manifest["hash"] != finished[1]["hash"]
+    assert manifest["identity"] != finished[1]["identity"]
+
+
+def test_missing_and_damaged_shards_are_made_again(finished, tmp_path):
+    generate(tmp_path)
+    (tmp_path / "shard_00000.h5").unlink()
+    (tmp_path / "shard_00001.h5").write_bytes(b"\x89HDF\r\n\x1a\n cut short")
+    (tmp_path / "shard_00002.h5.part").write_bytes(b"left over")
+    untouched = (tmp_path / "shard_00002.h5").stat().st_mtime_ns
+    generate(tmp_path)
+    assert files(tmp_path) == files(finished[0])
+    assert (tmp_path / "shard_00002.h5").stat().st_mtime_ns == untouched
+
+
+def test_a_dataset_grows(finished, tmp_path):
+    generate(tmp_path, small_config(drapes=6))
+    first = (tmp_path / "shard_00000.h5").stat().st_mtime_ns
+    generate(tmp_path)
+    assert files(tmp_path) == files(finished[0])
+    assert (tmp_path / "shard_00000.h5").stat().st_mtime_ns == first
+    with pytest.raises(InputError, match="10 drapes already"):
+        generate(tmp_path, small_config(drapes=6))
+
+
+def test_another_configuration_is_refused(tmp_path):
+    generate(tmp_path, small_config(drapes=1))
+    before = files(tmp_path)
+    with pytest.raises(InputError, match=r"sampling\.drift, solver\.resolution\)"):
+        generate(tmp_path, replace(small_config(drapes=1, drift=0.001), resolution=10))
+    assert files(tmp_path) == before
+
+
+def test_shards_of_unknown_origin_are_not_touched(tmp_path):
+    (tmp_path / "shard_00000.h5").write_text("mine")
+    with pytest.raises(InputError, match="holds shards without"):
+        generate(tmp_path)
+    assert (tmp_path / "shard_00000.h5").read_text() == "mine"
+
+
+def test_accidents_of_the_solver_are_recorded(tmp_path):
+    record = make_record(0, small_config(), solver=fake_drapes.overflowing,
+                         renderer=fake_drapes.Stripes)
+    assert record["status"] == b"exception"
+    assert record["message"] == b"FloatingPointError: overflow in the bending energy"
+    assert record["rendered"] == 0
+    record = make_record(0, small_config(), solver=fake_drapes.exploding,
+                         renderer=fake_drapes.Stripes)
+    assert record["status"] == b"out_of_range"
+    assert not record["positions"].any()
+    assert generate(tmp_path, small_config(drapes=2), solver=fake_drapes.overflowing)[
+        "outcomes"] == {"exception": 2}
+
+
+def test_stored_mesh_is_the_solvers():
+    config = small_config()
+    record = make_record(1, config, solver=fake_drapes.cone, renderer=fake_drapes.Stripes)
+    plan = plan_drape(1, config=config.sampling, prior=config.prior)
+    result = fake_drapes.cone(
+        fabric_from_theta(plan.theta), rig=config.rig, resolution=9, start=plan.start,
+        seed=plan.seed, offset=tuple(plan.offset), jitter=config.jitter)
+    error = np.abs(record["positions"] * LENGTH_UNIT - result.positions).max()
+    assert error <= 0.5001 * LENGTH_UNIT
+    np.testing.assert_array_equal(unpack_diagonals(record["diagonals"], 9), result.diagonals)
+
+
+def test_workers_are_processes_of_one_thread(tmp_path, monkeypatch):
+    traces = tmp_path / "traces"
+    traces.mkdir()
+    monkeypatch.setenv("DRAPE_TEST_TRACES", str(traces))
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    generate(tmp_path / "set", workers=2, solver=fake_drapes.process_id)
+    processes = [trace.name.split("-") for trace in traces.iterdir()]
+    assert 1 <= len(processes) <= 2
+    assert all(limits == ["1", "1"] for _, *limits in processes)
+    assert str(os.getpid()) not in [pid for pid, *_ in processes]
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+def test_a_killed_worker_is_reported_in_one_line(tmp_path):
+    with pytest.raises(InputError, match="run the same command again"):
+        generate(tmp_path, solver=fake_drapes.killed)
+
+
+INTERRUPTED = """
+import sys
+sys.path.insert(0, {tests!r})
+if __name__ == "__main__":
+    import fake_drapes, test_generate
+    test_generate.generate({out!r}, workers=2, solver=fake_drapes.slow_cone)
+"""
+
+
+def test_killed_and_continued_is_as_if_uninterrupted(finished, tmp_path):
+    script = tmp_path / "run.py"
+    out = tmp_path / "set"
+    script.write_text(INTERRUPTED.format(tests=str(Path(__file__).parent), out=str(out)))
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    process = subprocess.Popen([sys.executable, str(script)], env=environment)
+    deadline = time.monotonic() + 60
+    while not list(out.glob("shard_*.h5")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    with pytest.raises(InputError, match="another process"):
+        generate(out)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    interrupted = files(out)
+    assert not json.loads(interrupted["dataset.json"])["complete"]
+    assert len(list(out.glob("shard_*.h5"))) < 3
+    generate(out)
+    assert files(out) == files(finished[0])
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["drapes=0"], "drapes=0"),
+        (["drapes=many"], "many"),
+        (["drapes"], "drapes"),
+        (["shapes=3"], "shapes"),
+        (["dataset=huge"], "views8"),
+        (["dataset.starts=[flat]"], "starts"),
+        (["resolution=4"], "resolution=4"),
+        (["workers=0"], "workers=0"),
+        (["seed=-1"], "seed=-1"),
+        (["solver.jitter=2"], "jitter=2"),
+        (["prior.file=nowhere.json"], "nowhere.json"),
+        (["rig=moon"], "moon"),
+    ],
+)
+def test_mistakes_on_the_command_line(tmp_path, words, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        main([f"out={tmp_path / 'set'}", *words])
+    assert "\n" not in str(refusal.value)
+    assert not (tmp_path / "set").exists()
+
+
+def test_command_line_ends_with_code_2_and_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    run = subprocess.run(
+        [sys.executable, "-m", "data.generate", f"out={tmp_path / 'file' / 'set'}"],
+        cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 2
+    assert run.stderr.startswith("error: cannot create the folder")
+    assert run.stderr.count("\n") == 1
+
+
+def test_help_names_every_key(capsys):
+    main(["--help"])
+    text = capsys.readouterr().out
+    for key in ("out:", "drapes:", "workers:", "seed:", "resolution:", "orientations:",
+                "starts_per_fabric:", "paper, views8"):
+        assert key in text

@@ -1,0 +1,152 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from data import prior as prior_module
+from data.fabrics import from_theta, read_fabric_table
+from data.prior import GaussianPrior, load_prior, main, sample_admissible, save_prior
+from sim.errors import InputError
+from sim.material import is_admissible
+
+TABLE = Path(__file__).parents[2] / ".." / "shared" / "fabrics" / "feng2022_train.csv"
+needs_table = pytest.mark.skipif(not TABLE.exists(), reason="the fabric table is not here")
+
+
+@pytest.fixture
+def prior():
+    return load_prior()
+
+
+def test_bundled_prior_describes_real_fabrics(prior):
+    alpha, _ = from_theta(prior.mean)
+    assert prior.fabrics == 201
+    assert (alpha > 10e-6).all() and (alpha < 30e-6).all()
+    ratio = prior.sample(4000, np.random.default_rng(0))[:, 3:]
+    # Nearly all fabrics soften, by a beta/alpha of a few millimetres.
+    assert (ratio < 0).mean() > 0.96
+    assert (np.abs(np.median(ratio, axis=0) + 2.65e-3) < 0.2e-3).all()
+
+
+def test_samples_have_the_mean_and_covariance(prior):
+    theta = prior.sample(40_000, np.random.default_rng(1))
+    deviation = np.sqrt(np.diag(prior.covariance))
+    assert (np.abs(theta.mean(axis=0) - prior.mean) < 0.03 * deviation).all()
+    scale = np.outer(deviation, deviation)
+    assert np.abs((np.cov(theta.T) - prior.covariance) / scale).max() < 0.03
+
+
+def test_samples_are_reproducible_and_extend(prior):
+    long = prior.sample(5, np.random.default_rng(3))
+    np.testing.assert_array_equal(long[:2], prior.sample(2, np.random.default_rng(3)))
+
+
+def test_log_likelihood_is_the_normal_density(prior):
+    theta = prior.sample(7, np.random.default_rng(2))
+    expected = multivariate_normal(prior.mean, prior.covariance).logpdf(theta)
+    np.testing.assert_allclose(prior.log_likelihood(theta), expected, rtol=1e-9)
+
+
+def test_fit_recovers_a_gaussian_and_shrugs_off_an_outlier(prior):
+    theta = prior.sample(3000, np.random.default_rng(4))
+    clean = GaussianPrior.fit(theta)
+    theta[0, 3] = 0.5  # half a metre: a broken measurement
+    spoilt = GaussianPrior.fit(theta)
+    deviation = np.sqrt(np.diag(prior.covariance))
+    for fitted in (clean, spoilt):
+        assert (np.abs(fitted.mean - prior.mean) < 0.08 * deviation).all()
+        ratio = np.sqrt(np.diag(fitted.covariance)) / deviation
+        assert (ratio > 0.9).all() and (ratio < 1.05).all()
+
+
+def test_fit_needs_more_fabrics_than_parameters(prior):
+    with pytest.raises(InputError, match="more than 6"):
+        GaussianPrior.fit(prior.mean[None].repeat(6, axis=0))
+
+
+def test_save_and_load(prior, tmp_path):
+    save_prior(prior, tmp_path / "deep" / "p.json")
+    loaded = load_prior(tmp_path / "deep" / "p.json")
+    np.testing.assert_array_equal(loaded.mean, prior.mean)
+    np.testing.assert_array_equal(loaded.covariance, prior.covariance)
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["p.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"kind": "oracle"}, "kind"),
+        ({"kind": ["gaussian"]}, "kind"),
+        ({"schema_version": 99}, "schema version"),
+        ({"parameters": ["a"]}, "other parameters"),
+        ({"mean": [0, 1]}, "mean of 6"),
+        ({"mean": None}, "mean of 6"),
+        ({"mean": "many"}, "readable"),
+        ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
+        ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
+        ({"covariance": (np.eye(6) * np.nan).tolist()}, "finite"),
+    ],
+)
+def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
+    path = tmp_path / "p.json"
+    save_prior(prior, path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError, match=complaint) as refusal:
+        load_prior(path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "{"])
+def test_other_files_are_no_prior(tmp_path, text):
+    path = tmp_path / "p.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="no prior"):
+        load_prior(path)
+
+
+class Reluctant:
+    """Draws ``impossible`` fabrics without twisting stiffness before a possible one."""
+
+    def __init__(self, impossible):
+        self.left = impossible
+
+    def sample(self, n, rng):
+        self.left -= 1
+        bias = 1e-9 if self.left >= 0 else 20e-6
+        return np.log([[80e-6, bias, 5e-6, 1, 1, 1]]) * [1, 1, 1, 0, 0, 0]
+
+
+def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
+    theta, rejected = sample_admissible(Reluctant(3), np.random.default_rng(0))
+    assert rejected == 3
+    assert is_admissible(*from_theta(theta))
+    monkeypatch.setattr(prior_module, "MAXIMUM_TRIES", 5)
+    with pytest.raises(InputError, match="possible fabric"):
+        sample_admissible(Reluctant(5), np.random.default_rng(0))
+
+
+@needs_table
+def test_bundled_prior_is_the_fit_of_the_published_table(prior, tmp_path, capsys):
+    main(["fit", f"table={TABLE}", f"out={tmp_path / 'p.json'}"])
+    fitted = load_prior(tmp_path / "p.json")
+    np.testing.assert_allclose(fitted.mean, prior.mean, rtol=1e-9)
+    np.testing.assert_allclose(fitted.covariance, prior.covariance, rtol=1e-9)
+    assert "201 distinct fabrics" in capsys.readouterr().out
+
+
+@needs_table
+def test_bundled_prior_covers_the_published_fabrics(prior):
+    theta = read_fabric_table(TABLE).theta
+    white = np.linalg.solve(np.linalg.cholesky(prior.covariance), (theta - prior.mean).T)
+    distance = np.sqrt((white**2).sum(axis=0))
+    # 99.9 % of a Gaussian in six dimensions lie within 4.7.
+    assert (distance < 4.7).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    "words", [["learn"], ["fit"], ["fit", "table=nowhere.csv"], ["fit", "speed=1"]])
+def test_command_line_mistakes(words):
+    with pytest.raises(InputError):
+        main(words)

@@ -1,0 +1,144 @@
+import re
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from data.shards import (
+    Layout,
+    Shard,
+    fields,
+    pack_diagonals,
+    read_manifest,
+    to_counts,
+    unpack_diagonals,
+    write_manifest,
+    write_shard,
+)
+from sim.errors import InputError
+from sim.mesh import grid_faces
+
+LAYOUT = Layout(resolution=9, orientations=3, height=6, width=8)
+ATTRIBUTES = {"schema_version": 1, "identity": "abc", "config": "{}"}
+
+
+def random_record(seed):
+    rng = np.random.default_rng(seed)
+    record = {}
+    for name, field in fields(LAYOUT).items():
+        if field.dtype.startswith("S"):
+            record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
+        elif field.dtype.startswith("f"):
+            record[name] = rng.normal(size=field.shape)
+        else:
+            record[name] = rng.integers(0, 100, field.shape)
+    return record
+
+
+@pytest.fixture
+def shard(tmp_path):
+    write_shard(tmp_path / "s.h5", [random_record(0), random_record(1)], layout=LAYOUT,
+                attributes=ATTRIBUTES)
+    with Shard(tmp_path / "s.h5") as file:
+        yield file
+
+
+def test_every_field_comes_back(shard):
+    assert len(shard) == 2
+    for name in fields(LAYOUT):
+        rows = shard.column(name)
+        for row, seed in enumerate((0, 1)):
+            expected = random_record(seed)[name]
+            if isinstance(expected, bytes):
+                assert rows[row] == expected.decode()
+            else:
+                np.testing.assert_array_equal(rows[row], expected)
+
+
+def test_attributes_and_units(shard):
+    assert shard.attribute("identity") == "abc"
+    assert shard.attribute("schema_version") == 1
+    assert shard.attribute("absent") is None
+    with h5py.File(shard.path) as file:
+        assert file["offset"].attrs["unit"] == b"m"
+        assert file["views"].attrs["unit"] == b"1e-4 m"
+
+
+def test_views_in_metres(shard):
+    views = shard.views(1, 2)
+    assert views.shape == (4, 6, 8) and views.dtype == np.float32
+    np.testing.assert_allclose(views, random_record(1)["views"][2] * 1e-4, rtol=1e-6)
+
+
+def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(-0.2, 0.2, (81, 3))
+    rest = rng.uniform(-0.15, 0.15, (81, 2))
+    diagonals = rng.random((8, 8)) < 0.5
+    record = random_record(0) | {
+        "positions": to_counts(positions, unit=1e-5, dtype=np.int16),
+        "rest": to_counts(rest, unit=1e-5, dtype=np.int16),
+        "diagonals": pack_diagonals(diagonals),
+    }
+    write_shard(tmp_path / "s.h5", [record], layout=LAYOUT, attributes=ATTRIBUTES)
+    with Shard(tmp_path / "s.h5") as shard:
+        back = shard.mesh(0)
+    assert np.abs(back[0] - positions).max() <= 0.5001e-5
+    assert np.abs(back[1] - rest).max() <= 0.5001e-5
+    np.testing.assert_array_equal(back[2], grid_faces(diagonals))
+
+
+@pytest.mark.parametrize("resolution", [8, 9, 41])
+def test_diagonals_are_packed_without_loss(resolution):
+    diagonals = np.random.default_rng(1).random((resolution - 1, resolution - 1)) < 0.5
+    packed = pack_diagonals(diagonals)
+    assert len(packed) == -(-((resolution - 1) ** 2) // 8)
+    np.testing.assert_array_equal(unpack_diagonals(packed, resolution), diagonals)
+
+
+@pytest.mark.parametrize("value", [0.328, -0.328, np.nan, np.inf])
+def test_counts_refuse_what_they_cannot_hold(value):
+    with pytest.raises(ValueError, match="outside"):
+        to_counts(np.array([0.0, value]), unit=1e-5, dtype=np.int16)
+
+
+def test_bytes_depend_on_the_content_alone(tmp_path):
+    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    write_shard(paths[0], [random_record(0)], layout=LAYOUT, attributes=ATTRIBUTES)
+    time.sleep(1.1)  # HDF5 can store times, in whole seconds
+    write_shard(paths[1], [random_record(0)], layout=LAYOUT, attributes=ATTRIBUTES)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_a_record_of_another_layout_is_refused_and_leaves_no_file(tmp_path):
+    with pytest.raises(ValueError, match="positions has shape"):
+        write_shard(tmp_path / "s.h5", [random_record(0) | {"positions": np.zeros((4, 3))}],
+                    layout=LAYOUT, attributes=ATTRIBUTES)
+    assert not (tmp_path / "s.h5").exists()
+
+
+def test_other_files_are_no_shard(tmp_path):
+    (tmp_path / "text.h5").write_text("no shard")
+    write_shard(tmp_path / "old.h5", [random_record(0)], layout=LAYOUT,
+                attributes=ATTRIBUTES | {"schema_version": 0})
+    for name, complaint in (("text.h5", "readable"), ("none.h5", "readable"), ("old.h5", "schema")):
+        with pytest.raises(InputError, match=complaint):
+            Shard(tmp_path / name)
+
+
+def test_manifest(tmp_path):
+    assert read_manifest(tmp_path) is None
+    write_manifest(tmp_path, {"schema_version": 1, "drapes": 3})
+    assert read_manifest(tmp_path)["drapes"] == 3
+    for text in ("{", "[]", '{"schema_version": 7}'):
+        (tmp_path / "dataset.json").write_text(text)
+        with pytest.raises(InputError):
+            read_manifest(tmp_path)
+
+
+def test_the_documentation_lists_every_field():
+    text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
+    documented = re.findall(r"^\| `(\w+)` \| (?:u?int|float|text)", text, flags=re.MULTILINE)
+    assert documented == list(fields(LAYOUT))

@@ -1,0 +1,92 @@
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig
+from data.captures import Capture
+from drapenet.checkpoint import Header, read_header
+from drapenet.estimate import make_estimate, to_json
+from drapenet.predict import Prediction
+from drapenet.table import format_table
+from sim.material import MICRO, is_admissible
+
+CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), CameraRig.load().intrinsics, 0.15, None,
+                  "square300_cylinder100", Path("here"), ())
+
+
+def predicted(alpha: list[float], *, axis: float = 0.5, confidence: float = 0.9) -> Prediction:
+    """A prediction of alphas in µN·m at 300 g/m² and beta = -2.5 mm alpha."""
+    targets = np.concatenate([np.log(np.array(alpha) * MICRO), np.full(3, -2.5e-3)])
+    return Prediction(targets, np.full(6, 1e-4), axis, confidence)
+
+
+@pytest.fixture
+def header(untrained_checkpoint: Path) -> Header:
+    return read_header(untrained_checkpoint)
+
+
+@pytest.mark.parametrize(("warp", "names"), [
+    (None, ("stiff", "bias", "soft")),
+    (0.5, ("warp", "bias", "weft")),
+    (0.5 + 0.3, ("warp", "bias", "weft")),
+    (0.5 + math.pi / 2, ("weft", "bias", "warp")),
+    (0.1 + math.pi, ("warp", "bias", "weft")),
+])
+def test_the_marked_warp_names_the_directions(
+    header: Header, warp: float | None, names: tuple[str, ...]
+) -> None:
+    capture = dataclasses.replace(CAPTURE, warp_direction=warp)
+    estimate = make_estimate(predicted([60, 40, 20]), capture=capture, header=header)
+    assert estimate.names == names
+    assert estimate.convention == ("stiff/soft" if warp is None else "warp/weft")
+    assert estimate.fabric.alpha / MICRO == pytest.approx([30, 20, 10])  # half the density
+    assert not estimate.warnings
+    content = to_json(estimate, capture=capture, header=header)
+    assert content["moduli"][names[2]]["alpha_uN_m"] == pytest.approx(10)
+    assert content["moduli"][names[2]]["beta_nN_m2"] == pytest.approx(-25)
+    assert names[2] in format_table(content)
+
+
+def test_an_unclear_axis_leaves_stiff_and_soft(header: Header) -> None:
+    capture = dataclasses.replace(CAPTURE, warp_direction=0.5)
+    estimate = make_estimate(predicted([60, 40, 55], confidence=0.1), capture=capture,
+                             header=header)
+    assert estimate.convention == "stiff/soft"
+    assert any("not identifiable" in line for line in estimate.warnings)
+
+
+def test_an_axis_between_the_yarns_is_doubted(header: Header) -> None:
+    capture = dataclasses.replace(CAPTURE, warp_direction=0.5 + math.radians(40))
+    estimate = make_estimate(predicted([60, 40, 20]), capture=capture, header=header)
+    assert any("40°" in line for line in estimate.warnings)
+
+
+def test_what_lies_outside_the_training_set_is_said(header: Header) -> None:
+    estimate = make_estimate(predicted([900, 300, 200]), capture=CAPTURE, header=header)
+    assert any("alpha (stiff, bias" in line and "outside" in line for line in estimate.warnings)
+
+
+def test_disagreeing_view_orders_are_told(header: Header) -> None:
+    prediction = dataclasses.replace(predicted([60, 40, 20]), spread=np.full(6, 0.8))
+    estimate = make_estimate(prediction, capture=CAPTURE, header=header)
+    assert any("view orders disagree" in line for line in estimate.warnings)
+
+
+def test_an_impossible_plate_becomes_the_nearest_possible_one(header: Header) -> None:
+    estimate = make_estimate(predicted([90, 2, 10]), capture=CAPTURE, header=header)
+    fabric = estimate.fabric
+    assert is_admissible(fabric.alpha, fabric.beta)
+    limit = (math.sqrt(90) - math.sqrt(10)) ** 2 / 4 / 2
+    assert fabric.alpha[1] / MICRO == pytest.approx(limit, rel=0.02)
+    assert fabric.beta / fabric.alpha == pytest.approx([-2.5e-3] * 3)
+    assert any("no plate" in line for line in estimate.warnings)
+
+
+def test_errors_are_in_percent_and_millimetres(header: Header) -> None:
+    estimate = make_estimate(predicted([60, 40, 20]), capture=CAPTURE, header=header)
+    error = to_json(estimate, capture=CAPTURE, header=header)["typical_error"]["stiff"]
+    assert error["alpha_percent"] == pytest.approx(100 * (math.exp(0.5 * 0.9) - 1))
+    assert error["beta_over_alpha_mm"] == pytest.approx(0.5 * 2.0)

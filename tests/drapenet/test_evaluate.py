@@ -1,0 +1,53 @@
+import json
+from pathlib import Path
+
+import pytest
+from blobs import write_dataset
+
+import drapenet.evaluate
+from data.dataset import DrapeDataset
+from drapenet.checkpoint import read_header
+from drapenet.evaluate import evaluate
+from sim.errors import InputError
+
+
+def test_the_mean_scores_one_on_its_own_distribution(
+    untrained_checkpoint: Path, blob_dataset: Path
+) -> None:
+    header = read_header(untrained_checkpoint)
+    # Standardise as a network trained on blobs would.
+    targets = header.content["targets"]
+    changed = targets | {"mean": [-9.9, -10.4, -10.9, *[-0.003] * 3],
+                         "std": [0.76, 0.9, 0.76, *[0.002] * 3]}
+    header.content["targets"] = changed
+    result = evaluate(header, DrapeDataset(blob_dataset))
+    assert result["training_mean"]["rmse_log_alpha"] == pytest.approx(1, abs=0.15)
+    assert result["network"]["samples"] == result["dataset"]["drapes"] == 64
+    assert result["network"]["rmse_log_alpha"] != result["training_mean"]["rmse_log_alpha"]
+
+
+def test_training_fabrics_are_not_unseen(untrained_checkpoint: Path, tmp_path: Path) -> None:
+    header = read_header(untrained_checkpoint)
+    write_dataset(tmp_path / "dataset", drapes=4, seed=999)  # the checkpoint's own seed
+    with pytest.raises(InputError, match="not unseen"):
+        evaluate(header, DrapeDataset(tmp_path / "dataset"))
+
+
+def test_the_command_makes_its_data_and_writes_the_figures(
+    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    asked = []
+
+    def make(config: object, out: Path, *, workers: int) -> None:
+        asked.append((config.drapes, config.sampling.seed, config.sampling.starts_per_fabric))
+        write_dataset(out, drapes=6, seed=config.sampling.seed)
+
+    monkeypatch.setattr(drapenet.evaluate, "generate_dataset", make)
+    drapenet.evaluate.main([f"checkpoint={untrained_checkpoint}", f"out={tmp_path}", "drapes=6",
+                            "seed=5", "orientations=2"])
+    assert asked == [(6, 5, 1)]
+    result = json.loads((tmp_path / "evaluation.json").read_text())
+    assert result["network"]["samples"] == 12
+    assert result["dataset"]["sha256"] == f"{5:064x}"
+    assert f"{result['network']['rmse_log_alpha']:.3f}" in capsys.readouterr().out

@@ -1,0 +1,69 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig
+from data.render import render_views
+from drapenet.registration import count_folds, locate_camera, radius_profile, silhouette_overlap
+
+
+def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
+    """A round table-cloth with a flat top of 50 mm radius and a wavy skirt: vertices and faces."""
+    along, around = 40, 240
+    s = np.linspace(0, 1, along)[:, None]
+    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
+    drop = np.maximum(s - 0.4, 0) / 0.6
+    radius = np.minimum(s / 0.4, 1) * 0.05 + drop * (0.02 + 0.02 * np.cos(folds * phi))
+    position = np.stack([radius * np.cos(phi), radius * np.sin(phi), -0.1 * drop + 0 * phi], -1)
+    i, j = np.mgrid[: along - 1, :around]
+    a, b = i * around + j, i * around + (j + 1) % around
+    faces = np.concatenate([np.stack([a, a + around, b], -1).reshape(-1, 3),
+                            np.stack([b, a + around, b + around], -1).reshape(-1, 3)])
+    return position.reshape(-1, 3), faces
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_camera_is_found_again(seed: int) -> None:
+    rig = CameraRig.load()
+    camera = rig.sample(np.random.default_rng(seed))
+    views = render_views(*skirt(7), camera, 0.2)
+    # Intrinsics are given, so only the pose is to be found, from the rig's nominal one.
+    first_guess = replace(camera, world_to_camera=rig.nominal().world_to_camera)
+    found = locate_camera(views, first_guess).world_to_camera
+    assert np.linalg.norm(found[:3, 3] - camera.world_to_camera[:3, 3]) < 3e-3
+    assert np.linalg.norm(found[:3, 2] - camera.world_to_camera[:3, 2]) < 5e-3  # rad
+
+
+@pytest.mark.parametrize("folds", [4, 7, 11])
+def test_folds_are_counted(folds: int) -> None:
+    camera = CameraRig.load().nominal()
+    views = render_views(*skirt(folds), camera, 0.2)
+    profile = radius_profile(views, locate_camera(views, camera))
+    assert count_folds(profile) == folds
+    # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
+    assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)
+
+
+def test_the_profile_turns_with_the_specimen() -> None:
+    camera = CameraRig.load().nominal()
+    vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
+    for orientation in (0.0, 1.0, 2.5, 4.0):
+        profile = radius_profile(render_views(vertices, faces, camera, orientation), camera)
+        azimuth = (np.nanargmax(profile) + 0.5) / len(profile) * 2 * np.pi
+        assert np.cos(azimuth - orientation) > 0.9
+
+
+def test_a_smooth_circle_has_no_fold_and_an_unseen_drape_neither() -> None:
+    assert count_folds(np.full(180, 0.06)) == 0
+    assert count_folds(np.full(180, np.nan)) == 0
+    wave = 0.06 + 0.004 * np.cos(5 * np.linspace(0, 2 * np.pi, 180, endpoint=False))
+    assert count_folds(wave) == 5
+    assert count_folds(0.06 + (wave - 0.06) / 8) == 0  # ripples within a depth step
+
+
+def test_overlap_of_silhouettes() -> None:
+    first, second = np.zeros((4, 10, 10)), np.zeros((4, 10, 10))
+    first[:, :, :6], second[:, :, 3:9] = 0.5, 0.7
+    assert silhouette_overlap(first, second) == pytest.approx(3 / 9)
+    assert silhouette_overlap(first, first) == 1

@@ -1,0 +1,193 @@
+"""infer.py as a user runs it: good captures, and every kind of bad one."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from blobs import blob_views
+from PIL import Image
+
+import infer
+from data.cameras import CameraRig
+from data.captures import write_capture
+from drapenet.checkpoint import load_model, read_header
+from sim.cli import run_command
+
+THETA = np.array([-10.0, -10.5, -11.0, -0.002, -0.002, -0.002])
+SHARED = Path(__file__).parents[2] / "shared" / "captures"
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A sound capture, which a test may spoil."""
+    camera = CameraRig.load().nominal().resized(80, 60)
+    folder = tmp_path / "capture"
+    write_capture(folder, views=blob_views(THETA, 0.4), intrinsics=camera.intrinsics, density=0.15,
+                  warp_direction=0.4)
+    return folder
+
+
+@pytest.fixture
+def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
+    """A checkpoint, which a test may spoil."""
+    folder = tmp_path / "checkpoint"
+    folder.mkdir()
+    for suffix in (".safetensors", ".json"):
+        shutil.copy(untrained_checkpoint.with_suffix(suffix), folder / f"net{suffix}")
+    return folder / "net.safetensors"
+
+
+def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
+    return [f"capture={capture}", f"checkpoint={checkpoint}", f"out={capture.parent / 'out'}",
+            *more]
+
+
+def spoil_yaml(**changes: object) -> Callable[[Path, Path], None]:
+    def change(capture: Path, _: Path) -> None:
+        file = capture / "capture.yaml"
+        lines = file.read_text().splitlines()
+        kept = [line for line in lines if line.partition(":")[0] not in changes]
+        kept += [f"{key}: {value}" for key, value in changes.items() if value is not None]
+        file.write_text("\n".join(kept))
+    return change
+
+
+def spoil_header(**changes: object) -> Callable[[Path, Path], None]:
+    def change(_: Path, checkpoint: Path) -> None:
+        file = checkpoint.with_suffix(".json")
+        file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+    return change
+
+
+def spoil_view(action: Callable[[Path], object]) -> Callable[[Path, Path], None]:
+    return lambda capture, _: action(capture / "view_2.png")
+
+
+def save(size: tuple[int, int]) -> Callable[[Path], None]:
+    return lambda file: Image.fromarray(np.zeros(size, np.uint16)).save(file)
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+BAD = {
+    "missing view": (spoil_view(Path.unlink), "view_2.png"),
+    "fifth view": (lambda c, _: shutil.copy(c / "view_0.png", c / "view_4.png"), "view_4.png"),
+    "wrong size": (spoil_view(save((70, 90))), "90x70"),
+    "all background": (spoil_view(save((60, 80))), "background"),
+    "truncated PNG": (spoil_view(truncate), "view_2.png"),
+    "text called png": (spoil_view(lambda f: f.write_text("not a picture")), "view_2.png"),
+    "density NaN": (spoil_yaml(density_g_m2=".nan"), "density"),
+    "density negative": (spoil_yaml(density_g_m2=-150), "density"),
+    "density too small": (spoil_yaml(density_g_m2=9.9), "10-1000"),
+    "density too large": (spoil_yaml(density_g_m2=1001), "10-1000"),
+    "density missing": (spoil_yaml(density_g_m2=None), "density"),
+    "density a word": (spoil_yaml(density_g_m2="heavy"), "density"),
+    "folder missing": (lambda c, _: shutil.rmtree(c), "does not exist"),
+    "checkpoint of another rig": (spoil_header(rig="disc300_support180"), "disc300_support180"),
+    "checkpoint of another schema": (spoil_header(schema_version=7), "schema version 7"),
+    "checkpoint missing": (lambda _, f: f.unlink(), "no checkpoint file"),
+    "checkpoint damaged": (lambda _, f: truncate(f), "copy both anew"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
+    capture: Path, checkpoint: Path, case: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    spoil, message = BAD[case]
+    spoil(capture, checkpoint)
+    before = sorted(capture.parent.rglob("*"))
+    monkeypatch.setattr(sys, "argv", ["infer.py", *words(capture, checkpoint)])
+    with pytest.raises(SystemExit) as ending:
+        run_command(infer.main)
+    assert ending.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
+    assert message in printed.err
+    assert sorted(capture.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("word", "message"), [
+    ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
+    ("resolution=3", "resolution")])
+def test_bad_words_are_one_line(
+    capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["infer.py", *words(capture, checkpoint, word)])
+    with pytest.raises(SystemExit) as ending:
+        run_command(infer.main)
+    assert ending.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not (capture.parent / "out").exists()
+
+
+def test_a_bad_capture_is_told_before_torch_is_loaded(capture: Path, checkpoint: Path) -> None:
+    (capture / "view_1.png").unlink()
+    code = ("import sys, infer\ntry:\n    infer.main(sys.argv[1:])\n"
+            "except ValueError as error:\n    print(error, 'torch' in sys.modules)")
+    done = subprocess.run([sys.executable, "-c", code, *words(capture, checkpoint)],
+                          capture_output=True, text=True, check=True,
+                          cwd=Path(infer.__file__).parent)
+    assert "view_1.png" in done.stdout and done.stdout.strip().endswith("False")
+
+
+def test_estimate_says_what_it_is(
+    capture: Path, checkpoint: Path, capsys: pytest.CaptureFixture
+) -> None:
+    infer.main(words(capture, checkpoint, "drapes=0"))
+    out = capture.parent / "out"
+    assert [file.name for file in out.iterdir()] == ["estimate.json"]
+    content = json.loads((out / "estimate.json").read_text())
+    assert (content["schema"], content["schema_version"]) == ("drapenet-estimate", 1)
+    assert content["capture"]["density_g_m2"] == 150
+    assert len(content["moduli"]) == 3
+    for name, own in content["moduli"].items():
+        reference = content["moduli_at_300_g_m2"][name]
+        assert own["alpha_uN_m"] == pytest.approx(reference["alpha_uN_m"] / 2)
+        assert own["beta_nN_m2"] == pytest.approx(reference["beta_nN_m2"] / 2)
+        assert 0.1 < own["alpha_uN_m"] < 1000  # µN·m of a fabric, not another unit
+        assert content["typical_error"][name]["alpha_percent"] > 0
+        assert content["spread_over_view_orders"][name]["alpha_percent"] >= 0
+    assert content["checkpoint"]["sha256"] == read_header(checkpoint).content["weights"]["sha256"]
+    assert 0 <= content["stiff_axis"]["direction_deg"] < 180
+    printed = capsys.readouterr().out
+    assert f"{next(iter(content['moduli'].values()))['alpha_uN_m']:.2f}" in printed
+
+
+def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -> None:
+    infer.main(words(capture, checkpoint, "drapes=1", "resolution=17"))
+    out = capture.parent / "out"
+    content = json.loads((out / "estimate.json").read_text())
+    assert content["resimulation"]["statuses"] == ["converged"]
+    assert 0.3 < content["resimulation"]["silhouette_overlap"] <= 1
+    with Image.open(out / "report.png") as picture:
+        assert picture.size[0] > 1000
+        assert np.asarray(picture.convert("L")).std() > 20  # not an empty page
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")
+@pytest.mark.parametrize("name", ["mesh0", "mesh1"])
+def test_the_published_format_runs_as_it_is(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    infer.main([f"capture={SHARED / name}", f"checkpoint={checkpoint}", f"out={tmp_path / 'out'}",
+                "drapes=0"])
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert content["capture"]["density_g_m2"] == 300
+    assert any("8-bit" in warning for warning in content["warnings"])
+
+
+def test_the_same_capture_gives_the_same_estimate(capture: Path, checkpoint: Path) -> None:
+    infer.main(words(capture, checkpoint, "drapes=0"))
+    first = (capture.parent / "out" / "estimate.json").read_bytes()
+    infer.main(words(capture, checkpoint, "drapes=0"))
+    assert (capture.parent / "out" / "estimate.json").read_bytes() == first
+    assert load_model(read_header(checkpoint)).training is False
