@@ -1,6 +1,7 @@
 """The public door of the simulator: fabric, rig and start in, drape out."""
 
 import time
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,7 @@ class DrapeResult:
         positive_definite: whether the exact Hessian is, so that the state is a minimum.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
+        time_spent: seconds of all minimisations by activity (see :class:`NewtonResult`).
     """
 
     fabric: Fabric
@@ -56,6 +58,7 @@ class DrapeResult:
     positive_definite: bool
     iterations: int
     seconds: float
+    time_spent: dict[str, float]
 
     @property
     def converged(self) -> bool:
@@ -105,7 +108,7 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     levels = coarse_to_fine(resolution)
-    iterations, coarse = 0, None
+    iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
         last = level == resolution
         mesh, held, cells = draped_square(
@@ -132,6 +135,7 @@ def drape(
             membrane_stiffness=membrane_stiffness * (1.0 if last else COARSE_MEMBRANE),
         )
         iterations += result.iterations
+        time_spent.update(result.seconds)
         coarse = (mesh.rest, state.positions)
     return DrapeResult(
         fabric=fabric,
@@ -149,6 +153,7 @@ def drape(
         positive_definite=result.positive_definite,
         iterations=iterations,
         seconds=time.perf_counter() - began,
+        time_spent=dict(time_spent),
     )
 
 

@@ -29,7 +29,11 @@ class Status(str, Enum):
 
 
 class Objective(Protocol):
-    """What is minimised; :class:`sim.potential.Potential` is one."""
+    """What is minimised; :class:`sim.potential.Potential` is one.
+
+    ``regularisation`` (size,) is added to the diagonal, in multiples, where even the convex
+    Hessian is singular; its entries have the units of the Hessian's diagonal.
+    """
 
     size: int
     pattern: SparsePattern
@@ -91,7 +95,7 @@ class NewtonResult:
 _CONVEXITY_DOWN = 0.25
 _CONVEXITY_UP = 4.0
 _CONVEXITY_LEAST = 0.02  # below it the exact Hessian is tried
-_SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # multiples of the regularisation, if all else fails
+_SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
 _SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 _SMALLEST_STEP = 2.0**-30
 _NUDGES = 5
@@ -114,7 +118,7 @@ class _Run:
 
     def __init__(self, objective: Objective, y: np.ndarray, options: NewtonOptions) -> None:
         self.objective, self.options = objective, options
-        self.convexity = 1.0
+        self.convexity, self.shift = 1.0, 0
         self.result = NewtonResult(y=y, status=Status.MAX_ITERATIONS, message="")
         self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
         self.rng = np.random.default_rng(0)
@@ -154,14 +158,18 @@ class _Run:
             with self._timed("search"):
                 found = self._search(value, gradient, step)
             if found is None:
+                # A nearly singular model points far out of its range: make it stiffer.
                 if self.convexity < 1.0:
-                    # The exact model may point far out of its range; fall back to convexity.
                     self.convexity = 1.0
-                    result.iterations += 1
-                    continue
-                return self._end(
-                    Status.LINE_SEARCH, f"no descent at residual {result.residual:.1e}"
-                )
+                elif self.shift < len(_SHIFTS) - 1:
+                    self.shift += 1
+                else:
+                    return self._end(
+                        Status.LINE_SEARCH, f"no descent at residual {result.residual:.1e}"
+                    )
+                result.iterations += 1
+                continue
+            self.shift = 0
             length, result.y, value, gradient = found
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
@@ -192,21 +200,20 @@ class _Run:
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
-        trial = self.convexity * _CONVEXITY_DOWN
+        trial = 1.0 if self.shift else self.convexity * _CONVEXITY_DOWN
         if trial < _CONVEXITY_LEAST:
             trial = 0.0
-        while True:
+        while trial < 1.0:
             if self._factorise(trial):
                 self.convexity = trial
                 return self._solve(-gradient)
-            if trial == 1.0:
-                break
             trial = min(1.0, max(trial * _CONVEXITY_UP, 4 * _CONVEXITY_LEAST))
         self.convexity = 1.0
-        for shift in _SHIFTS[1:]:
-            if self._factorise(1.0, shift):
-                return self._solve(-gradient)
-        return None
+        while not self._factorise(1.0, _SHIFTS[self.shift]):
+            if self.shift == len(_SHIFTS) - 1:
+                return None
+            self.shift += 1
+        return self._solve(-gradient)
 
     def _search(
         self, value: float, gradient: np.ndarray, step: np.ndarray

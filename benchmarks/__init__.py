@@ -1,0 +1,1 @@
+"""Timings, printed as JSON with the hardware and versions they were taken on."""

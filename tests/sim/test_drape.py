@@ -1,0 +1,126 @@
+"""Drapes: proven minima, invariances, contact, and failure as data."""
+
+import numpy as np
+import pytest
+
+from sim.drape import coarse_to_fine, drape
+from sim.errors import InputError
+from sim.material import Fabric
+from sim.measures import maximum_stretch
+from sim.newton import NewtonOptions
+
+EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
+
+
+def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
+    """Fabric of alpha µN·m with beta/alpha = -softening mm."""
+    moduli = np.full(3, alpha * 1e-6)
+    return Fabric(moduli, -softening * 1e-3 * moduli)
+
+
+def assert_equilibrium(result) -> None:
+    assert result.converged, result.message
+    assert result.residual < 1e-3 and result.positive_definite
+    assert np.array_equal(result.positions[result.held],
+                          np.column_stack([result.rest[result.held], np.zeros(result.held.sum())]))
+
+
+@pytest.mark.parametrize("start", ["sine", "fold"])
+@pytest.mark.parametrize(
+    "fabric", [isotropic(100), isotropic(20, 2.0), isotropic(5), EXTREME],
+    ids=["stiff", "median", "soft", "extreme"],
+)
+def test_fabrics_of_all_kinds_reach_a_proven_minimum(fabric, start):
+    assert_equilibrium(drape(fabric, resolution=21, start=start, seed=3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("resolution", [51, 101])
+@pytest.mark.parametrize("fabric", [isotropic(100), isotropic(20), isotropic(5), EXTREME],
+                         ids=["stiff", "median", "soft", "extreme"])
+def test_fine_meshes_reach_a_proven_minimum(fabric, resolution):
+    assert_equilibrium(drape(fabric, resolution=resolution))
+
+
+def test_shape_depends_on_moduli_over_density_only():
+    heavy = drape(isotropic(60, 1.0), resolution=21, seed=1)
+    light = drape(isotropic(60, 1.0).at_density(0.075), resolution=21, seed=1)
+    assert np.allclose(heavy.positions, light.positions, rtol=0, atol=1e-6)
+
+
+def test_same_seed_same_bytes_other_seed_other_drape():
+    first, second, other = (drape(isotropic(20), resolution=21, seed=s) for s in (5, 5, 6))
+    assert first.positions.tobytes() == second.positions.tobytes()
+    assert np.abs(first.positions - other.positions).max() > 1e-3
+
+
+def test_cloth_hangs_less_along_its_stiffer_direction():
+    """Fails if warp and weft are swapped anywhere between the moduli and the mesh."""
+    for warp, weft in ((400, 30), (30, 400)):
+        fabric = Fabric(np.array([warp, 120, weft]) * 1e-6)
+        result = drape(fabric, resolution=21, start="sine", seed=2)
+        assert result.converged
+        height = {}
+        for name, axis in (("warp", 0), ("weft", 1)):
+            ends = (np.abs(result.rest[:, axis]) > 0.149) & (np.abs(result.rest[:, 1 - axis]) < 0.03)
+            height[name] = result.positions[ends, 2].mean()
+        assert (height["warp"] > height["weft"] + 0.01) == (warp > weft)
+
+
+def test_in_plane_stiffness_matters_much_less_than_bending_stiffness():
+    """Section 4.1, Figures 5 to 7: the effect of doubling either."""
+    base = drape(isotropic(100), resolution=26, seed=1)
+    taut = drape(isotropic(100), resolution=26, seed=1, membrane_stiffness=400.0)
+    stiff = drape(isotropic(200), resolution=26, seed=1)
+    by_stretch, by_bending = (
+        np.linalg.norm(other.positions - base.positions, axis=1).mean() for other in (taut, stiff)
+    )
+    assert by_stretch < 0.35 * by_bending
+    assert maximum_stretch(base.positions, base.rest, base.faces, base.held) < 0.05
+
+
+def test_refinement_changes_a_stiff_drape_by_little():
+    coarse, fine = (drape(isotropic(150), resolution=n, seed=1, jitter=0.0) for n in (26, 51))
+    # Vertices common to both grids, away from the rim where rest positions are moved.
+    shared = fine.rest.reshape(51, 51, 2)[::2, ::2].reshape(-1, 2)
+    same = np.linalg.norm(shared - coarse.rest, axis=1) < 1e-9
+    assert same.sum() > 500
+    apart = fine.positions.reshape(51, 51, 3)[::2, ::2].reshape(-1, 3)[same] - coarse.positions[same]
+    assert np.linalg.norm(apart, axis=1).mean() < 2.2e-3
+
+
+def test_cloth_stays_out_of_the_cylinder():
+    result = drape(isotropic(4), resolution=31, seed=2)
+    assert result.converged
+    radius = np.linalg.norm(result.positions[:, :2], axis=1)
+    below = ~result.held & (result.positions[:, 2] < 0)
+    depth = 0.05 - radius[below]
+    assert depth.max() < 2e-4  # presses, by less than 0.2 mm
+    assert depth.max() > 0  # and does touch: a soft cloth leans on the side
+
+
+def test_offset_hangs_further_down_where_there_is_more_cloth():
+    result = drape(isotropic(60), resolution=21, offset=(0.02, 0.0))
+    ends = [result.positions[np.isclose(result.rest[:, 0], x), 2].mean() for x in (0.17, -0.13)]
+    assert ends[0] < ends[1] - 0.01
+
+
+def test_failure_is_data():
+    result = drape(isotropic(20), resolution=21, options=NewtonOptions(max_iterations=1))
+    assert not result.converged
+    assert result.status.value == "max_iterations" and "1 iterations" in result.message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [({"start": "crumpled"}, "crumpled"), ({"jitter": 0.9}, "jitter"),
+     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution")],
+)
+def test_nonsense_is_refused_in_words(arguments, word):
+    with pytest.raises(InputError, match=word):
+        drape(isotropic(20), **arguments)
+
+
+def test_levels_halve_the_spacing():
+    assert coarse_to_fine(101) == [26, 51, 101]
+    assert coarse_to_fine(16) == [16]

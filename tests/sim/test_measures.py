@@ -1,0 +1,56 @@
+"""Figures of drapes on shapes where they are known."""
+
+import numpy as np
+import pytest
+
+from sim.measures import drape_coefficient, fold_count, maximum_stretch, projected_area
+from sim.mesh import draped_square
+from sim.scene import Rig
+
+RIG = Rig()
+
+
+@pytest.fixture(scope="module")
+def specimen():
+    return draped_square(size=0.3, plate_radius=0.05, resolution=51)[:2]
+
+
+def skirt(rest: np.ndarray, folds: int, depth: float) -> np.ndarray:
+    """The overhang turned straight down, with sinusoidal folds."""
+    radius, angle = np.hypot(*rest.T), np.arctan2(rest[:, 1], rest[:, 0])
+    drop = np.maximum(radius - 0.05, 0)
+    wave = depth * drop / 0.1 * np.cos(folds * angle + 1)
+    reach = np.minimum(radius, 0.05) + wave
+    return np.column_stack([reach * np.cos(angle), reach * np.sin(angle), -drop])
+
+
+def test_flat_specimen_covers_itself(specimen):
+    mesh, _ = specimen
+    flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
+    assert projected_area(flat, mesh.faces) == pytest.approx(0.09, rel=3e-3)
+    assert drape_coefficient(flat, mesh.faces, RIG) == pytest.approx(1.0, abs=4e-3)
+
+
+def test_cloth_hanging_straight_down_covers_the_plate_only(specimen):
+    mesh, _ = specimen
+    hanging = skirt(mesh.rest, folds=1, depth=0.0)
+    assert drape_coefficient(hanging, mesh.faces, RIG) == pytest.approx(0.0, abs=4e-3)
+
+
+@pytest.mark.parametrize("folds", [3, 4, 7, 11])
+def test_folds_are_counted(specimen, folds):
+    mesh, _ = specimen
+    assert fold_count(skirt(mesh.rest, folds, 0.008), mesh.rest, RIG) == folds
+
+
+def test_ripples_below_three_millimetres_are_no_folds(specimen):
+    mesh, _ = specimen
+    assert fold_count(skirt(mesh.rest, 6, 0.001), mesh.rest, RIG) == 0
+
+
+def test_stretch_is_that_of_the_most_stretched_direction(specimen):
+    mesh, held = specimen
+    positions = np.column_stack([1.03 * mesh.rest[:, 0], 0.98 * mesh.rest[:, 1],
+                                 np.zeros(len(mesh.rest))])
+    stretch = maximum_stretch(positions, mesh.rest, mesh.faces, held)
+    assert stretch == pytest.approx(0.03, rel=1e-9)

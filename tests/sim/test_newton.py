@@ -1,0 +1,109 @@
+"""The optimiser on functions whose minima are known, without any cloth."""
+
+import numpy as np
+import pytest
+
+from sim.linear import SparsePattern
+from sim.newton import NewtonOptions, Status, minimise
+
+
+class Function:
+    """An objective of two unknowns from its value, gradient and Hessian."""
+
+    size = 2
+    pattern = SparsePattern([np.array([[0, 1]])], 2)
+    regularisation = np.ones(2)
+
+    def __init__(self, value, gradient, hessian):
+        self.value, self.gradient, self._hessian = value, gradient, hessian
+        self.calls = 0
+
+    def hessian(self, y, convexity):
+        self.calls += 1
+        value, vector = np.linalg.eigh(np.array(self._hessian(y)))
+        blended = np.where(value > 0, value, (1 - convexity) * value)
+        matrix = (vector * blended) @ vector.T
+        return self.pattern.assemble([matrix[None]])
+
+    def allows(self, old, new):
+        return True
+
+    def residual(self, gradient):
+        return float(np.abs(gradient).max())
+
+    step_length = residual
+
+
+def rosenbrock() -> Function:
+    return Function(
+        lambda y: (1 - y[0]) ** 2 + 100 * (y[1] - y[0] ** 2) ** 2,
+        lambda y: np.array([-2 * (1 - y[0]) - 400 * y[0] * (y[1] - y[0] ** 2),
+                            200 * (y[1] - y[0] ** 2)]),
+        lambda y: [[2 - 400 * (y[1] - 3 * y[0] ** 2), -400 * y[0]], [-400 * y[0], 200]],
+    )
+
+
+def double_well() -> Function:
+    """Minima at y0 = ±1, y1 = 0, and a saddle at the origin."""
+    return Function(
+        lambda y: (y[0] ** 2 - 1) ** 2 / 4 + y[1] ** 2,
+        lambda y: np.array([y[0] * (y[0] ** 2 - 1), 2 * y[1]]),
+        lambda y: [[3 * y[0] ** 2 - 1, 0], [0, 2]],
+    )
+
+
+@pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0), (0.0, 5.0)])
+def test_rosenbrock_in_few_iterations(start):
+    result = minimise(rosenbrock(), np.array(start), NewtonOptions(residual=1e-10, step=1e-8))
+    assert result.status is Status.CONVERGED and result.positive_definite
+    assert np.allclose(result.y, 1, atol=1e-8)
+    assert result.iterations < 40
+
+
+def test_end_is_quadratic():
+    """From close by, every exact Newton step squares the residual."""
+    function = double_well()
+    residuals = []
+    original = function.gradient
+    function.gradient = lambda y: residuals.append(np.abs(original(y)).max()) or original(y)
+    minimise(function, np.array([1.05, 0.02]), NewtonOptions(residual=1e-14, step=1e-12))
+    falling = [r for r in dict.fromkeys(residuals) if 1e-13 < r < 1e-2]
+    assert len(falling) >= 2
+    assert all(after < 10 * before**2 for before, after in zip(falling, falling[1:], strict=False))
+
+
+def test_saddle_is_left():
+    result = minimise(double_well(), np.zeros(2))
+    assert result.status is Status.CONVERGED
+    assert abs(result.y[0]) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_hopeless_saddle_is_reported():
+    function = Function(lambda y: 0.0, lambda y: np.zeros(2), lambda y: [[-1, 0], [0, 1]])
+    result = minimise(function, np.zeros(2))
+    assert result.status is Status.SADDLE and not result.positive_definite
+
+
+def test_too_few_iterations_are_reported():
+    result = minimise(rosenbrock(), np.array([-1.2, 1.0]), NewtonOptions(max_iterations=3))
+    assert result.status is Status.MAX_ITERATIONS and result.iterations == 3
+    assert "3 iterations" in result.message
+
+
+def test_not_a_number_is_reported():
+    function = Function(lambda y: np.nan, lambda y: np.full(2, np.nan), lambda y: np.eye(2))
+    assert minimise(function, np.zeros(2)).status is Status.NOT_FINITE
+
+
+def test_forbidden_steps_are_shortened():
+    function = rosenbrock()
+    longest = []
+
+    def allows(old, new):
+        longest.append(np.abs(new - old).max())
+        return longest[-1] < 0.1
+
+    function.allows = allows
+    result = minimise(function, np.array([-1.2, 1.0]))
+    assert result.status is Status.CONVERGED and max(longest) > 0.1
+    assert np.allclose(result.y, 1, atol=1e-4)
