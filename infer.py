@@ -3,21 +3,20 @@
     python infer.py capture=DIR [out=DIR] [checkpoint=FILE]
 
 Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. The formats of a
-capture are described in :mod:`data.captures`, all keys in ``configs/infer.yaml``.
+capture are described in ``data/captures.py``, all keys in ``configs/infer.yaml``.
 """
 
 import json
 from pathlib import Path
 from typing import NoReturn
 
-import yaml
-
 from data.captures import Capture, read_capture
-from data.configs import CONFIG_DIR
-from drapenet.checkpoint import BUNDLED, Header, load_model, read_header, replace_file
+from data.configs import read_config
+from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
+from sim.files import replace_file
 
 
 def infer(
@@ -55,12 +54,11 @@ def infer(
 
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/infer.yaml``."""
-    defaults = yaml.safe_load((CONFIG_DIR / "infer.yaml").read_text(encoding="utf-8"))
-    config = parse_overrides(defaults, argv)
-    if config["capture"] is None:
+    config = parse_overrides(read_config("infer"), argv)
+    if not config["capture"]:
         raise InputError("no capture; give capture=DIR, a folder with four depth images")
     header = read_header(config["checkpoint"] or BUNDLED)
-    capture = read_capture(str(config["capture"]))
+    capture = read_capture(config["capture"])
     if capture.rig != header.rig:
         raise InputError(f"the capture is of the rig '{capture.rig}' but the checkpoint of "
                          f"'{header.rig}'; choose a checkpoint trained for this rig")
@@ -72,7 +70,6 @@ def main(argv: list[str]) -> None:
 
     content, picture = infer(capture, header, drapes=config["drapes"],
                              resolution=config["resolution"])
-    out.mkdir(parents=True, exist_ok=True)
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_table(content))
     print(f"estimate: {out / 'estimate.json'}")
@@ -83,7 +80,7 @@ def main(argv: list[str]) -> None:
 
 def entry() -> NoReturn:
     """Console script."""
-    run_command(main)
+    run_command(main, usage=__doc__)
 
 
 if __name__ == "__main__":

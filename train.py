@@ -38,7 +38,10 @@ def train(config: TrainConfig) -> Path:
     device = choose_device(config)
     training, validation, scale = open_splits(config)
     out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {out}: {error.strerror}") from None
     checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
 
     torch.manual_seed(config.seed)  # the first weights are the only thing drawn from it
@@ -98,7 +101,7 @@ def main(argv: list[str]) -> None:
 
 def entry() -> NoReturn:
     """Console script."""
-    run_command(main)
+    run_command(main, usage=__doc__)
 
 
 if __name__ == "__main__":

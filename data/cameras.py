@@ -15,11 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-import yaml
 from scipy.special import ndtr, ndtri
 
-from data.configs import CONFIG_DIR, group_options
-from sim.errors import InputError
+from data.configs import read_option
+from sim.errors import InputError, one_line
 
 DEFAULT_RIG = "square300_cylinder100"
 
@@ -48,6 +47,8 @@ class Intrinsics:
                 f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} are not usable; "
                 "give finite pixels and positive focal lengths"
             )
+        if not all(isinstance(size, (int, np.integer)) for size in (self.width, self.height)):
+            raise InputError(f"picture size {self.width}x{self.height} must be whole pixels")
         # No lens is centred on a picture's edge; intrinsics of another picture size are.
         for centre, size in ((self.cx, self.width), (self.cy, self.height)):
             if not 0.1 * size < centre < 0.9 * size:
@@ -88,6 +89,7 @@ class Camera(Intrinsics):
 
     @property
     def intrinsics(self) -> Intrinsics:
+        """The same without the pose."""
         return Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
 
     @property
@@ -135,6 +137,10 @@ class Pose:
     aside: float
     roll: float
 
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(getattr(self, f.name)) for f in fields(self)):
+            raise InputError("the camera's pose must be given in finite numbers")
+
     def world_to_camera(self) -> np.ndarray:
         """(4, 4) rigid transform from world axes to camera axes."""
         c, s = math.cos(self.pitch), math.sin(self.pitch)
@@ -165,6 +171,10 @@ class Jitter:
     aside: float
     roll: float
 
+    def __post_init__(self) -> None:
+        if not all(0 <= getattr(self, f.name) < math.inf for f in fields(self)):
+            raise InputError("the rig's jitter must be given in finite numbers, none below 0")
+
 
 @dataclass(frozen=True)
 class CameraRig:
@@ -181,15 +191,15 @@ class CameraRig:
     @classmethod
     def load(cls, name: str = DEFAULT_RIG) -> "CameraRig":
         """Read ``configs/rig/NAME.yaml``; InputError when there is no such rig."""
-        known = group_options("rig")
-        if name not in known:
-            raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(known)}")
-        text = (CONFIG_DIR / "rig" / f"{name}.yaml").read_text(encoding="utf-8")
-        return cls.from_config(yaml.safe_load(text))
+        return cls.from_config(read_option("rig", name))
 
     @classmethod
     def from_config(cls, config: Mapping) -> "CameraRig":
-        """Build from the mapping of a rig file (Hydra's group ``rig`` gives the same)."""
+        """Build from the mapping of a rig file (Hydra's group ``rig`` gives the same).
+
+        Raises:
+            InputError: an entry is missing or makes no sense.
+        """
         try:
             camera, jitter = config["camera"], config["jitter"]
             return cls(
@@ -204,7 +214,8 @@ class CameraRig:
             )
         except (KeyError, TypeError) as error:
             raise InputError(
-                f"rig configuration is incomplete ({error}); see configs/rig/{DEFAULT_RIG}.yaml"
+                f"rig configuration is incomplete ({one_line(error)}); "
+                f"see configs/rig/{DEFAULT_RIG}.yaml"
             ) from None
 
     def nominal(self) -> Camera:

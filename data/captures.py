@@ -14,8 +14,6 @@ wrong with one is reported as an InputError of one line that names the file.
 
 import math
 import os
-import re
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,10 +24,10 @@ import yaml
 from PIL import Image
 
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
-from data.reading import finite_number, read_mapping, read_picture, read_text
+from data.reading import finite_number, read_mapping, read_text, read_views, shown
 from data.remap import remap_depth
 from data.render import VIEWS
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
@@ -71,6 +69,13 @@ def read_capture(path: str | Path) -> Capture:
         InputError: anything that makes the capture unusable.
     """
     path = Path(path)
+    try:
+        return _read(path)
+    except OSError as error:
+        raise InputError(f"capture '{path}' cannot be read ({one_line(error)})") from None
+
+
+def _read(path: Path) -> Capture:
     if not path.exists():
         raise InputError(f"capture folder '{path}' does not exist; check the path")
     if not path.is_dir():
@@ -102,7 +107,8 @@ def write_capture(
         density: kg/m2; warp_direction: radians in the first view; depth_unit: metres per count.
 
     Raises:
-        InputError: wrong shape, depth that does not fit 16 bits, or a folder that is not empty.
+        InputError: wrong shape, depth that does not fit 16 bits, a folder that is not empty or
+            cannot be written.
     """
     path = Path(path)
     views = np.asarray(views)
@@ -121,18 +127,19 @@ def write_capture(
     }
     if warp_direction is not None:
         description["warp_direction_deg"] = round(math.degrees(warp_direction), 6)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
     try:
-        for k, picture in enumerate(counts.astype(np.uint16)):
-            Image.fromarray(picture).save(temporary / f"view_{k}.png")
-        text = yaml.safe_dump(description, sort_keys=False)
-        (temporary / "capture.yaml").write_text(text, encoding="utf-8")
-        temporary.chmod(0o755)  # mkdtemp's folders are private
-        os.replace(temporary, path)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+            folder = Path(temporary) / path.name
+            folder.mkdir()
+            for k, picture in enumerate(counts.astype(np.uint16)):
+                Image.fromarray(picture).save(folder / f"view_{k}.png")
+            text = yaml.safe_dump(description, sort_keys=False)
+            (folder / "capture.yaml").write_text(text, encoding="utf-8")
+            os.replace(folder, path)
+    except OSError as error:
+        reason = error.strerror or one_line(error)
+        raise InputError(f"cannot write the capture {path}: {reason}") from None
 
 
 def to_camera(capture: Capture, rig: CameraRig) -> np.ndarray:
@@ -140,13 +147,20 @@ def to_camera(capture: Capture, rig: CameraRig) -> np.ndarray:
 
     A remapping of pixels about the principal points: the viewpoint stays, so depth does. The
     rig's pixels that lie outside the captured pictures become background.
+
+    Raises:
+        InputError: no cloth is left in a view.
     """
     source, target = capture.intrinsics, rig.intrinsics
     if source == target:
         return capture.views.copy()
     u = (np.arange(target.width) - target.cx) / target.fx * source.fx + source.cx
     v = (np.arange(target.height) - target.cy) / target.fy * source.fy + source.cy
-    return remap_depth(capture.views, u[None, :], v[:, None])
+    views = remap_depth(capture.views, u[None, :], v[:, None])
+    if not (views > 0).any(axis=(1, 2)).all():
+        raise InputError(f"{capture.path}: with these intrinsics the cloth lies outside the "
+                         "rig's pictures; check fx, fy, cx and cy")
+    return views
 
 
 def _read_metric(path: Path) -> Capture:
@@ -155,13 +169,16 @@ def _read_metric(path: Path) -> Capture:
     unknown = set(map(str, description)) - CAPTURE_KEYS
     if unknown:
         raise InputError(
-            f"{file}: unknown key '{min(unknown)}'; known keys: {', '.join(sorted(CAPTURE_KEYS))}"
+            f"{file}: unknown key {shown(min(unknown))}; "
+            f"known keys: {', '.join(sorted(CAPTURE_KEYS))}"
         )
     density = _density(description.get("density_g_m2"), f"{file}: density_g_m2")
     unit = finite_number(description.get("depth_unit_m", 1e-3), f"{file}: depth_unit_m")
     if unit <= 0:
         raise InputError(f"{file}: depth_unit_m={unit:g} must be positive, 0.001 for millimetres")
-    rig = str(description.get("rig", DEFAULT_RIG))
+    rig = description.get("rig", DEFAULT_RIG)
+    if not isinstance(rig, str):
+        raise InputError(f"{file}: rig={shown(rig)} is not a name")
     try:
         CameraRig.load(rig)
     except InputError as error:
@@ -169,7 +186,7 @@ def _read_metric(path: Path) -> Capture:
     direction = description.get("warp_direction_deg")
     if direction is not None:
         direction = math.radians(finite_number(direction, f"{file}: warp_direction_deg")) % math.pi
-    counts = _read_views(path, "view_{}.png", {"I;16", "I"}, "16-bit grey")
+    counts = read_views(path, "view_{}.png", modes={"I;16", "I"}, kind="16-bit grey")
     height, width = counts.shape[1:]
     intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
     views = (counts * unit).astype(np.float32)
@@ -178,7 +195,7 @@ def _read_metric(path: Path) -> Capture:
 
 def _read_published(path: Path) -> Capture:
     density = _density(*_read_density(path / "density.txt"))
-    counts = _read_views(path, "{}.png", {"L"}, "8-bit grey")
+    counts = read_views(path, "{}.png", modes={"L"}, kind="8-bit grey")
     height, width = counts.shape[1:]
     if (width, height) not in PUBLISHED_SIZES:
         raise InputError(
@@ -227,30 +244,6 @@ def _checked(
     return Capture(views, intrinsics, density, warp_direction, rig, path, warnings)
 
 
-def _read_views(path: Path, pattern: str, modes: set[str], kind: str) -> np.ndarray:
-    """Counts of the four pictures, (4, H, W); exactly four, of one size and kind."""
-    expected = [pattern.format(k) for k in range(VIEWS)]
-    shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
-    found = {file.name for file in path.iterdir() if shape.fullmatch(file.name)}
-    for name in expected:
-        if name not in found:
-            raise InputError(f"{path}: {name} is missing; a capture has {', '.join(expected)}")
-    extra = found - set(expected)
-    if extra:
-        raise InputError(
-            f"{path}: {min(extra)} is one view too many; a capture has {', '.join(expected)}"
-        )
-    pictures = [read_picture(path / name, modes=modes, kind=kind) for name in expected]
-    for name, picture in zip(expected, pictures, strict=True):
-        if picture.shape != pictures[0].shape:
-            sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, pictures[0])]
-            raise InputError(
-                f"{path}: {name} has {sizes[0]} pixels but {expected[0]} has {sizes[1]}; "
-                "all views must have one size"
-            )
-    return np.stack(pictures)
-
-
 def _read_density(file: Path) -> tuple[str, str]:
     """The number in ``density.txt`` (one line, 'name value') and what to call it."""
     lines = [line.split() for line in read_text(file).splitlines() if line.strip()]
@@ -267,7 +260,7 @@ def _density(value: object, what: str) -> float:
         try:
             value = float(value)
         except ValueError:
-            raise InputError(f"{what}='{value}' is not a number; give g/m2") from None
+            raise InputError(f"{what}={shown(value)} is not a number; give g/m2") from None
     grams = finite_number(value, what)
     low, high = DENSITY_RANGE
     if not low <= grams <= high:

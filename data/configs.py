@@ -6,7 +6,9 @@ Hydra composes the configuration only: no folder, log file or change of director
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim.errors import InputError
+import yaml
+
+from sim.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -23,7 +25,8 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
         schema: dataclass that fixes the types of all keys; values are converted to them.
 
     Raises:
-        InputError: an unknown key or group option, a word that is no override, a wrong type.
+        InputError: an unknown key or group option, a group without an option, a word that is no
+            override, a wrong type.
     """
     # Imported late: whoever only looks for a file in configs/ need not wait for Hydra.
     from hydra import compose, initialize_config_dir
@@ -39,20 +42,40 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
         OmegaConf.resolve(config)
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(_first_lines(str(error))) from None
+    except ValueError as error:
+        # Hydra's own check of what a group is set to, as in "dataset=null", names no word.
+        raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
     return config
 
 
 def _first_lines(message: str) -> str:
-    """Hydra's complaint in one line, without its search path and links."""
+    """Hydra's complaint in one line, without its search path, links and class names."""
     kept = []
     for line in message.splitlines():
         if line.startswith((
             "Config search path", "See https", "To append", "reference_type", "object_type")):
             break
         kept.append(line.strip())
-    return " ".join(filter(None, kept))
+    text = " ".join(filter(None, kept))
+    unquoted = text.removeprefix("LexerNoViableAltException: ").removesuffix(" ^")
+    if unquoted == text:
+        return text
+    return f"cannot read {unquoted}; put unusual characters in two pairs of quotes: 'key=\"value\"'"
 
 
 def group_options(group: str) -> list[str]:
     """Names of the alternatives in ``configs/GROUP``."""
     return sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
+
+
+def read_config(name: str) -> dict:
+    """The content of ``configs/NAME.yaml`` as it stands, without Hydra."""
+    return yaml.safe_load((CONFIG_DIR / f"{name}.yaml").read_text(encoding="utf-8"))
+
+
+def read_option(group: str, name: str) -> dict:
+    """The content of ``configs/GROUP/NAME.yaml``; InputError when there is no such file."""
+    known = group_options(group)
+    if name not in known:
+        raise InputError(f"unknown {group} {name!r}; known {group}s: {', '.join(known)}")
+    return read_config(f"{group}/{name}")

@@ -76,7 +76,8 @@ class DrapeDataset(Dataset):
         seed: seed of orientations, augmentation and noise.
 
     Raises:
-        InputError: no dataset, an unfinished one, or no converged drape in the split.
+        InputError: no dataset, an unfinished one, no converged drape in the split, or an option
+            that makes no sense.
     """
 
     def __init__(
@@ -105,6 +106,8 @@ class DrapeDataset(Dataset):
         if not 1 <= orientations_per_epoch <= stored:
             raise InputError(f"orientations_per_epoch={orientations_per_epoch} must lie between 1 "
                              f"and the {stored} stored ones")
+        if seed < 0:
+            raise InputError(f"seed={seed} must not be negative")
         if split is not None and split not in fractions:
             raise InputError(f"unknown split '{split}'; known: {', '.join(fractions)}")
         self._noise, self._transform, self._augment = noise, transform, augment
@@ -138,11 +141,11 @@ class DrapeDataset(Dataset):
         self.left_out = Counter(table["status"][chosen & ~converged].tolist())
         kept = np.flatnonzero(chosen & converged)
         if self.left_out:
-            log.info("%s: %d drapes left out of %d (%s)", self.root, self.left_out.total(),
-                     chosen.sum(), ", ".join(f"{n} {s}" for s, n in self.left_out.items()))
+            log.warning("%s: %d drapes left out of %d (%s)", self.root, self.left_out.total(),
+                        chosen.sum(), ", ".join(f"{n} {s}" for s, n in self.left_out.items()))
         if not len(kept):
-            raise InputError(f"{self.root} holds no converged drape in the split '{split}'; "
-                             "generate more drapes")
+            where = "" if split is None else f" in the split '{split}'"
+            raise InputError(f"{self.root} holds no converged drape{where}; generate more drapes")
         self._places = [places[i] for i in kept]
         self.index = table["index"][kept]
         self.fabric = table["fabric"][kept]

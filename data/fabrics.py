@@ -98,21 +98,24 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     path = Path(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file, skipinitialspace=True) if any(row)]
+            reader = csv.reader(file, skipinitialspace=True)
+            rows = [(reader.line_num, row) for row in reader if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot read the fabric table {path}: {error}") from None
     if len(rows) < 2:
         raise InputError(f"{path} holds no fabrics; expected a header line and one row a fabric")
-    columns, counted = _locate_columns(rows[0], path)
+    header = rows[0][1]
+    columns, counted = _locate_columns(header, path)
     merged: dict[tuple[float, ...], int] = {}
-    for line, row in enumerate(rows[1:], start=2):
+    for line, row in rows[1:]:
         try:
             values = tuple(float(row[column]) for column in columns)
             count = int(row[counted]) if counted is not None else 1
         except (ValueError, IndexError):
-            raise InputError(f"{path}, row {line}: expected {len(rows[0])} numbers") from None
+            raise InputError(f"{path}, line {line}: expected {len(header)} numbers") from None
         if not np.isfinite(values).all() or min(values[:4]) <= 0:
-            raise InputError(f"{path}, row {line}: density and linear moduli must be positive")
+            raise InputError(f"{path}, line {line}: all values must be finite, density and linear "
+                             "moduli must be positive")
         merged[values] = merged.get(values, 0) + count
     table = np.array(list(merged))
     density = table[:, 0]

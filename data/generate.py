@@ -31,7 +31,8 @@ from data.shards import (
 )
 from data.workers import make_records
 from sim.cli import run_command
-from sim.errors import InputError
+from sim.errors import InputError, one_line
+from sim.files import PARTIAL_SUFFIX
 
 
 def generate_dataset(
@@ -76,7 +77,7 @@ def generate_dataset(
                 "drapes": config.drapes,
                 "config": config.as_dict(),
             }
-            for leftover in root.glob("*.part"):
+            for leftover in root.glob("shard_*.h5" + PARTIAL_SUFFIX):
                 leftover.unlink()
             missing = [shard for shard in range(config.shards)
                        if not _is_complete(root, shard, config, identity)]
@@ -87,7 +88,7 @@ def generate_dataset(
             manifest = described | {"complete": True} | _summarise(root, config)
             write_manifest(root, manifest)
     except OSError as error:
-        raise InputError(f"cannot write the dataset {root}: {error.strerror or error}") from None
+        raise InputError(f"cannot write the dataset {root}: {one_line(error)}") from None
     return manifest
 
 
@@ -140,7 +141,7 @@ def _is_complete(root: Path, shard: int, config: DatasetConfig, identity: str) -
         with Shard(path) as file:
             return (file.attribute("identity") == identity
                     and file.column("index").tolist() == list(config.rows(shard)))
-    except (InputError, KeyError):
+    except (InputError, KeyError, OSError):
         return False
 
 

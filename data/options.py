@@ -56,6 +56,7 @@ class Options:
 def config_from_options(options: Options) -> DatasetConfig:
     """The dataset that the composed options ask for; InputError where a value makes no sense."""
     dataset = options.dataset
+    cameras = CameraRig.from_config(options.rig)
     return DatasetConfig(
         drapes=options.drapes,
         sampling=SamplingConfig(
@@ -67,8 +68,8 @@ def config_from_options(options: Options) -> DatasetConfig:
             turn=math.radians(dataset.turn_deg),
         ),
         prior=load_prior(options.prior.file),
-        rig=Rig.from_name(options.rig["name"]),
-        cameras=CameraRig.from_config(options.rig),
+        rig=Rig.from_name(cameras.name),
+        cameras=cameras,
         resolution=options.resolution,
         jitter=options.solver.jitter,
         drapes_per_shard=dataset.drapes_per_shard,

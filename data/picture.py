@@ -2,12 +2,15 @@
 
 import numpy as np
 
-from sim.errors import InputError
+from data.render import import_open3d
 
+# Colours and brightnesses are linear, 0 to 1.
 _CLOTH = np.array([0.42, 0.55, 0.72])
 _STAND = np.array([0.62, 0.60, 0.57])
-_LIGHTS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4), 0.15))
+_LAMPS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4), 0.15))
+"""Direction towards each lamp as (right, away from the viewer, up), and its brightness."""
 _SKY = 0.22
+_MIDDLE = -0.07  # m, height of a drape's middle, in the middle of a picture from the side
 
 
 def shade(
@@ -31,22 +34,19 @@ def shade(
             looks straight down with +y up.
         size: width and height, px.
         field: width of the picture, m.
-    """
-    try:
-        import open3d as o3d
-    except (ImportError, OSError) as error:
-        raise InputError(
-            f"open3d does not load ({error}); on Debian or Ubuntu: "
-            "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
-        ) from None
+        supersampling: rays along each side of a pixel.
 
+    Raises:
+        InputError: open3d's system libraries are missing.
+    """
+    open3d = import_open3d()
     floor = min(positions[:, 2].min(), -0.11) - 0.02
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     meshes = [(positions, faces), _cylinder(plate_radius * 0.985, floor)]
     for points, triangles in meshes:
         scene.add_triangles(
-            o3d.core.Tensor(points.astype(np.float32)),
-            o3d.core.Tensor(triangles.astype(np.uint32)),
+            open3d.core.Tensor(points.astype(np.float32)),
+            open3d.core.Tensor(triangles.astype(np.uint32)),
         )
     normals = [_vertex_normals(*mesh) for mesh in meshes]
     width, height = size[0] * supersampling, size[1] * supersampling
@@ -54,10 +54,11 @@ def shade(
     pixel = field / width
     x = (np.arange(width) + 0.5 - width / 2) * pixel
     y = (height / 2 - np.arange(height) - 0.5) * pixel
-    centre = np.array([0.0, 0.0, -0.07]) * (elevation < 80)
-    starts = centre + origin + x[None, :, None] * right + y[:, None, None] * up
+    # From above, the plate is in the middle whatever the height.
+    middle = np.array([0.0, 0.0, _MIDDLE if elevation < 80 else 0.0])
+    starts = middle + origin + x[None, :, None] * right + y[:, None, None] * up
     rays = np.concatenate([starts, np.broadcast_to(forward, starts.shape)], -1)
-    hits = scene.cast_rays(o3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
+    hits = scene.cast_rays(open3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
     distance = hits["t_hit"].numpy()
     which, triangle = hits["geometry_ids"].numpy(), hits["primitive_ids"].numpy()
     uv = hits["primitive_uvs"].numpy()
@@ -70,13 +71,14 @@ def shade(
         n = normals[k]
         normal = (1 - u - v) * n[corners[:, 0]] + u * n[corners[:, 1]] + v * n[corners[:, 2]]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        normal *= -np.sign(normal @ forward)[:, None]
+        normal *= -np.sign(normal @ forward)[:, None]  # both sides of the cloth are lit
         image[seen] = colour * _illumination(normal, right, up, forward)[:, None]
     image = image.reshape(size[1], supersampling, size[0], supersampling, 3).mean((1, 3))
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
 
 
 def _view(azimuth: float, elevation: float) -> tuple[np.ndarray, ...]:
+    """Origin of the middle ray, 2 m away, and the picture's right, up and forward, (3,) each."""
     a, e = np.deg2rad([azimuth, elevation])
     towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -86,10 +88,10 @@ def _view(azimuth: float, elevation: float) -> tuple[np.ndarray, ...]:
 def _illumination(
     normal: np.ndarray, right: np.ndarray, up: np.ndarray, forward: np.ndarray
 ) -> np.ndarray:
-    """Light on normals (N, 3): three lamps fixed to the viewer, and the sky."""
+    """Light (N,) on normals (N, 3): the lamps, which go with the viewer, and the sky."""
     light = _SKY * (0.6 + 0.4 * normal[:, 2])
-    for (x, y, z), strength in _LIGHTS:
-        lamp = x * right + z * up - y * -forward
+    for (x, y, z), strength in _LAMPS:
+        lamp = x * right + y * forward + z * up
         light = light + strength * np.maximum(normal @ (lamp / np.linalg.norm(lamp)), 0.0)
     return light
 
@@ -97,7 +99,7 @@ def _illumination(
 def _background(
     starts: np.ndarray, forward: np.ndarray, floor: float, positions: np.ndarray
 ) -> np.ndarray:
-    """White, with a soft shadow of the cloth on the floor."""
+    """Nearly white (H, W, 3), with a soft round shadow on the floor unless seen from the side."""
     image = np.ones((*starts.shape[:2], 3)) * 0.93
     if forward[2] < -1e-3:
         reach = (floor - starts[..., 2]) / forward[2]
@@ -110,6 +112,7 @@ def _background(
 
 
 def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and faces of the stand, its top just below the plate's so that cloth hides it."""
     count = 96
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -130,6 +133,7 @@ def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3): those of the faces around, weighted with their areas."""
     a, b, c = (points[faces[:, i]] for i in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = np.zeros_like(points)

@@ -8,7 +8,6 @@ fitted to the distinct fabrics published with Feng et al. 2022; the command to f
 """
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Protocol
@@ -18,6 +17,7 @@ import numpy as np
 from data.fabrics import THETA_NAMES, from_theta, read_fabric_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
+from sim.files import replace_file
 from sim.material import is_admissible
 
 SCHEMA_VERSION = 1
@@ -107,8 +107,9 @@ class GaussianPrior:
             mean = np.array(content["mean"], dtype=np.float64)
             covariance = np.array(content["covariance"], dtype=np.float64)
             fabrics = int(content["fabrics"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"a Gaussian prior lacks a readable {error}") from None
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError("a Gaussian prior needs a readable mean, covariance and number of "
+                             f"fabrics ({type(error).__name__}: {error})") from None
         if mean.shape != (6,) or covariance.shape != (6, 6):
             raise InputError("a Gaussian prior needs a mean of 6 and a covariance of 36 numbers")
         finite = np.isfinite(mean).all() and np.isfinite(covariance).all()
@@ -142,20 +143,16 @@ def prior_from_content(content: object, *, origin: str) -> Prior:
         raise InputError(f"{origin} has another schema version than {SCHEMA_VERSION}; fit it anew")
     if content.get("parameters") != list(THETA_NAMES):
         raise InputError(f"{origin} describes other parameters than {', '.join(THETA_NAMES)}")
-    return KINDS[kind].from_dict(content)
+    try:
+        return KINDS[kind].from_dict(content)
+    except InputError as error:
+        raise InputError(f"{origin}: {error}") from None
 
 
 def save_prior(prior: Prior, path: str | Path) -> None:
     """Write the prior's JSON file; a file that is there is replaced in one step."""
-    path = Path(path)
     text = json.dumps(prior_content(prior), indent=1, ensure_ascii=False) + "\n"
-    temporary = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from None
+    replace_file(Path(path), text.encode())
 
 
 def load_prior(path: str | Path | None = None) -> Prior:

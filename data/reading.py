@@ -1,6 +1,8 @@
 """Guarded reading of what a user gives: every fault becomes an InputError of one line."""
 
 import math
+import re
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,7 +10,8 @@ import numpy as np
 import yaml
 from PIL import Image, UnidentifiedImageError
 
-from sim.errors import InputError
+from data.render import VIEWS
+from sim.errors import InputError, one_line
 
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)
@@ -41,6 +44,33 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
         raise InputError(f"{file} cannot be read ({cause}); export the view again") from None
 
 
+def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.ndarray:
+    """Counts (4, H, W) of exactly four pictures of one size, ``pattern`` with 0 to 3 for ``{}``.
+
+    ``modes`` and ``kind`` are those of :func:`read_picture`.
+    """
+    expected = [pattern.format(k) for k in range(VIEWS)]
+    shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
+    found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
+    for name in expected:
+        if name not in found:
+            raise InputError(f"{folder}: {name} is missing; a capture has {', '.join(expected)}")
+    extra = found - set(expected)
+    if extra:
+        raise InputError(
+            f"{folder}: {min(extra)} is one view too many; a capture has {', '.join(expected)}"
+        )
+    pictures = [read_picture(folder / name, modes=modes, kind=kind) for name in expected]
+    for name, picture in zip(expected, pictures, strict=True):
+        if picture.shape != pictures[0].shape:
+            sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, pictures[0])]
+            raise InputError(
+                f"{folder}: {name} has {sizes[0]} pixels but {expected[0]} has {sizes[1]}; "
+                "all views must have one size"
+            )
+    return np.stack(pictures)
+
+
 def read_text(file: Path) -> str:
     """A short text file in UTF-8."""
     try:
@@ -58,7 +88,8 @@ def read_mapping(file: Path) -> Mapping:
     text = read_text(file)
     try:
         content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
+        # LookupError and AttributeError come from values that contradict their tag: "!!int ''".
         raise InputError(f"{file} is not valid YAML ({one_line(error)})") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{file} must hold 'key: value' lines, such as 'density_g_m2: 150'")
@@ -67,11 +98,17 @@ def read_mapping(file: Path) -> Mapping:
 
 def finite_number(value: object, what: str) -> float:
     """``value`` as a float; neither text nor a truth value nor NaN nor infinite."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{what}={value!r} is not a finite number")
-    return float(value)
+    number = math.nan
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+    if not math.isfinite(number):
+        raise InputError(f"{what}={shown(value)} is not a finite number")
+    return number
 
 
-def one_line(error: Exception) -> str:
-    """An error's message without line breaks, cut short."""
-    return " ".join(str(error).split())[:200]
+def shown(value: object) -> str:
+    """``value`` as Python writes it, cut short: a hostile file's may be endless, or have lines."""
+    return reprlib.repr(value)[:60]

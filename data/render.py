@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 
 from data.cameras import Camera
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 
 VIEWS = 4
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
@@ -25,9 +25,9 @@ def import_open3d() -> ModuleType:
     try:
         import open3d
     except (ImportError, OSError) as error:
-        cause = str(error).splitlines()[0]
         raise InputError(
-            f"open3d cannot be imported ({cause}); install its libraries with: {OPEN3D_REMEDY}"
+            f"open3d cannot be imported ({one_line(error)}); "
+            f"install its libraries with: {OPEN3D_REMEDY}"
         ) from None
     return open3d
 

@@ -80,6 +80,8 @@ class DrapePlan:
         offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
         orientations: (K,) angle of the warp in the first view, counter-clockwise seen from
             above, radians in [0, 2 pi), one in each K-th of a turn, ascending.
+        turns: (K, 4) what the table has turned beyond k quarter turns in view k, radians; zero in
+            the first view.
     """
 
     index: int
@@ -94,17 +96,17 @@ class DrapePlan:
 
 
 def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
-    """The random numbers of one fabric's or drape's purpose."""
+    """The generator for one purpose, ``kind``, of the fabric or drape ``index``."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(kind), index)))
 
 
 def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan:
     """The plan of drape ``index``; consecutive drapes share a fabric."""
-    fabric, turn = divmod(index, config.starts_per_fabric)
+    fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
     theta, rejected = sample_admissible(prior, stream(config.seed, Stream.FABRIC, fabric))
     rng = stream(config.seed, Stream.START, index)
     # With one drape a fabric the initial states alternate between fabrics.
-    start = config.starts[(fabric + turn) % len(config.starts)]
+    start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
     sectors = np.arange(config.orientations) + rng.random(config.orientations)

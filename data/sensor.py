@@ -15,9 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-import yaml
 
-from data.configs import CONFIG_DIR, group_options
+from data.configs import read_option
 from data.remap import remap_depth
 from sim.errors import InputError
 
@@ -32,9 +31,9 @@ class SensorNoise:
     Attributes:
         strength: multiplies all standard deviations below; at 0 nothing is random or rounded.
         shift_px: standard deviation of a pixel's look-up, in columns and in rows.
-        shift_correlation_px: length over which neighbours look the same way beside. Independent
-            pixels (1) fray silhouettes as no published capture shows.
-        disparity_px: standard deviation of the disparity, in pixels; 1/6 of its step of 1/8 px.
+        shift_correlation_px: length over which neighbours share their shift. At 1 each pixel has
+            its own, which frays silhouettes; those of the published captures are not frayed.
+        disparity_px: standard deviation of the disparity; as given, 1/6 of its step of 1/8 px.
         affine_scale_percent: standard deviation of each picture's stretch and shear.
         affine_turn_deg: standard deviation of its turn about the middle.
         affine_shift_px: standard deviation of its shift.
@@ -52,7 +51,8 @@ class SensorNoise:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if not 0 <= getattr(self, field.name) < np.inf:
+            value = getattr(self, field.name)
+            if not isinstance(value, (int, float)) or not 0 <= value < np.inf:
                 raise InputError(f"sensor.{field.name} must be a finite number, not below 0")
         if self.eight_bit_probability > 1:
             raise InputError("sensor.eight_bit_probability must lie between 0 and 1")
@@ -62,11 +62,7 @@ class SensorNoise:
     @classmethod
     def load(cls, name: str = "smooth") -> "SensorNoise":
         """Read ``configs/sensor/NAME.yaml``; InputError when there is no such file."""
-        known = group_options("sensor")
-        if name not in known:
-            raise InputError(f"unknown sensor '{name}'; known sensors: {', '.join(known)}")
-        text = (CONFIG_DIR / "sensor" / f"{name}.yaml").read_text(encoding="utf-8")
-        return cls.from_config(yaml.safe_load(text))
+        return cls.from_config(read_option("sensor", name))
 
     @classmethod
     def from_config(cls, config: Mapping) -> "SensorNoise":

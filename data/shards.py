@@ -6,7 +6,6 @@ bytes depend on its content only: no times, no machine, no random identifiers.
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 
 from data.render import VIEWS
 from sim.errors import InputError
+from sim.files import replace_file, replacing
 from sim.mesh import grid_faces
 
 SCHEMA_VERSION = 1
@@ -120,8 +120,8 @@ def write_shard(
 
     The file appears under its name only when it is complete.
     """
-    temporary = path.with_name(path.name + ".part")
-    with h5py.File(temporary, "w", libver=("earliest", "v110")) as file:
+    libver = ("earliest", "v110")
+    with replacing(path) as temporary, h5py.File(temporary, "w", libver=libver) as file:
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
@@ -138,9 +138,6 @@ def write_shard(
             data = file.create_dataset(name, data=rows, **options)
             if field.unit:
                 data.attrs["unit"] = np.bytes_(field.unit.encode())
-    with open(temporary, "rb+") as file:
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 class Shard:
@@ -201,10 +198,8 @@ MANIFEST = "dataset.json"
 
 def write_manifest(root: Path, content: dict) -> None:
     """Write the dataset's ``dataset.json`` in one step."""
-    temporary = root / (MANIFEST + ".part")
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, root / MANIFEST)
+    replace_file(root / MANIFEST, text.encode())
 
 
 def read_manifest(root: Path) -> dict | None:

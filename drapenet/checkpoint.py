@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drapenet.convention import TARGET_NAMES
 from sim.errors import InputError
+from sim.files import replace_file
 
 if TYPE_CHECKING:
     import torch
@@ -89,10 +89,8 @@ def read_header(path: str | Path) -> Header:
     Raises:
         InputError: a missing or unreadable file, another schema, or incomplete content.
     """
-    weights = Path(path)
-    if weights.suffix != ".safetensors":
-        weights = weights.with_suffix("") if weights.suffix == ".json" else weights
-        weights = weights.with_name(weights.name + ".safetensors")
+    stem = str(path).removesuffix(".json").removesuffix(".safetensors")
+    weights = Path(f"{stem}.safetensors")
     description = weights.with_suffix(".json")
     for file in (weights, description):
         if not file.is_file():
@@ -227,13 +225,3 @@ def load_state(
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
     return record
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file so that it is either complete under its name or not there."""
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)

@@ -42,7 +42,7 @@ class OptimConfig:
     batch_size: int = 128
     schedule: str = "exponential"
     decay: float = 0.995
-    warm_up: float = 0.2
+    warm_up: float = 0.0
     direction_weight: float = 0.5
 
 
@@ -74,8 +74,13 @@ class TrainConfig:
         if self.optim.schedule not in ("exponential", "one_cycle"):
             raise InputError(f"unknown optim.schedule '{self.optim.schedule}'; "
                              "use exponential or one_cycle")
-        if not self.optim.learning_rate > 0:
-            raise InputError("optim.learning_rate must be positive")
+        if not 0 <= self.optim.warm_up < 1:
+            raise InputError("optim.warm_up is a part of the training, from 0 to below 1")
+        if not self.optim.learning_rate > 0 or not self.optim.weight_decay >= 0:
+            raise InputError("optim.learning_rate must be positive, optim.weight_decay not "
+                             "negative")
+        if min(self.seed, self.workers, self.threads) < 0:
+            raise InputError("seed, workers and threads must not be negative")
 
     def defining(self) -> dict:
         """The settings that a resumed run must share: all but places and machinery."""

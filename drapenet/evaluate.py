@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import NoReturn
 
 import torch
-import yaml
 from tqdm import tqdm
 
-from data.configs import CONFIG_DIR, compose_config
+from data.configs import compose_config, read_config
 from data.dataset import DrapeDataset
 from data.generate import generate_dataset
 from data.options import Options, config_from_options
 from data.sensor import SensorNoise
-from drapenet.checkpoint import BUNDLED, Header, load_model, read_header, replace_file
+from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.metrics import regression_metrics
 from drapenet.predict import average_orders
 from drapenet.targets import direction_vectors, to_stiff_soft
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
+from sim.files import replace_file
 
 
 def evaluate(header: Header, drapes: DrapeDataset) -> dict:
@@ -35,12 +35,7 @@ def evaluate(header: Header, drapes: DrapeDataset) -> dict:
     Raises:
         InputError: the dataset is of another rig, or the one that the checkpoint was trained on.
     """
-    rig = drapes.manifest["config"]["rig"]["name"]
-    if rig != header.rig:
-        raise InputError(f"{drapes.root} is of the rig '{rig}', the checkpoint of '{header.rig}'")
-    if same_fabrics(header, drapes):
-        raise InputError(f"{drapes.root} has the training set's seed and prior, so its fabrics are "
-                         "not unseen; choose another seed")
+    require_unseen(header, drapes.manifest["config"])
     model, form, scale = load_model(header), header.form, header.scale
     outputs, targets, axes = [], [], []
     for item in tqdm(drapes, desc="estimating", unit="capture"):
@@ -63,23 +58,37 @@ def evaluate(header: Header, drapes: DrapeDataset) -> dict:
     }
 
 
-def same_fabrics(header: Header, drapes: DrapeDataset) -> bool:
-    """Whether the checkpoint was trained on fabrics that the dataset holds, too."""
-    ours, theirs = drapes.manifest["config"], header.content["dataset"]["generation"]
-    return all(a == b for a, b in ((ours["sampling"]["seed"], theirs["sampling"]["seed"]),
-                                   (ours["prior"], theirs["prior"])))
+def require_unseen(header: Header, generation: dict) -> None:
+    """Check that a dataset's configuration gives drapes of the rig, but not of the fabrics, that
+    a checkpoint was trained on.
+
+    Args:
+        generation: :meth:`data.records.DatasetConfig.as_dict`.
+
+    Raises:
+        InputError: it does not.
+    """
+    rig, training = generation["rig"]["name"], header.content["dataset"]["generation"]
+    if rig != header.rig:
+        raise InputError(f"the drapes are of the rig '{rig}', the checkpoint of '{header.rig}'")
+    # A fabric depends on the prior, the seed and its index only.
+    if (generation["prior"] == training["prior"]
+            and generation["sampling"]["seed"] == training["sampling"]["seed"]):
+        raise InputError("the training set has the same seed and prior, so that its fabrics are "
+                         "not unseen; choose another seed")
 
 
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/evaluate.yaml``."""
-    defaults = yaml.safe_load((CONFIG_DIR / "evaluate.yaml").read_text(encoding="utf-8"))
-    config = parse_overrides(defaults, argv)
+    config = parse_overrides(read_config("evaluate"), argv)
     header = read_header(config["checkpoint"] or BUNDLED)
     out = Path(config["out"])
     words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution")]
     words += ["dataset.starts_per_fabric=1", f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
-    generate_dataset(config_from_options(options), out / "dataset", workers=config["workers"])
+    generation = config_from_options(options)
+    require_unseen(header, generation.as_dict())  # now, because making the drapes takes minutes
+    generate_dataset(generation, out / "dataset", workers=config["workers"])
     drapes = DrapeDataset(out / "dataset", noise=SensorNoise.load(config["sensor"]),
                           orientations_per_epoch=config["orientations"], seed=config["seed"])
     result = evaluate(header, drapes)
@@ -107,7 +116,7 @@ def format_result(result: dict) -> str:
 
 def entry() -> NoReturn:
     """Console script."""
-    run_command(main)
+    run_command(main, usage=__doc__)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
 
 
 def radius_profile(
-    views: np.ndarray, camera: Camera, *, height: float = -0.04, bins: int = 180
+    views: np.ndarray, camera: Camera, *, height: float, bins: int = 180
 ) -> np.ndarray:
     """Distance (bins,), m, of the cloth from the axis around the drape at a height below the plate.
 

@@ -3,17 +3,18 @@
 import io
 import math
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from drapenet.estimate import Estimate
-from drapenet.resimulate import Resimulation
-from sim.material import MICRO, NANO, torque
+from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
+from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
 
 LARGEST_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # stiff, bias, soft
+CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
 def draw_report(
@@ -31,28 +32,35 @@ def draw_report(
         resimulation: None if the estimate could not be draped.
         typical_error: as in ``estimate.json``, for the bands of the curves.
     """
-    matplotlib.use("Agg")
     figure = Figure(figsize=(13, 12.5), layout="constrained")
-    grid = figure.add_gridspec(4, 4, height_ratios=(1, 1, 1, 1.5))
-    limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)))
-    drapes = [views] if resimulation is None else [views, resimulation.views]
-    window = _window(np.concatenate(drapes))
-    views = views[window]
+    figure.get_layout_engine().set(w_pad=0.1)
+    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))
+    simulated = np.zeros_like(views) if resimulation is None else resimulation.views
+    window = _window(np.concatenate([views, simulated]))
+    limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
+    rows = ["captured", "simulated with the estimate",
+            "captured (grey), simulated (line)"]
+    pictures = upper.subplots(len(rows), 4)
+    for axes in pictures.flat:
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+    for axes, label in zip(pictures[:, 0], rows, strict=True):
+        axes.set_ylabel(label)
     for k in range(4):
-        _depth(figure.add_subplot(grid[0, k]), views[k], limits, f"captured, view {k}")
-        simulated, silhouette = (figure.add_subplot(grid[row, k]) for row in (1, 2))
-        if resimulation is None:
-            for axes in (simulated, silhouette):
-                axes.axis("off")
-            continue
-        drape = resimulation.views[window][k]
-        _depth(simulated, drape, limits, f"simulated with the estimate, view {k}")
-        _silhouettes(silhouette, views[k], drape)
-    _stiff_axis(figure.axes[0], estimate)
-    _torques(figure.add_subplot(grid[3, :2]), estimate, typical_error)
-    _profiles(figure.add_subplot(grid[3, 2], projection="polar"), resimulation)
-    _figures(figure.add_subplot(grid[3, 3]), estimate, resimulation)
-    figure.suptitle(title, fontsize=13)
+        captured, drape = views[window][k], simulated[window][k]
+        pictures[0, k].set_title(f"view {k}")
+        image = _depth(pictures[0, k], captured, limits)
+        _depth(pictures[1, k], drape, limits)
+        _silhouettes(pictures[2, k], captured, drape)
+    upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
+    grid = lower.add_gridspec(1, 3, width_ratios=(2, 1.2, 1))
+    _torques(lower.add_subplot(grid[0]), estimate, typical_error)
+    _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
+    _figures(lower.add_subplot(grid[2]), estimate, resimulation)
+    figure.suptitle(title, fontsize=14)
+    if estimate.warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in estimate.warnings),
+                         x=0.01, ha="left", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
     return picture.getvalue()
@@ -68,29 +76,18 @@ def _window(views: np.ndarray) -> tuple[slice, slice, slice]:
     return tuple(slices)
 
 
-def _depth(axes: Axes, view: np.ndarray, limits: tuple[float, float], title: str) -> None:
-    axes.imshow(np.where(view > 0, view, np.nan), cmap="viridis_r", vmin=limits[0], vmax=limits[1])
-    axes.set_title(title, fontsize=9)
-    axes.axis("off")
+def _depth(axes: Axes, view: np.ndarray, limits: tuple[float, float]) -> AxesImage:
+    """Draw a depth image (H, W), m; ``limits`` of the colours in mm."""
+    millimetres = np.where(view > 0, view * 1e3, np.nan)
+    return axes.imshow(millimetres, cmap="viridis_r", vmin=limits[0], vmax=limits[1])
 
 
 def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> None:
     picture = np.ones((*captured.shape, 3))
     picture[captured > 0] = 0.78
     axes.imshow(picture)
-    axes.contour(simulated > 0, levels=[0.5], colors=["#d9762b"], linewidths=1.2)
-    axes.set_title("captured (grey), simulated (line)", fontsize=9)
-    axes.axis("off")
-
-
-def _stiff_axis(axes: Axes, estimate: Estimate) -> None:
-    """A needle in the first view's corner: the stiff axis, seen from above."""
-    angle, confidence = estimate.prediction.axis, estimate.prediction.axis_confidence
-    inset = axes.inset_axes((0.0, 0.72, 0.21, 0.28))
-    x, y = math.cos(angle), math.sin(angle)
-    inset.plot([-x, x], [-y, y], color=COLOURS[0], lw=2.5, alpha=0.15 + 0.85 * confidence)
-    inset.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal", xticks=[], yticks=[])
-    inset.set_title(f"{estimate.names[0]}, from above", fontsize=6, pad=2)
+    if simulated.any():
+        axes.contour(simulated > 0, levels=[0.5], colors=[SIMULATED], linewidths=1.2)
 
 
 def _torques(
@@ -106,32 +103,37 @@ def _torques(
         axes.plot(curvature, curve, color=colour, lw=2, label=name)
         axes.fill_between(curvature, curve / (1 + error), curve * (1 + error), color=colour,
                           alpha=0.12, lw=0)
-        if beta < 0 and -alpha / (2 * beta) < LARGEST_CURVATURE:
-            peak = -alpha / (2 * beta)
-            parabola = (alpha * curvature + beta * curvature**2) * 1e3
-            shown = (curvature > 0.8 * peak) & (parabola > 0)
-            axes.plot(curvature[shown], parabola[shown], color=colour, lw=1, ls=":")
+        parabola = (alpha * curvature + beta * curvature**2) * 1e3
+        left = (-beta * curvature > SOFTENING_LIMIT * alpha) & (parabola > 0)
+        axes.plot(curvature[left], parabola[left], color=colour, lw=1, ls=":")
     axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, LARGEST_CURVATURE),
              ylim=(0, None))
-    axes.set_title("torque: full law (solid), parabola past it (dotted), typical error of alpha "
-                   "(band)", fontsize=9)
-    axes.legend(frameon=False)
+    axes.set_title("torque of a bent strip; dotted: alpha κ + beta κ², where the law leaves it;\n"
+                   "shaded: typical error of alpha", fontsize=10)
+    axes.legend(frameon=False, loc="upper left")
 
 
-def _profiles(axes: Axes, resimulation: Resimulation | None) -> None:
-    axes.set_title("radius 40 mm below the plate [mm]", fontsize=9)
+def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
+    """Radius profiles and the stiff axis; angles as in the first view, 0 to the right."""
+    axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
+                   fontsize=10)
     axes.tick_params(labelsize=7)
-    if resimulation is None:
-        return
-    azimuth = np.linspace(0, 2 * np.pi, len(resimulation.profiles[0]) + 1)
-    for profile, folds, name, colour in zip(
-        resimulation.profiles, resimulation.folds, ("captured", "simulated"),
-        ("#7a7a7a", "#d9762b"), strict=True,
-    ):
-        closed = np.append(profile, profile[0]) * 1e3
-        axes.plot(azimuth, closed, color=colour, label=f"{name}: {folds} folds")
-    axes.set_ylim(0, None)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.25), frameon=False, fontsize=8)
+    largest = 80.0
+    if resimulation is not None:
+        azimuth = np.linspace(0, 2 * np.pi, len(resimulation.profiles[0]) + 1)
+        for profile, folds, name, colour in zip(
+            resimulation.profiles, resimulation.folds, ("captured", "simulated"),
+            (CAPTURED, SIMULATED), strict=True,
+        ):
+            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
+                      label=f"{name}: {folds} folds")
+        largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
+    angle, confidence = estimate.prediction.axis, estimate.prediction.axis_confidence
+    axes.plot([angle, angle + math.pi], [largest, largest], color=COLOURS[0], lw=2.5,
+              alpha=0.15 + 0.85 * confidence,
+              label=f"{estimate.names[0]} axis (confidence {confidence:.2f})")
+    axes.set_ylim(0, largest)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=9)
 
 
 def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
@@ -147,8 +149,6 @@ def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) 
         captured, simulated = resimulation.folds
         lines += [f"folds: {captured} captured,", f"       {simulated} simulated",
                   f"silhouettes overlap {resimulation.overlap:.0%}"]
-    if estimate.warnings:
-        lines += ["", f"{len(estimate.warnings)} warnings, see estimate.json"]
     axes.text(0, 0.95, "\n".join(lines), family="monospace", fontsize=10, va="top",
               transform=axes.transAxes)
     axes.axis("off")

@@ -2,6 +2,7 @@
 
 A fabric can drape in many ways; which one a specimen took is chance. So a few drapes of the
 estimate are made, and the one that fits the captured silhouettes best stands beside the capture.
+The mirror image of a drape is as good a drape of the same fabric, and costs nothing.
 """
 
 import math
@@ -17,6 +18,7 @@ from sim.material import Fabric
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
+PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
@@ -26,7 +28,6 @@ class Resimulation:
 
     Attributes:
         views: (4, H, W) of the simulated drape, z-depth, m.
-        camera: pose found from the capture, used for ``views``.
         profiles: radius profiles (bins,), m, captured and simulated.
         folds: captured and simulated.
         overlap: mean intersection over union of the silhouettes.
@@ -34,7 +35,6 @@ class Resimulation:
     """
 
     views: np.ndarray
-    camera: Camera
     profiles: tuple[np.ndarray, np.ndarray]
     folds: tuple[int, int]
     overlap: float
@@ -70,26 +70,35 @@ def resimulate(
     best, statuses = None, []
     for start, seed in STARTS[:drapes]:
         result = drape(fabric, rig=rig, resolution=resolution, start=start, seed=seed)
-        statuses.append(str(getattr(result.status, "value", result.status)))
+        statuses.append(result.status.value)
         if not result.converged:
             continue
-        renderer = DepthRenderer(result.positions, result.faces)
-        # A quarter turn moves each view to the next, so only a quarter needs rendering.
-        steps = [renderer.views(small, turn * 2 * math.pi / TURNS) for turn in range(TURNS // 4)]
-        for turn in range(TURNS):
-            quarter, step = divmod(turn, TURNS // 4)
-            overlap = silhouette_overlap(captured, np.roll(steps[step], -quarter, axis=0))
+        for side in (1, -1):
+            renderer = DepthRenderer(result.positions * [side, 1, 1], result.faces)
+            overlap, orientation = _fit_orientation(renderer, small, captured)
             if best is None or overlap > best[0]:
-                best = overlap, renderer, turn * 2 * math.pi / TURNS
+                best = overlap, renderer, orientation
     if best is None:
         return None
-    simulated = best[1].views(camera, best[2])
-    profiles = tuple(radius_profile(v, camera) for v in (views, simulated))
+    _, renderer, orientation = best
+    simulated = renderer.views(camera, orientation)
+    profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT) for v in (views, simulated))
     return Resimulation(
         views=simulated,
-        camera=camera,
         profiles=profiles,
         folds=(count_folds(profiles[0]), count_folds(profiles[1])),
         overlap=silhouette_overlap(views, simulated),
         statuses=tuple(statuses),
     )
+
+
+def _fit_orientation(
+    renderer: DepthRenderer, camera: Camera, captured: np.ndarray
+) -> tuple[float, float]:
+    """Largest overlap with silhouettes (4, H, W) and the orientation, rad, that gives it."""
+    # A quarter turn moves each view to the next, so only a quarter needs rendering.
+    steps = [renderer.views(camera, turn * 2 * math.pi / TURNS) for turn in range(TURNS // 4)]
+    overlaps = [silhouette_overlap(captured, np.roll(views, -quarter, axis=0))
+                for quarter in range(4) for views in steps]
+    turn = int(np.argmax(overlaps))
+    return overlaps[turn], turn * 2 * math.pi / TURNS

@@ -14,7 +14,6 @@ Keys (``key=value``):
 """
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -23,6 +22,7 @@ import numpy as np
 from sim.cli import parse_overrides, run_command
 from sim.drape import DrapeResult, drape
 from sim.errors import InputError
+from sim.files import replace_file
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.measures import drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
@@ -111,19 +111,9 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     views = [shade(result.positions, result.faces, plate_radius=radius, elevation=angle)
              for angle in (25.0, 90.0)]
     _, picture = cv2.imencode(".png", np.hstack(views)[..., ::-1])
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in (
-            ("drape.ply", mesh.export(file_type="ply")),
-            ("drape.png", picture.tobytes()),
-            ("drape.json", (json.dumps(summary, indent=2) + "\n").encode()),
-        ):
-            temporary = folder / f".{name}.{os.getpid()}"
-            temporary.write_bytes(content)
-            temporary.replace(folder / name)
-    except OSError as error:
-        reason = f"cannot write to {folder}: {error.strerror}; choose another out="
-        raise InputError(reason) from None
+    replace_file(folder / "drape.ply", mesh.export(file_type="ply"))
+    replace_file(folder / "drape.png", picture.tobytes())
+    replace_file(folder / "drape.json", (json.dumps(summary, indent=2) + "\n").encode())
 
 
 def entry() -> None:

@@ -51,8 +51,14 @@ def _convert(key: str, text: str, old: object) -> object:
     raise InputError(f"{key}={text} must be of type {type(old).__name__}, like {old}")
 
 
-def run_command(main: Callable[[list[str]], None]) -> NoReturn:
-    """Run ``main(sys.argv[1:])``; a user's mistake ends with one line and exit code 2."""
+def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:
+    """Run ``main(sys.argv[1:])``; a user's mistake ends with one line and exit code 2.
+
+    With ``usage``, the words -h and --help print that text instead.
+    """
+    if usage and {"-h", "--help"} & set(sys.argv[1:]):
+        print(usage)
+        sys.exit(0)
     try:
         main(sys.argv[1:])
     except InputError as error:

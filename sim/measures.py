@@ -35,12 +35,13 @@ def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
 def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
     """Number of folds: how often the cloth's distance from the axis peaks around the specimen.
 
-    Followed along the material circle at 90 % of the specimen's inradius, peaks of less than
-    3 mm left out. positions (V, 3) and rest (V, 2) in m.
+    Followed along the material circle at 90 % of the specimen's inradius, around its centre,
+    peaks of less than 3 mm left out. positions (V, 3) and rest (V, 2) in m.
     """
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    around = LinearNDInterpolator(rest, positions[:, :2])(circle)
+    centre = (rest.min(axis=0) + rest.max(axis=0)) / 2
+    around = LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
     radius = gaussian_filter1d(np.linalg.norm(around, axis=1), 6.0, mode="wrap")
     radius = np.roll(radius, -int(radius.argmin()))  # no peak at the seam
     peaks, _ = find_peaks(np.append(radius, radius[0]), prominence=_LEAST_FOLD)

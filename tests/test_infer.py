@@ -1,6 +1,7 @@
 """infer.py as a user runs it: good captures, and every kind of bad one."""
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -9,14 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from blobs import blob_views
 from PIL import Image
 
 import infer
 from data.cameras import CameraRig
-from data.captures import write_capture
+from data.captures import read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
 from sim.cli import run_command
+from sim.material import DIRECTIONS, MICRO, is_admissible
 
 THETA = np.array([-10.0, -10.5, -11.0, -0.002, -0.002, -0.002])
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
@@ -50,10 +53,8 @@ def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
 def spoil_yaml(**changes: object) -> Callable[[Path, Path], None]:
     def change(capture: Path, _: Path) -> None:
         file = capture / "capture.yaml"
-        lines = file.read_text().splitlines()
-        kept = [line for line in lines if line.partition(":")[0] not in changes]
-        kept += [f"{key}: {value}" for key, value in changes.items() if value is not None]
-        file.write_text("\n".join(kept))
+        content = yaml.safe_load(file.read_text()) | changes
+        file.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
     return change
 
 
@@ -83,13 +84,15 @@ BAD = {
     "all background": (spoil_view(save((60, 80))), "background"),
     "truncated PNG": (spoil_view(truncate), "view_2.png"),
     "text called png": (spoil_view(lambda f: f.write_text("not a picture")), "view_2.png"),
-    "density NaN": (spoil_yaml(density_g_m2=".nan"), "density"),
+    "density NaN": (spoil_yaml(density_g_m2=math.nan), "density"),
     "density negative": (spoil_yaml(density_g_m2=-150), "density"),
     "density too small": (spoil_yaml(density_g_m2=9.9), "10-1000"),
     "density too large": (spoil_yaml(density_g_m2=1001), "10-1000"),
     "density missing": (spoil_yaml(density_g_m2=None), "density"),
     "density a word": (spoil_yaml(density_g_m2="heavy"), "density"),
     "folder missing": (lambda c, _: shutil.rmtree(c), "does not exist"),
+    "intrinsics of another picture": (
+        spoil_yaml(intrinsics={"fx": 1e7, "fy": 1e7, "cx": 39.5, "cy": 29.5}), "intrinsics"),
     "checkpoint of another rig": (spoil_header(rig="disc300_support180"), "disc300_support180"),
     "checkpoint of another schema": (spoil_header(schema_version=7), "schema version 7"),
     "checkpoint missing": (lambda _, f: f.unlink(), "no checkpoint file"),
@@ -118,7 +121,8 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
 
 @pytest.mark.parametrize(("word", "message"), [
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
-    ("resolution=3", "resolution")])
+    ("resolution=3", "resolution"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
+    ("checkpoint=7", "no checkpoint file 7.safetensors")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -139,6 +143,35 @@ def test_a_bad_capture_is_told_before_torch_is_loaded(capture: Path, checkpoint:
                           capture_output=True, text=True, check=True,
                           cwd=Path(infer.__file__).parent)
     assert "view_1.png" in done.stdout and done.stdout.strip().endswith("False")
+
+
+def test_the_bundled_capture_is_sound_and_its_truth_is_a_fabric() -> None:
+    folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
+    capture = read_capture(folder)
+    assert not capture.warnings and capture.warp_direction is not None
+    assert len(np.unique(capture.views)) > 100  # millimetres, not the steps of 8 bits
+    truth = json.loads((folder / "truth.json").read_text())
+    assert truth["density_g_m2"] == pytest.approx(capture.density * 1e3)
+    alpha = np.array([truth["moduli"][name]["alpha_uN_m"] for name in DIRECTIONS])
+    assert is_admissible(alpha * MICRO, np.zeros(3))
+
+
+def test_help_says_how_to_call_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["infer.py", "--help"])
+    with pytest.raises(SystemExit) as ending:
+        infer.entry()
+    assert ending.value.code == 0
+    assert "infer.py capture=DIR" in capsys.readouterr().out
+
+
+def test_a_folder_is_named_as_it_is_written(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(capture.rename(capture.parent / "007").parent)
+    infer.main(["capture=007", f"checkpoint={checkpoint}", "drapes=0"])
+    assert (capture.parent / "outputs" / "infer" / "007" / "estimate.json").exists()
 
 
 def test_estimate_says_what_it_is(

@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 import drapenet.model
 import train
 from data.configs import compose_config
+from data.sensor import SensorNoise
 from drapenet.checkpoint import load_model, read_header
 from drapenet.config import OptimConfig, TrainConfig, learning_rate
 from drapenet.preprocess import prepare
@@ -116,6 +117,11 @@ def test_another_setting_in_the_same_folder_is_refused(blob_dataset: Path, tmp_p
     ("data=/nowhere", "no dataset"),
     ("model.backbone=vgg99", "backbone"),
     ("colour=red", "colour"),
+    ("experiment=cpu_smal", "cpu_smal"),
+    ("sensor.strength=much", "strength"),
+    ("workers=-1", "workers"),
+    ("seed=-1", "seed"),
+    ("optim.weight_decay=-0.1", "weight_decay"),
 ])
 def test_bad_settings_are_one_line(
     blob_dataset: Path, tmp_path: Path, word: str, message: str
@@ -125,12 +131,24 @@ def test_bad_settings_are_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_in_the_way_is_one_line(blob_dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("not a folder")
+    with pytest.raises(InputError, match="cannot make the folder"):
+        train.main(words(blob_dataset, tmp_path / "out"))
+
+
 def test_defaults_are_the_papers() -> None:
     config = compose_config("train", [], schema=TrainConfig)
     optim = config.optim
     assert (optim.learning_rate, optim.weight_decay, optim.batch_size, optim.decay) == (
         1e-4, 1e-4, 128, 0.995)
     assert (optim.schedule, config.validation_fraction) == ("exponential", 0.2)
+
+
+@pytest.mark.parametrize("words", [[], ["experiment=cpu_small"]])
+def test_training_sees_noise_as_calm_as_the_published_captures(words: list[str]) -> None:
+    config = OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
+    assert SensorNoise.from_config(config.sensor) == SensorNoise.load("smooth")
 
 
 def test_the_bundled_experiment_composes() -> None:

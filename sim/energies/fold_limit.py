@@ -32,10 +32,8 @@ class FoldLimit:
         face, side, across = face[first], side[first], across[first]
         corner = mesh.faces[face]
         take = np.arange(len(face))
-        hinges = np.stack(
-            [corner[take, (side + 1) % 3], corner[take, (side + 2) % 3], corner[take, side], across],
-            axis=1,
-        )
+        ends = corner[take, (side + 1) % 3], corner[take, (side + 2) % 3]
+        hinges = np.stack([*ends, corner[take, side], across], axis=1)
         self.dofs = (3 * hinges[:, :, None] + np.arange(3)).reshape(-1, 12)
         edge = mesh.rest[hinges[:, 1]] - mesh.rest[hinges[:, 0]]
         neighbours = mesh.edge_faces[mesh.face_edges[face, side]]

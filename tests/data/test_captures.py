@@ -105,6 +105,8 @@ def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
     with pytest.raises(InputError, match="exists already"):
         write_capture(tmp_path / "taken", views=views, **common)
     assert [p.name for p in tmp_path.rglob("*")] == ["taken", "notes.txt"]
+    with pytest.raises(InputError, match="cannot write the capture"):
+        write_capture(tmp_path / "taken" / "notes.txt" / "below", views=views, **common)
 
 
 def test_published_format_is_recognised(published, views):
@@ -233,6 +235,9 @@ BAD_METRIC = {
     "negative unit": (setting(depth_unit_m=-0.001), "must be positive"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
     "unknown rig": (setting(rig="disc300"), "unknown rig 'disc300'"),
+    "list for a rig": (setting(rig=["disc300"]), "rig=['disc300'] is not a name"),
+    "lines in a key": (write("capture.yaml", b'"a\\nb": 1\n'), "unknown key 'a\\nb'"),
+    "endless density": (setting(density_g_m2=10**400), "not a finite number"),
     "misspelt key": (setting(density=150), "unknown key 'density'"),
     "broken YAML": (write("capture.yaml", b"density_g_m2: [1\n"), "is not valid YAML"),
     "YAML of a list": (write("capture.yaml", b"- 150\n"), "must hold 'key: value' lines"),

@@ -45,7 +45,7 @@ def test_items_are_the_stored_drapes(root):
 
 
 def test_only_converged_drapes_and_the_rest_is_counted(root, caplog):
-    with caplog.at_level("INFO"):
+    with caplog.at_level("WARNING"):
         dataset = DrapeDataset(root)
     outcomes = dataset.manifest["outcomes"]
     assert len(dataset) == outcomes["converged"] < 24
@@ -153,6 +153,8 @@ def test_no_dataset_or_an_unfinished_one(root, tmp_path):
         DrapeDataset(tmp_path)
     with pytest.raises(InputError, match="unknown split"):
         DrapeDataset(root, split="training")
+    with pytest.raises(InputError, match="seed=-1"):
+        DrapeDataset(root, seed=-1)
 
 
 def test_a_dataset_of_failures_is_refused(tmp_path):

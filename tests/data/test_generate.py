@@ -139,8 +139,11 @@ def test_missing_and_damaged_shards_are_made_again(finished, tmp_path):
     (tmp_path / "shard_00000.h5").unlink()
     (tmp_path / "shard_00001.h5").write_bytes(b"\x89HDF\r\n\x1a\n cut short")
     (tmp_path / "shard_00002.h5.part").write_bytes(b"left over")
+    (tmp_path / "film.mkv.part").write_bytes(b"somebody else's")
     untouched = (tmp_path / "shard_00002.h5").stat().st_mtime_ns
     generate(tmp_path)
+    assert (tmp_path / "film.mkv.part").read_bytes() == b"somebody else's"
+    (tmp_path / "film.mkv.part").unlink()
     assert files(tmp_path) == files(finished[0])
     assert (tmp_path / "shard_00002.h5").stat().st_mtime_ns == untouched
 

@@ -84,6 +84,7 @@ def test_save_and_load(prior, tmp_path):
         ({"mean": [0, 1]}, "mean of 6"),
         ({"mean": None}, "mean of 6"),
         ({"mean": "many"}, "readable"),
+        ({"fabrics": float("inf")}, "readable"),
         ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
         ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
         ({"covariance": (np.eye(6) * np.nan).tolist()}, "finite"),
@@ -95,7 +96,7 @@ def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError, match=complaint) as refusal:
         load_prior(path)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(refusal.value) and str(path) in str(refusal.value)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{"])

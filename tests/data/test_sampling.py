@@ -18,7 +18,7 @@ def test_a_plan_depends_on_seed_and_index_only():
     later = plans(8, seed=3)[7]
     for name in ("fabric", "start", "seed", "rejected"):
         assert getattr(ahead, name) == getattr(later, name)
-    for name in ("theta", "offset", "orientations"):
+    for name in ("theta", "offset", "orientations", "turns"):
         np.testing.assert_array_equal(getattr(ahead, name), getattr(later, name))
     other = plan_drape(7, config=SamplingConfig(seed=4), prior=PRIOR)
     assert other.seed != ahead.seed
@@ -63,10 +63,16 @@ def test_drift_has_its_standard_deviation():
     assert not np.any([p.offset for p in plans(4, drift=0.0)])
 
 
+def test_the_table_turns_by_quarters_give_or_take():
+    turns = np.array([p.turns for p in plans(200, orientations=3, turn=0.05)])
+    assert turns.shape == (200, 3, 4) and not turns[..., 0].any()
+    assert abs(turns[..., 1:].std() / 0.05 - 1) < 0.06
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"seed": -1}, {"starts_per_fabric": 0}, {"orientations": 0}, {"starts": ("flat",)},
-     {"starts": ()}, {"drift": -0.001}, {"drift": float("nan")}, {"drift": 0.1}],
+     {"starts": ()}, {"drift": -0.001}, {"drift": float("nan")}, {"drift": 0.1}, {"turn": 0.5}],
 )
 def test_nonsense_is_refused(changes):
     with pytest.raises(InputError):

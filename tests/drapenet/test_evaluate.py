@@ -6,6 +6,7 @@ from blobs import write_dataset
 
 import drapenet.evaluate
 from data.dataset import DrapeDataset
+from data.prior import load_prior, prior_content
 from drapenet.checkpoint import read_header
 from drapenet.evaluate import evaluate
 from sim.errors import InputError
@@ -31,6 +32,20 @@ def test_training_fabrics_are_not_unseen(untrained_checkpoint: Path, tmp_path: P
     write_dataset(tmp_path / "dataset", drapes=4, seed=999)  # the checkpoint's own seed
     with pytest.raises(InputError, match="not unseen"):
         evaluate(header, DrapeDataset(tmp_path / "dataset"))
+
+
+def test_what_cannot_be_judged_is_refused_before_it_is_made(
+    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = tmp_path / "copy.json"
+    content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
+    prior = prior_content(load_prior())
+    content["dataset"]["generation"] = {"sampling": {"seed": 5}, "prior": prior}
+    copy.write_text(json.dumps(content))
+    copy.with_suffix(".safetensors").write_bytes(untrained_checkpoint.read_bytes())
+    monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
+    with pytest.raises(InputError, match="not unseen"):
+        drapenet.evaluate.main([f"checkpoint={copy}", f"out={tmp_path}", "seed=5"])
 
 
 def test_the_command_makes_its_data_and_writes_the_figures(

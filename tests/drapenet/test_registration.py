@@ -39,7 +39,7 @@ def test_the_camera_is_found_again(seed: int) -> None:
 def test_folds_are_counted(folds: int) -> None:
     camera = CameraRig.load().nominal()
     views = render_views(*skirt(folds), camera, 0.2)
-    profile = radius_profile(views, locate_camera(views, camera))
+    profile = radius_profile(views, locate_camera(views, camera), height=-0.04)
     assert count_folds(profile) == folds
     # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
     assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)
@@ -49,7 +49,8 @@ def test_the_profile_turns_with_the_specimen() -> None:
     camera = CameraRig.load().nominal()
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
-        profile = radius_profile(render_views(vertices, faces, camera, orientation), camera)
+        views = render_views(vertices, faces, camera, orientation)
+        profile = radius_profile(views, camera, height=-0.04)
         azimuth = (np.nanargmax(profile) + 0.5) / len(profile) * 2 * np.pi
         assert np.cos(azimuth - orientation) > 0.9
 

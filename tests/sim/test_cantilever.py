@@ -46,5 +46,5 @@ def test_strip_matches_the_heavy_elastica(gamma, tolerance, mesh):
 
 
 def test_error_falls_with_the_square_of_the_spacing():
-    coarse, fine = (abs(deviation(100, edge=edge, diagonals="alternating")) for edge in (6e-3, 3e-3))
+    coarse, fine = (abs(deviation(100, edge=edge)) for edge in (6e-3, 3e-3))
     assert 1.6 < np.log2(coarse / fine) < 2.6

@@ -1,5 +1,7 @@
 """The optimiser on functions whose minima are known, without any cloth."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -69,7 +71,7 @@ def test_end_is_quadratic():
     minimise(function, np.array([1.05, 0.02]), NewtonOptions(residual=1e-14, step=1e-12))
     falling = [r for r in dict.fromkeys(residuals) if 1e-13 < r < 1e-2]
     assert len(falling) >= 2
-    assert all(after < 10 * before**2 for before, after in zip(falling, falling[1:], strict=False))
+    assert all(after < 10 * before**2 for before, after in itertools.pairwise(falling))
 
 
 def test_saddle_is_left():

@@ -1,0 +1,78 @@
+"""Makes a capture of a fabric whose moduli are known, such as the one in ``captures/twill``.
+
+    python examples/make_capture.py out=examples/captures/twill
+
+Drapes the fabric on a finer mesh than training does, renders it with a camera that stands a
+little off its nominal place, adds sensor noise, and writes the four views with ``capture.yaml``.
+The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates.
+"""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data.cameras import CameraRig
+from data.captures import write_capture
+from data.render import VIEWS, render_views
+from data.sensor import SensorNoise
+from sim.cli import parse_overrides, run_command
+from sim.drape import drape
+from sim.errors import InputError
+from sim.files import replace_file
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric
+from sim.scene import Rig
+
+DEFAULTS = {
+    "out": "outputs/capture",    # folder; a capture made by this program is replaced
+    "alpha": [48.0, 30.0, 22.0],  # µN·m, along warp, bias, weft
+    "beta": [-96.0, -60.0, -44.0],  # nN·m², likewise: beta/alpha is -2 mm
+    "density": 210.0,            # g/m²
+    "warp_direction": 25.0,      # degrees, in the first view
+    "resolution": 51,            # vertices along a side of the specimen
+    "sensor": "smooth",          # noise, a file of configs/sensor
+    "seed": 2022,                # of the folds, the camera and the noise
+}
+FILES = {"capture.yaml", "truth.json", *(f"view_{k}.png" for k in range(VIEWS))}
+
+
+def main(argv: list[str]) -> None:
+    """The command line: words ``key=value`` over :data:`DEFAULTS`."""
+    config = parse_overrides(DEFAULTS, argv)
+    out = Path(config["out"])
+    old = list(out.iterdir()) if out.is_dir() else []
+    if out.is_file() or not {file.name for file in old} <= FILES:
+        raise InputError(f"{out} holds something else than a capture made here; choose another "
+                         "out=")
+    rig = CameraRig.load()
+    # A 16-bit capture has no 8-bit steps; they belong to the published format.
+    noise = replace(SensorNoise.load(config["sensor"]), eight_bit_probability=0.0)
+    fabric = Fabric(alpha=np.array(config["alpha"]) * MICRO, beta=np.array(config["beta"]) * NANO,
+                    density=config["density"] * 1e-3)
+    result = drape(fabric, rig=Rig.from_name(rig.name), resolution=config["resolution"],
+                   seed=config["seed"])
+    if not result.converged:
+        raise InputError(f"the drape did not converge ({result.message}); try another seed")
+
+    rng = np.random.default_rng(config["seed"])
+    camera = rig.sample(rng)
+    direction = math.radians(config["warp_direction"])
+    views = noise(render_views(result.positions, result.faces, camera, direction), rng)
+    for file in old:
+        file.unlink()
+    # Who captures a drape knows the nominal intrinsics only, so these are written.
+    write_capture(out, views=views, intrinsics=rig.intrinsics, density=fabric.density,
+                  warp_direction=direction, rig=rig.name)
+    truth = {
+        "density_g_m2": config["density"],
+        "moduli": {name: {"alpha_uN_m": alpha, "beta_nN_m2": beta} for name, alpha, beta in
+                   zip(DIRECTIONS, config["alpha"], config["beta"], strict=True)},
+    }
+    replace_file(out / "truth.json", (json.dumps(truth, indent=1) + "\n").encode())
+    print(f"capture: {out}")
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

@@ -1,0 +1,61 @@
+"""Composition: what Hydra accepts, and each of its complaints as one line."""
+
+import pytest
+
+from data.configs import compose_config, group_options, read_config, read_option
+from data.options import Options, config_from_options
+from sim.errors import InputError
+
+
+def test_groups_and_values_are_overridden():
+    config = compose_config("generate", ["dataset=paper", "seed=3"], schema=Options)
+    assert config.dataset.starts_per_fabric == 8 and config.dataset.orientations == 12
+    assert config.seed == 3 and config.drapes == 512
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "complaint"),
+    [
+        ("generate", "dataset=null", "dataset=null"),
+        ("generate", "rig=null", "rig=null"),
+        ("generate", "dataset=huge", "views8"),
+        ("generate", "=3", "=3"),
+        ("generate", "--multirun", "--multirun"),
+        ("generate", "out=café", "quotes"),
+        ("generate", "out=${nowhere}", "nowhere"),
+        ("generate", "colour=red", "colour"),
+        ("generate", "drapes=1.5", "drapes"),
+        ("train", "experiment=null", "experiment=null"),
+        ("train", "experiment=cpu_smal", "cpu_small"),
+    ],
+)
+def test_complaints_are_one_line_that_names_the_cause(name, word, complaint):
+    schema = Options if name == "generate" else None
+    with pytest.raises(InputError) as refusal:
+        compose_config(name, [word], schema=schema)
+    text = str(refusal.value)
+    assert complaint in text and "\n" not in text and "Exception" not in text
+
+
+def test_the_remedy_for_unusual_characters_works():
+    config = compose_config("generate", ['out="café 1"'], schema=Options)
+    assert config.out == "café 1"
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["~rig", "~rig.camera.fx", "rig.camera=null", "rig.camera.fx=wide", "rig.camera.width=240.5",
+     "rig.camera.pitch_deg=nan", "rig.jitter.roll_deg=-1", "rig.name=null", "~dataset"],
+)
+def test_rigs_and_datasets_that_make_no_sense(word):
+    with pytest.raises(InputError) as refusal:
+        config_from_options(compose_config("generate", [word], schema=Options))
+    assert "\n" not in str(refusal.value)
+
+
+def test_files_are_read_as_they_stand():
+    assert read_option("rig", "square300_cylinder100")["camera"]["width"] == 240
+    assert read_config("generate")["drapes"] == 512
+    assert "smooth" in group_options("sensor")
+    with pytest.raises(InputError, match="unknown sensor 'kinect'; known sensors: none"):
+        read_option("sensor", "kinect")

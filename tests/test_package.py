@@ -1,0 +1,46 @@
+"""The installed project: importable from anywhere, with its data files."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def test_imports_from_outside_the_repository(tmp_path):
+    code = (
+        "import sim.drape, data.captures, drapenet.checkpoint, train, infer;"
+        "from data.configs import CONFIG_DIR;"
+        "assert (CONFIG_DIR / 'infer.yaml').is_file();"
+        "assert drapenet.checkpoint.BUNDLED.is_file()"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_console_scripts_answer(tmp_path):
+    scripts = Path(sys.executable).parent
+    for name in ("sim", "generate", "train", "infer", "evaluate"):
+        script = scripts / f"drapenet-{name}"
+        done = subprocess.run([script, "nonsense=1"], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 2, (name, done.stderr)
+        assert done.stderr.startswith("error: ") and "nonsense" in done.stderr
+
+
+@pytest.mark.slow
+def test_wheel_holds_every_package_config_and_weight(tmp_path):
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", tmp_path, ROOT],
+        check=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    tracked = subprocess.run(
+        ["git", "ls-files", "sim", "data", "drapenet", "configs", "train.py", "infer.py"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout.split()
+    assert set(tracked) <= names
