@@ -20,9 +20,9 @@ $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
 	  { echo "Python 3.10 to 3.12 is needed; run: make PYTHON=/path/to/python3.12" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install -qq --upgrade pip
 	@echo "installing packages into .venv (about 6 GB, a few minutes) ..."
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
 demo: $(STAMP)  ## estimate the bundled capture
@@ -44,10 +44,11 @@ prior: $(STAMP)  ## refit the fabric prior: make prior TABLE=fabrics.csv
 	$(BIN)/python -m data.prior fit table=$(TABLE)
 
 dataset: $(STAMP)  ## simulate and render training drapes, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET)
+	$(BIN)/python -m data.generate out=$(DATASET) dataset=one_start drapes=832
 
 train: $(STAMP)  ## train on that dataset, resumes when interrupted
-	$(BIN)/python train.py experiment=cpu_small data=$(DATASET)
+	$(BIN)/python train.py experiment=cpu_small data=$(DATASET) out=outputs/train/first
+	$(BIN)/python train.py experiment=cpu_small_finish data=$(DATASET) out=outputs/train/second
 
 evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
 	$(BIN)/python -m drapenet.evaluate

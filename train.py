@@ -16,7 +16,13 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from data.configs import compose_config
-from drapenet.checkpoint import load_state, save_checkpoint, save_state
+from drapenet.checkpoint import (
+    load_model,
+    load_state,
+    read_header,
+    save_checkpoint,
+    save_state,
+)
 from drapenet.config import TrainConfig, learning_rate
 from drapenet.losses import drape_loss
 from drapenet.model import DrapeNet
@@ -46,6 +52,8 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # the first weights are the only thing drawn from it
     model = DrapeNet(backbone=config.model.backbone)
+    if config.initial:
+        model.load_state_dict(load_model(read_header(config.initial)).state_dict())
     model = model.to(device, memory_format=torch.channels_last)
     optimizer = torch.optim.Adam(model.parameters(), weight_decay=config.optim.weight_decay)
 
@@ -72,14 +80,16 @@ def train(config: TrainConfig) -> Path:
                 for group in optimizer.param_groups:
                     group["lr"] = rate
                 loss = drape_loss(model(views.to(device)), targets.to(device), axes.to(device),
-                                  direction_weight=config.optim.direction_weight)
+                                  direction_weight=config.optim.direction_weight,
+                                  ratio_weight=config.optim.ratio_weight)
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
                 losses.append(loss.detach())
                 bar.update()
 
-            metrics = validate(model, validation, device=device)
+            metrics = validate(model, validation, device=device,
+                               ratio_weight=config.optim.ratio_weight)
             train_loss = torch.stack(losses).mean().item()
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:

@@ -35,6 +35,7 @@ class OptimConfig:
         schedule: ``exponential`` (times ``decay`` each epoch) or ``one_cycle`` (up along a
             cosine during ``warm_up`` of the training, down to nothing over the rest).
         direction_weight: weight of the stiff axis in the loss.
+        ratio_weight: weight of the errors of beta/alpha in the loss.
     """
 
     learning_rate: float = 1e-4
@@ -44,6 +45,7 @@ class OptimConfig:
     decay: float = 0.995
     warm_up: float = 0.0
     direction_weight: float = 0.5
+    ratio_weight: float = 1.0
 
 
 @dataclass
@@ -52,6 +54,7 @@ class TrainConfig:
 
     data: str = "outputs/dataset"
     out: str = "outputs/train"
+    initial: str = ""
     seed: int = 0
     epochs: int = 300
     validation_fraction: float = 0.2

@@ -2,7 +2,7 @@
 
 import torch
 
-from drapenet.convention import TARGET_NAMES
+from drapenet.convention import RATIO, TARGET_NAMES
 
 OUTPUTS = len(TARGET_NAMES) + 2  # six standardised targets, two components of the stiff axis
 
@@ -23,19 +23,32 @@ def drape_loss(
     directions: torch.Tensor,
     *,
     direction_weight: float,
+    ratio_weight: float = 1.0,
 ) -> torch.Tensor:
     """Eq. 10 over the standardised targets plus the weighted same of the stiff axis.
+
+    A drape hardly tells beta/alpha, whose errors stay near 1 and drown those of log alpha in
+    the sum of squares; a ``ratio_weight`` below 1 lets the network attend to what it can learn.
 
     Args:
         outputs: (N, 8) of the network.
         targets: (N, 6) standardised targets.
         directions: (N, 2), see :func:`drapenet.targets.direction_vectors`.
         direction_weight: weight of the second term.
+        ratio_weight: factor on the errors of beta/alpha in the first.
     """
     moduli, axes = split_outputs(outputs)
-    return root_mean_square(moduli - targets) + direction_weight * root_mean_square(
+    errors = (moduli - targets) * target_weights(ratio_weight).to(outputs)
+    return root_mean_square(errors) + direction_weight * root_mean_square(
         axes - directions
     )
+
+
+def target_weights(ratio_weight: float) -> torch.Tensor:
+    """(6,) factors on the errors of the targets: 1 for log alpha, ``ratio_weight`` otherwise."""
+    weights = torch.ones(len(TARGET_NAMES))
+    weights[RATIO] = ratio_weight
+    return weights
 
 
 def split_outputs(outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

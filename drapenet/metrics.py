@@ -3,7 +3,7 @@
 import torch
 
 from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
-from drapenet.losses import split_outputs
+from drapenet.losses import split_outputs, target_weights
 from drapenet.targets import axis_angle
 
 ANISOTROPIC = 0.3
@@ -18,7 +18,11 @@ def angle_between_axes(first: torch.Tensor, second: torch.Tensor) -> torch.Tenso
 
 
 def regression_metrics(
-    outputs: torch.Tensor, targets: torch.Tensor, directions: torch.Tensor
+    outputs: torch.Tensor,
+    targets: torch.Tensor,
+    directions: torch.Tensor,
+    *,
+    ratio_weight: float = 1.0,
 ) -> dict:
     """Errors over a set of drapes.
 
@@ -26,6 +30,7 @@ def regression_metrics(
         outputs: (N, 8) of the network.
         targets: (N, 6) standardised targets.
         directions: (N, 2) stiff axes, see :func:`drapenet.targets.direction_vectors`.
+        ratio_weight: as in :func:`drapenet.losses.drape_loss`; for ``loss`` only.
 
     Returns:
         ``rmse_log_alpha``, ``rmse_beta_over_alpha`` (root mean squares over drapes and the three
@@ -41,7 +46,7 @@ def regression_metrics(
         "rmse_log_alpha": squares[:, LINEAR].mean().sqrt().item(),
         "rmse_beta_over_alpha": squares[:, RATIO].mean().sqrt().item(),
         "rmse": dict(zip(TARGET_NAMES, squares.mean(dim=0).sqrt().tolist(), strict=True)),
-        "loss": squares.sum(dim=1).mean().sqrt().item(),
+        "loss": (squares * target_weights(ratio_weight) ** 2).sum(dim=1).mean().sqrt().item(),
         "axis_error_deg": torch.rad2deg(errors.median()).item() if len(errors) else None,
         "samples": len(outputs),
     }

@@ -174,12 +174,15 @@ def training_batches(drapes: DrapeSet, *, epoch: int, config: TrainConfig) -> Da
 
 
 @torch.no_grad()
-def validate(model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device) -> dict:
+def validate(
+    model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device, ratio_weight: float
+) -> dict:
     """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``."""
     model.eval()
     rows = [(model(views.to(device)).cpu(), targets, axes)
             for views, targets, axes in DataLoader(drapes, batch_size=128)]
-    return regression_metrics(*(torch.cat(column) for column in zip(*rows, strict=True)))
+    columns = (torch.cat(column) for column in zip(*rows, strict=True))
+    return regression_metrics(*columns, ratio_weight=ratio_weight)
 
 
 def log_metrics(

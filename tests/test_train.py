@@ -92,6 +92,20 @@ def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
     assert first["validation"] == second["validation"]
 
 
+def test_training_starts_from_given_weights(blob_dataset: Path, tmp_path: Path) -> None:
+    """One epoch at a vanishing rate leaves the first run's weights as they are."""
+    full = "half_precision=false"
+    train.main(words(blob_dataset, tmp_path / "first", "epochs=1", full))
+    train.main(words(blob_dataset, tmp_path / "second", "epochs=1", "optim.learning_rate=1e-12",
+                     full, f"initial={tmp_path / 'first' / 'drapenet.safetensors'}"))
+    first, second = (load_file(tmp_path / run / "drapenet.safetensors")
+                     for run in ("first", "second"))
+    learned = [name for name in first if name.endswith("weight")]
+    assert learned
+    for name in learned:
+        assert torch.allclose(first[name], second[name], atol=1e-8), name
+
+
 def test_training_learns_what_the_pictures_show(blob_dataset: Path, tmp_path: Path) -> None:
     train.main(words(blob_dataset, tmp_path, "epochs=15", "optim=cpu_short", "cache=true",
                      "orientations_per_epoch=2", "sensor=none", "half_precision=false"))
@@ -145,7 +159,8 @@ def test_defaults_are_the_papers() -> None:
     assert (optim.schedule, config.validation_fraction) == ("exponential", 0.2)
 
 
-@pytest.mark.parametrize("words", [[], ["experiment=cpu_small"]])
+@pytest.mark.parametrize(
+    "words", [[], ["experiment=cpu_small"], ["experiment=cpu_small_finish"]])
 def test_training_sees_noise_as_calm_as_the_published_captures(words: list[str]) -> None:
     config = OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
     assert SensorNoise.from_config(config.sensor) == SensorNoise.load("smooth")
@@ -155,6 +170,9 @@ def test_the_bundled_experiment_composes() -> None:
     config = compose_config("train", ["experiment=cpu_small"], schema=TrainConfig)
     assert config.optim.schedule == "one_cycle"
     assert config.cache and config.model.input_width < 120
+    finish = compose_config("train", ["experiment=cpu_small_finish"], schema=TrainConfig)
+    assert finish.model == config.model  # or it could not go on from the first part's weights
+    assert finish.validation_fraction == config.validation_fraction  # or it would see its fabrics
 
 
 def test_the_papers_rate_decays_each_epoch() -> None:

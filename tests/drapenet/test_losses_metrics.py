@@ -21,6 +21,17 @@ def test_direction_counts_by_its_weight() -> None:
         assert loss == pytest.approx(1 + 0.5 * weight, abs=1e-5)
 
 
+def test_ratio_weight_scales_the_errors_of_beta_over_alpha_only() -> None:
+    targets, axes = torch.tensor([[3.0, 0, 0, 0, 4.0, 0]]), torch.zeros(1, 2)
+    for weight, expected in ((1.0, 5.0), (0.5, math.hypot(3, 2)), (0.0, 3.0)):
+        loss = drape_loss(torch.zeros(1, 8), targets, axes, direction_weight=1.0,
+                          ratio_weight=weight).item()
+        assert loss == pytest.approx(expected, abs=1e-4)
+        metrics = regression_metrics(torch.zeros(1, 8), targets, axes, ratio_weight=weight)
+        assert metrics["loss"] == pytest.approx(expected)
+        assert metrics["rmse_beta_over_alpha"] == pytest.approx(4 / math.sqrt(3))
+
+
 def test_a_perfect_prediction_has_a_finite_gradient() -> None:
     outputs = torch.zeros(2, 8, requires_grad=True)
     drape_loss(outputs, torch.zeros(2, 6), torch.zeros(2, 2), direction_weight=1.0).backward()
