@@ -8,11 +8,13 @@ import os
 import platform
 import time
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
 from sim.cli import parse_overrides, run_command
 from sim.drape import drape
+from sim.files import replace_file
 from sim.linear import available_solvers
 from sim.material import Fabric
 
@@ -65,8 +67,7 @@ def main(argv: list[str]) -> None:
     text = json.dumps(report, indent=2)
     print(text)
     if config["out"]:
-        with open(config["out"], "w", encoding="utf-8") as file:
-            file.write(text + "\n")
+        replace_file(Path(config["out"]), (text + "\n").encode())
 
 
 if __name__ == "__main__":

@@ -193,7 +193,7 @@ def draped_square(
     radius = np.linalg.norm(points, axis=-1)
     inside = (radius < plate_radius) & ~on_rim
     cells = choose_diagonals(shape, diagonals, rng)
-    cells = _follow_rim(cells, points, inside, on_rim)
+    cells = _follow_rim(cells, inside, on_rim)
     _relax_near_rim(points, cells, inside, on_rim, plate_radius)
     mesh = Mesh(rest=points.reshape(-1, 2), faces=grid_faces(cells))
     return mesh, (inside | on_rim).ravel(), cells
@@ -225,9 +225,7 @@ def _move_onto_rim(points: np.ndarray, radius: float) -> np.ndarray:
     return moved.reshape(n, n)
 
 
-def _follow_rim(
-    cells: np.ndarray, points: np.ndarray, inside: np.ndarray, on_rim: np.ndarray
-) -> np.ndarray:
+def _follow_rim(cells: np.ndarray, inside: np.ndarray, on_rim: np.ndarray) -> np.ndarray:
     """Turn diagonals that cross the rim or leave a sliver between three rim vertices."""
     outside = ~(inside | on_rim)
 

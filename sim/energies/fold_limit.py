@@ -80,13 +80,19 @@ def barrier(angle):
     )
 
 
+@numba.njit(inline="always")
+def _load(q, dofs, x):
+    """Copy the corners of one hinge to x (4, 3)."""
+    for k in range(12):
+        x[k // 3, k % 3] = q[dofs[k]]
+
+
 @numba.njit(cache=True)
 def _angles(q, dofs):
     x = np.empty((4, 3))
     result = np.empty(len(dofs))
     for t in range(len(dofs)):
-        for k in range(12):
-            x[k // 3, k % 3] = q[dofs[t, k]]
+        _load(q, dofs[t], x)
         result[t] = dihedral.angle(x)
     return result
 
@@ -98,8 +104,7 @@ def _gradient(q, dofs, scale):
     x, g = np.empty((4, 3)), np.empty((4, 3))
     for t in range(len(dofs)):
         if abs(angles[t]) > LIMIT_START:
-            for k in range(12):
-                x[k // 3, k % 3] = q[dofs[t, k]]
+            _load(q, dofs[t], x)
             dihedral.gradient(x, g)
             _, slope, _ = barrier(abs(angles[t]))
             slope *= scale[t] * np.sign(angles[t])
@@ -116,8 +121,7 @@ def _hessian(q, dofs, scale, convexity):
     foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
     for t in range(len(dofs)):
         if abs(angles[t]) > LIMIT_START:
-            for k in range(12):
-                x[k // 3, k % 3] = q[dofs[t, k]]
+            _load(q, dofs[t], x)
             dihedral.gradient(x, g)
             dihedral.hessian(x, h, foot, derivative)
             _, slope, bend = barrier(abs(angles[t]))
