@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.equilibrium import MEMBRANE_STIFFNESS, find_equilibrium
+from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
 from sim.initial import initial_positions, interpolate_positions
+from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import draped_square
 from sim.newton import NewtonOptions, Status
@@ -76,7 +77,7 @@ def drape(
     offset: tuple[float, float] = (0.0, 0.0),
     jitter: float = 0.15,
     diagonals: str = "random",
-    membrane_stiffness: float = MEMBRANE_STIFFNESS,
+    laws: Laws | None = None,
     options: NewtonOptions | None = None,
 ) -> DrapeResult:
     """Drape ``fabric`` on ``rig``, coarse mesh first.
@@ -91,7 +92,7 @@ def drape(
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         jitter: random displacement of rest vertices, as a fraction of the spacing.
         diagonals: kind of triangulation, see :data:`sim.mesh.DIAGONALS`.
-        membrane_stiffness: N/m.
+        laws: of bending and membrane.
         options: of the final minimisation.
 
     Returns:
@@ -107,6 +108,7 @@ def drape(
         raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
+    laws = laws or Laws()
     levels = coarse_to_fine(resolution)
     iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
@@ -131,8 +133,8 @@ def drape(
             scene,
             simulated,
             State.at(mesh, positions),
+            laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or _FINE) if last else _COARSE,
-            membrane_stiffness=membrane_stiffness * (1.0 if last else COARSE_MEMBRANE),
         )
         iterations += result.iterations
         time_spent.update(result.seconds)
