@@ -25,6 +25,7 @@ class Status(str, Enum):
     LINE_SEARCH = "line_search"
     SADDLE = "saddle"
     SINGULAR = "singular"
+    SELF_CONTACT = "self_contact"
     NOT_FINITE = "not_finite"
 
 
@@ -92,9 +93,7 @@ class NewtonResult:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-_CONVEXITY_DOWN = 0.25
-_CONVEXITY_UP = 4.0
-_CONVEXITY_LEAST = 0.02  # below it the exact Hessian is tried
+_CONVEXITY = (0.0, 0.1, 0.5, 1.0)  # what is tried, from the exact Hessian on
 _SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
 _SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 _SMALLEST_STEP = 2.0**-30
@@ -119,6 +118,7 @@ class _Run:
     def __init__(self, objective: Objective, y: np.ndarray, options: NewtonOptions) -> None:
         self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
+        self.rest = False
         self.result = NewtonResult(y=y, status=Status.MAX_ITERATIONS, message="")
         self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
         self.rng = np.random.default_rng(0)
@@ -200,14 +200,15 @@ class _Run:
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
-        trial = 1.0 if self.shift else self.convexity * _CONVEXITY_DOWN
-        if trial < _CONVEXITY_LEAST:
-            trial = 0.0
-        while trial < 1.0:
+        now = _CONVEXITY.index(self.convexity)
+        lowest = now if self.rest else max(now - 1, 0)
+        self.rest = False
+        for trial in () if self.shift else _CONVEXITY[lowest:-1]:
             if self._factorise(trial):
+                # Having tried in vain to need less, try again only after another step.
+                self.rest = trial == self.convexity and lowest < now
                 self.convexity = trial
                 return self._solve(-gradient)
-            trial = min(1.0, max(trial * _CONVEXITY_UP, 4 * _CONVEXITY_LEAST))
         self.convexity = 1.0
         while not self._factorise(1.0, _SHIFTS[self.shift]):
             if self.shift == len(_SHIFTS) - 1:

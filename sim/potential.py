@@ -1,5 +1,7 @@
 """The total energy of a cloth as a function of its free unknowns, for an optimiser."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sim.energies.base import Energy
@@ -10,7 +12,8 @@ class Potential:
     """A sum of energies over the free entries of the unknowns ``q`` (see :class:`Energy`).
 
     Args:
-        energies: the terms.
+        stages: the terms, in groups that are made convex one after the other: with two of them,
+            a convexity of 1/2 stands for the first group convex and the second exact.
         template: (Q,) unknowns; entries that are not free keep these values.
         free: (Q,) bool.
         force_scale: (Q,) forces (N, or N·m for rotations) that count as 1 in residuals.
@@ -20,14 +23,17 @@ class Potential:
 
     def __init__(
         self,
-        energies: list[Energy],
+        stages: Sequence[Sequence[Energy]],
         *,
         template: np.ndarray,
         free: np.ndarray,
         force_scale: np.ndarray,
         length_scale: np.ndarray,
     ) -> None:
-        self.energies = energies
+        self.energies = energies = [energy for stage in stages for energy in stage]
+        self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
+        self._assembled_at: np.ndarray | None = None
+        self._assembled: dict[tuple[int, float], np.ndarray] = {}
         self._template = template
         self._free = np.flatnonzero(free)
         row = np.full(len(free), -1)
@@ -69,9 +75,33 @@ class Potential:
         return total[:-1]
 
     def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray:
-        """CSR data (nnz,) in ``pattern``; ``convexity`` as in :meth:`Energy.hessian`."""
-        q = self.full(y)
-        return self.pattern.assemble([energy.hessian(q, convexity) for energy in self.energies])
+        """CSR data (nnz,) in ``pattern``; ``convexity`` as in :meth:`Energy.hessian`.
+
+        What has been assembled at ``y`` is kept, so that another convexity there costs little.
+        """
+        if self._assembled_at is None or not np.array_equal(y, self._assembled_at):
+            self._assembled_at = y.copy()
+            self._assembled.clear()
+        stages = self._stage[-1] + 1
+        total = np.zeros(len(self.pattern.indices))
+        for stage in range(stages):
+            share = min(max(convexity * stages - stage, 0.0), 1.0)
+            for end, weight in ((0.0, 1.0 - share), (1.0, share)):
+                if weight > 0.0:
+                    total += weight * self._end(stage, end)
+        return total
+
+    def _end(self, stage: int, convexity: float) -> np.ndarray:
+        """One stage's part of the Hessian at the kept point, exact (0) or convex (1)."""
+        if (stage, convexity) not in self._assembled:
+            q = self.full(self._assembled_at)
+            self._assembled[stage, convexity] = self.pattern.assemble(
+                [
+                    energy.hessian(q, convexity) if own == stage else None
+                    for energy, own in zip(self.energies, self._stage, strict=True)
+                ]
+            )
+        return self._assembled[stage, convexity]
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether every energy allows the step between free unknowns (n,)."""

@@ -25,11 +25,11 @@ class Energy(Protocol):
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """(N, K) derivatives of each element's energy by its unknowns."""
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        """(N, K, K) second derivatives of each element's energy.
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray | None:
+        """(N, K, K) second derivatives of each element's energy, or None where all are zero.
 
         ``convexity`` in [0, 1] removes that share of the indefinite part: 0 gives the exact
-        Hessian, 1 a positive semi-definite one; the result is continuous in between.
+        Hessian, 1 a positive semi-definite one; the result is linear in between.
         """
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:

@@ -219,11 +219,10 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
                     + tangent[a, 2] * curvature[2, k]
                 )
         for i in range(21):
-            for j in range(21):
-                block[i, j] = (
-                    curvature[0, i] * weighted[0, j]
-                    + curvature[1, i] * weighted[1, j]
-                    + curvature[2, i] * weighted[2, j]
+            a, b, c = curvature[0, i], curvature[1, i], curvature[2, i]
+            for j in range(i + 1):
+                block[i, j] = block[j, i] = (
+                    a * weighted[0, j] + b * weighted[1, j] + c * weighted[2, j]
                 )
         if convexity == 1.0:
             continue

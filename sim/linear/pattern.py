@@ -1,5 +1,7 @@
 """Assembly of element blocks into the upper triangle of one sparse matrix."""
 
+from collections.abc import Sequence
+
 import numba
 import numpy as np
 from scipy import sparse
@@ -32,11 +34,12 @@ class SparsePattern:
         self.diagonal = self.indptr[:-1].copy()
         self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
-    def assemble(self, blocks: list[np.ndarray]) -> np.ndarray:
-        """Sum of blocks (N, K, K), one array per stencil, as CSR data (nnz,)."""
+    def assemble(self, blocks: Sequence[np.ndarray | None]) -> np.ndarray:
+        """Sum of symmetric blocks (N, K, K), one array or None per stencil, as CSR data (nnz,)."""
         data = np.zeros(len(self.indices))
         for slots, block in zip(self._slots, blocks, strict=True):
-            _scatter(data, slots, block.reshape(len(block), -1))
+            if block is not None:
+                _scatter(data, slots, block)
         return data
 
     def upper(self, data: np.ndarray) -> sparse.csr_matrix:
@@ -68,15 +71,18 @@ def _upper_pairs(stencil):
 
 @numba.njit(cache=True)
 def _slots(stencil, indptr, indices):
-    """(N, K*K) position of each block entry in the CSR data, -1 for the lower triangle."""
+    """(N, K(K+1)/2) where the upper triangle of each block goes in the CSR data, -1: nowhere."""
     n, k = stencil.shape
-    slots = np.full((n, k * k), -1, dtype=np.int32)
+    slots = np.full((n, k * (k + 1) // 2), -1, dtype=np.int32)
     for t in range(n):
+        pair = -1
         for a in range(k):
-            for b in range(k):
+            for b in range(a, k):
+                pair += 1
                 i, j = stencil[t, a], stencil[t, b]
-                if i < 0 or j < i:
+                if i < 0 or j < 0:
                     continue
+                i, j = min(i, j), max(i, j)
                 low, high = indptr[i], indptr[i + 1] - 1
                 while low < high:
                     middle = (low + high) // 2
@@ -84,13 +90,17 @@ def _slots(stencil, indptr, indices):
                         low = middle + 1
                     else:
                         high = middle
-                slots[t, a * k + b] = low
+                slots[t, pair] = low
     return slots
 
 
 @numba.njit(cache=True)
 def _scatter(data, slots, blocks):
-    for t in range(slots.shape[0]):
-        for a in range(slots.shape[1]):
-            if slots[t, a] >= 0:
-                data[slots[t, a]] += blocks[t, a]
+    n, k = blocks.shape[0], blocks.shape[1]
+    for t in range(n):
+        pair = -1
+        for a in range(k):
+            for b in range(a, k):
+                pair += 1
+                if slots[t, pair] >= 0:
+                    data[slots[t, pair]] += blocks[t, a, b]
