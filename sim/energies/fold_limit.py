@@ -1,9 +1,8 @@
 """Keeps hinges from folding through themselves, where meshes are too coarse for the cloth."""
 
-import numba
 import numpy as np
 
-from sim.energies import dihedral
+from sim.energies.hinge_stencils import chain_gradient, chain_hessian, find_hinges, hinge_angles
 from sim.mesh import Mesh
 
 LIMIT_START = 2.4  # rad; the angle at which the resistance begins
@@ -25,24 +24,13 @@ class FoldLimit:
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, stiffness: float) -> None:
-        face, side = np.nonzero(active[:, None] & (mesh.neighbours >= 0))
-        across = mesh.neighbours[face, side]
-        # An edge between two active triangles appears twice; keep the first.
-        _, first = np.unique(mesh.face_edges[face, side], return_index=True)
-        face, side, across = face[first], side[first], across[first]
-        corner = mesh.faces[face]
-        take = np.arange(len(face))
-        ends = corner[take, (side + 1) % 3], corner[take, (side + 2) % 3]
-        hinges = np.stack([*ends, corner[take, side], across], axis=1)
-        self.dofs = (3 * hinges[:, :, None] + np.arange(3)).reshape(-1, 12)
-        edge = mesh.rest[hinges[:, 1]] - mesh.rest[hinges[:, 0]]
-        neighbours = mesh.edge_faces[mesh.face_edges[face, side]]
-        area = mesh.areas[neighbours].sum(axis=1)
-        self._scale = stiffness * (edge**2).sum(axis=1) / area
+        hinges = find_hinges(mesh, active)
+        self.dofs = hinges.dofs
+        self._scale = stiffness * (hinges.vectors**2).sum(axis=1) / hinges.areas.sum(axis=1)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N,) dihedral angles, rad."""
-        return _angles(q, self.dofs)
+        return hinge_angles(q, self.dofs)
 
     def value(self, q: np.ndarray) -> float:
         angle = np.abs(self.angles(q))
@@ -50,10 +38,13 @@ class FoldLimit:
         return float(self._scale[bent] @ barrier(angle[bent])[0])
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return _gradient(q, self.dofs, self._scale)
+        return chain_gradient(q, self.dofs, self._derivatives(q)[0])
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _hessian(q, self.dofs, self._scale, convexity)
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray | None:
+        slope, bend = self._derivatives(q)
+        if not bend.any():
+            return None
+        return chain_hessian(q, self.dofs, slope * (1.0 - convexity), bend)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """False when a hinge would jump past pi or take most of its way there in one step.
@@ -66,9 +57,18 @@ class FoldLimit:
         enough = np.pi - np.abs(after) >= _LEAST_ROOM * room
         return bool(((np.abs(after - before) < np.pi) & enough).all())
 
+    def _derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and second derivatives (N,) of each element's energy by its angle."""
+        angle = self.angles(q)
+        bent = np.flatnonzero(np.abs(angle) > LIMIT_START)
+        first, second = np.zeros(len(angle)), np.zeros(len(angle))
+        _, slope, bend = barrier(np.abs(angle[bent]))
+        first[bent] = slope * (self._scale[bent] * np.sign(angle[bent]))
+        second[bent] = bend * self._scale[bent]
+        return first, second
 
-@numba.njit(cache=True)
-def barrier(angle):
+
+def barrier(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Barrier per unit of scale and its first two derivatives at angles >= LIMIT_START."""
     over = angle - LIMIT_START
     left = np.pi - angle
@@ -78,56 +78,3 @@ def barrier(angle):
         over**2 / left - 2.0 * over * logarithm,
         4.0 * over / left + over**2 / left**2 - 2.0 * logarithm,
     )
-
-
-@numba.njit(inline="always")
-def _load(q, dofs, x):
-    """Copy the corners of one hinge to x (4, 3)."""
-    for k in range(12):
-        x[k // 3, k % 3] = q[dofs[k]]
-
-
-@numba.njit(cache=True)
-def _angles(q, dofs):
-    x = np.empty((4, 3))
-    result = np.empty(len(dofs))
-    for t in range(len(dofs)):
-        _load(q, dofs[t], x)
-        result[t] = dihedral.angle(x)
-    return result
-
-
-@numba.njit(cache=True)
-def _gradient(q, dofs, scale):
-    angles = _angles(q, dofs)
-    result = np.zeros((len(dofs), 12))
-    x, g = np.empty((4, 3)), np.empty((4, 3))
-    for t in range(len(dofs)):
-        if abs(angles[t]) > LIMIT_START:
-            _load(q, dofs[t], x)
-            dihedral.gradient(x, g)
-            _, slope, _ = barrier(abs(angles[t]))
-            slope *= scale[t] * np.sign(angles[t])
-            for k in range(12):
-                result[t, k] = slope * g[k // 3, k % 3]
-    return result
-
-
-@numba.njit(cache=True)
-def _hessian(q, dofs, scale, convexity):
-    angles = _angles(q, dofs)
-    result = np.zeros((len(dofs), 12, 12))
-    x, g, h = np.empty((4, 3)), np.empty((4, 3)), np.empty((12, 12))
-    foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
-    for t in range(len(dofs)):
-        if abs(angles[t]) > LIMIT_START:
-            _load(q, dofs[t], x)
-            dihedral.gradient(x, g)
-            dihedral.hessian(x, h, foot, derivative)
-            _, slope, bend = barrier(abs(angles[t]))
-            slope *= scale[t] * np.sign(angles[t]) * (1.0 - convexity)
-            bend *= scale[t]
-            for a in range(12):
-                for b in range(12):
-                    result[t, a, b] = slope * h[a, b] + bend * g[a // 3, a % 3] * g[b // 3, b % 3]
-    return result

@@ -1,0 +1,67 @@
+"""Equivalent hinge moduli: a strip given one hangs as the physical strip does."""
+
+import numpy as np
+import pytest
+
+from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
+from sim.equivalent import equivalent_modulus, hang_mesh
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.membranes import Corotational
+from sim.mesh import strip
+from sim.scene import State
+
+EDGE = 7.5e-3
+
+
+def coarse_strip(diagonals: str = "alternating"):
+    return strip(length=0.09, width=0.03, edge=EDGE, clamp=2 * EDGE, diagonals=diagonals)
+
+
+def test_a_strip_with_the_equivalent_modulus_hangs_as_the_elastica():
+    mesh, held = coarse_strip()
+    found = equivalent_modulus(mesh, held, gamma=10)
+    assert found.found and found.ratio > 1.1  # plain hinges are far too soft on this mesh
+    physical = fabric_of_gamma(10, 0.09)
+    flat = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    laws = Laws(bending="hinge_linear")
+    off = {}
+    for ratio in (1.0, found.ratio):
+        fabric = Fabric(ratio * physical.alpha, density=physical.density)
+        end, _, _ = hang_mesh(mesh, held, fabric, flat, laws=laws)
+        off[ratio] = aspect_ratio(end) / aspect_ratio(elastica(10)[-1]) - 1
+    assert off[1.0] > 0.1
+    assert abs(off[found.ratio]) < 1e-4
+
+
+def test_the_modulus_depends_on_the_triangulation_but_not_for_the_default_law():
+    ratios = {d: equivalent_modulus(*coarse_strip(d), gamma=1).ratio
+              for d in ("alternating", "random")}
+    assert ratios["alternating"] - ratios["random"] > 0.05
+    for diagonals in ("alternating", "random"):
+        default = equivalent_modulus(*coarse_strip(diagonals), gamma=1,
+                                     laws=Laws(bending="midedge"))
+        assert default.ratio == pytest.approx(1.0, abs=0.015)
+
+
+def test_similar_strips_have_the_same_modulus():
+    """Length L, moduli as L³, in-plane stiffness as L: the same equations."""
+    ratios = []
+    for size in (0.03, 0.09):
+        mesh, held = strip(length=size, width=size / 3, edge=size / 9, clamp=size / 4.5,
+                           diagonals="equal")
+        laws = Laws(bending="hinge_linear", membrane=Corotational(2000 * size))
+        ratios.append(equivalent_modulus(mesh, held, gamma=10, laws=laws).ratio)
+    assert ratios[0] == pytest.approx(ratios[1], rel=1e-5)
+
+
+def test_failure_is_data_and_nonsense_is_refused():
+    mesh, held = strip(length=0.09, width=0.03, edge=0.015, clamp=0.03)
+    unlikely = equivalent_modulus(mesh, held, gamma=1, tolerance=0.0)
+    assert not unlikely.found and "no match" in unlikely.message
+    assert unlikely.mismatch < 1e-6
+    with pytest.raises(InputError, match="gamma"):
+        equivalent_modulus(mesh, held, gamma=-1)
+    with pytest.raises(InputError, match="free length"):
+        equivalent_modulus(type(mesh)(mesh.rest - [1.0, 0.0], mesh.faces), held)
