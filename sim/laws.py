@@ -7,44 +7,23 @@ import numpy as np
 
 from sim.energies.base import Energy
 from sim.energies.fold_limit import FoldLimit
-from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending
 from sim.errors import InputError
+from sim.hinge_laws import HINGE_LAWS
 from sim.material import Fabric
+from sim.membranes import Corotational, Membrane
 from sim.mesh import Mesh
 
 
-class Membrane(Protocol):
-    """Parameters of an in-plane law, SI units."""
+class Bending(Protocol):
+    """A bending law."""
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
         """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
 
-    def scaled(self, factor: float) -> "Membrane":
-        """The same law, ``factor`` times as stiff."""
 
-
-@dataclass(frozen=True)
-class Corotational:
-    """Isotropic corotational membrane (section 4.1).
-
-    Attributes:
-        stiffness: Young's modulus times thickness, N/m.
-        poisson: Poisson's ratio in the plane.
-    """
-
-    stiffness: float = 200.0
-    poisson: float = 0.3
-
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        return CorotationalMembrane(mesh, active, stiffness=self.stiffness, poisson=self.poisson)
-
-    def scaled(self, factor: float) -> "Corotational":
-        return replace(self, stiffness=factor * self.stiffness)
-
-
-BENDING = {"midedge": MidEdgeBending}
-"""Bending laws by name: ``law(mesh, active, fabric=fabric)`` is an :class:`Energy`."""
+BENDING: dict[str, Bending] = {"midedge": MidEdgeBending, **HINGE_LAWS}
+"""Bending laws by name."""
 
 
 @dataclass(frozen=True)
@@ -52,27 +31,32 @@ class Laws:
     """What stands for the cloth in the total energy.
 
     Attributes:
-        bending: a key of :data:`BENDING`.
+        bending: a key of :data:`BENDING`, or a law itself.
         membrane: in-plane law.
 
     Raises:
         InputError: unknown bending law.
     """
 
-    bending: str = "midedge"
+    bending: str | Bending = "midedge"
     membrane: Membrane = field(default_factory=Corotational)
 
     def __post_init__(self) -> None:
-        if self.bending not in BENDING:
+        if isinstance(self.bending, str) and self.bending not in BENDING:
             raise InputError(
                 f"unknown bending law '{self.bending}'; choose from {', '.join(BENDING)}"
             )
+
+    @property
+    def bending_law(self) -> Bending:
+        """The bending law that ``bending`` names or is."""
+        return BENDING[self.bending] if isinstance(self.bending, str) else self.bending
 
     def energies(self, mesh: Mesh, active: np.ndarray, fabric: Fabric) -> list[Energy]:
         """Energies of the triangles ``active`` (F,) bool of a cloth of ``fabric``."""
         return [
             self.membrane.energy(mesh, active),
-            BENDING[self.bending](mesh, active, fabric=fabric),
+            self.bending_law(mesh, active, fabric=fabric),
             FoldLimit(mesh, active, stiffness=float(fabric.alpha.min())),
         ]
 

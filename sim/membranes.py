@@ -1,0 +1,206 @@
+"""Parameters of the in-plane laws: what a user chooses, in SI units."""
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from sim.energies.base import Energy
+from sim.energies.locking import Band, ComponentGuard, PrincipalGuard
+from sim.energies.membrane import CorotationalMembrane
+from sim.energies.strain import StrainLaw, StrainMembrane
+from sim.energies.stress_curves import DiagonalLaw, StressCurve
+from sim.energies.stvk import OrthotropicLaw
+from sim.errors import InputError
+from sim.mesh import Mesh
+
+
+class Membrane(Protocol):
+    """Parameters of an in-plane law, SI units."""
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
+
+    def scaled(self, factor: float) -> "Membrane":
+        """The same law, ``factor`` times as stiff."""
+
+
+class Guardable(Membrane, Protocol):
+    """A membrane that :class:`Guarded` can wrap."""
+
+    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
+        """The law with stretches between ``low`` and ``high`` free but for ``share`` of it."""
+
+
+@dataclass(frozen=True)
+class Corotational:
+    """Isotropic corotational membrane (section 4.1), the default.
+
+    Attributes:
+        stiffness: Young's modulus times thickness, N/m.
+        poisson: Poisson's ratio in the plane.
+
+    Raises:
+        InputError: no stable material has these.
+    """
+
+    stiffness: float = 200.0
+    poisson: float = 0.3
+
+    def __post_init__(self) -> None:
+        _check_positive(stiffness=self.stiffness)
+        if not -1 < self.poisson < 1:
+            raise InputError(f"poisson={self.poisson:g} must lie between -1 and 1")
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        return CorotationalMembrane(mesh, active, stiffness=self.stiffness, poisson=self.poisson)
+
+    def scaled(self, factor: float) -> "Corotational":
+        return replace(self, stiffness=factor * self.stiffness)
+
+    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
+        band = Band(low - 1, high - 1, share)
+        return PrincipalGuard(stiffness=self.stiffness, poisson=self.poisson, band=band)
+
+
+@dataclass(frozen=True)
+class OrthotropicStVK:
+    """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
+
+    Attributes:
+        warp, weft: Young's moduli times thickness, N/m.
+        poisson: contraction along weft over extension along warp when pulled along warp; the
+            other way round it is ``poisson * weft / warp``.
+        shear: shear modulus times thickness, N/m.
+
+    Raises:
+        InputError: no stable material has these.
+    """
+
+    warp: float = 200.0
+    weft: float = 200.0
+    poisson: float = 0.3
+    shear: float = 200.0 / 2.6
+
+    def __post_init__(self) -> None:
+        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear)
+        if not self.poisson**2 * self.weft < self.warp:
+            limit = (self.warp / self.weft) ** 0.5
+            raise InputError(
+                f"poisson={self.poisson:g} must stay below {limit:.3g} for these warp and weft "
+                "moduli"
+            )
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        return StrainMembrane(mesh, active, self._law())
+
+    def scaled(self, factor: float) -> "OrthotropicStVK":
+        return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
+
+    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
+        return ComponentGuard(self._law(), _band_of_components(low, high, share))
+
+    def _law(self) -> OrthotropicLaw:
+        return OrthotropicLaw(
+            warp=self.warp, weft=self.weft, poisson=self.poisson, shear=self.shear
+        )
+
+
+Knots = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class NonlinearCurves:
+    """Diagonalised membrane with a stress curve for each component (Miguel et al., section 4).
+
+    Attributes:
+        warp, weft: knots (Green strain, stress in N/m) of pulling along each direction, both
+            increasing from (0, 0).
+        shear: knots (2 E_uv, stress in N/m), the same.
+
+    Raises:
+        InputError: a curve that does not increase from (0, 0).
+    """
+
+    warp: Knots = ((0.0, 0.0), (0.02, 2.0), (0.06, 14.0))
+    weft: Knots = ((0.0, 0.0), (0.02, 2.0), (0.06, 14.0))
+    shear: Knots = ((0.0, 0.0), (0.1, 2.0), (0.3, 20.0))
+
+    def __post_init__(self) -> None:
+        for name in ("warp", "weft", "shear"):
+            knots = np.asarray(getattr(self, name), dtype=np.float64)
+            good = knots.ndim == 2 and len(knots) > 1 and knots.shape[1] == 2
+            if not (good and (np.diff(knots, axis=0) > 0).all() and np.isfinite(knots).all()):
+                raise InputError(
+                    f"{name}: a stress curve needs two or more pairs of strain and stress, both "
+                    "increasing"
+                )
+            if knots[0].any():
+                raise InputError(f"{name}: a stress curve starts at strain 0 and stress 0")
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        return StrainMembrane(mesh, active, self._law())
+
+    def scaled(self, factor: float) -> "NonlinearCurves":
+        def scale(knots: Knots) -> Knots:
+            return tuple((strain, factor * stress) for strain, stress in knots)
+
+        return NonlinearCurves(*(scale(k) for k in (self.warp, self.weft, self.shear)))
+
+    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
+        return ComponentGuard(self._law(), _band_of_components(low, high, share))
+
+    def _law(self) -> DiagonalLaw:
+        curves = (
+            StressCurve(*np.asarray(knots, dtype=np.float64).T, odd=odd)
+            for knots, odd in ((self.warp, False), (self.weft, False), (self.shear, True))
+        )
+        return DiagonalLaw(*curves)
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """Another membrane with free strain around rest, against locking.
+
+    See :mod:`sim.energies.locking`. The corotational law is free in its principal stretches,
+    the others in warp, weft and shear.
+
+    Attributes:
+        membrane: what resists outside the band.
+        low, high: stretches between which the cloth is free; the paper's 99 % and 101 %.
+        share: of the membrane's stiffness that remains within the band.
+
+    Raises:
+        InputError: a band that does not contain 1, or a share that is not in (0, 1).
+    """
+
+    membrane: Guardable = field(default_factory=lambda: Corotational(stiffness=5000.0))
+    low: float = 0.99
+    high: float = 1.01
+    share: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low < 1 < self.high < np.inf:
+            raise InputError(f"free stretch from {self.low:g} to {self.high:g} must contain 1")
+        if not 0 < self.share < 1:
+            raise InputError(f"share={self.share:g} must lie between 0 and 1")
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        law = self.membrane.guarded_law(self.low, self.high, self.share)
+        return StrainMembrane(mesh, active, law)
+
+    def scaled(self, factor: float) -> "Guarded":
+        return replace(self, membrane=self.membrane.scaled(factor))
+
+
+def _band_of_components(low: float, high: float, share: float) -> Band:
+    """Green strains of the stretches low and high, and the shear that both together make."""
+    below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
+    shear = above - below  # stretches high and low at 45° to the yarns
+    return Band(np.array([below, below, -shear]), np.array([above, above, shear]), share)
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name}={value:g} must be a positive number of N/m")
