@@ -1,0 +1,184 @@
+"""Contact of the cloth with itself: a barrier on the distances between its triangles and edges.
+
+Distances, barrier, derivatives and the test of a step are those of the IPC Toolkit (Li et al.
+2020, Incremental Potential Contact; Li et al. 2023, Convergent IPC). What is added here is the
+form in which Newton's method takes an energy: blocks over a pattern that stays the same during
+one minimisation.
+"""
+
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+from scipy import sparse
+
+from sim.errors import InputError, one_line
+from sim.mesh import Mesh
+
+_HALF_WAY = 3.0 * np.log(4.0) + 4.5
+"""Pressure of two parallel sheets at half the barrier's distance, in units of its stiffness: each
+side is counted once by its vertices and once by its edges, at half the area, with the slope
+3/2 log 4 + 9/4. On triangulations that do not match it comes out 8 % smaller."""
+
+_OVERSHOOT = 1.25  # a step is allowed if 1.25 times the step is free of collisions
+
+
+@cache
+def import_ipctk() -> ModuleType:
+    """The module ipctk, set to one thread; InputError with the remedy when it is missing."""
+    # Imported late: inference from pictures alone can do without.
+    try:
+        import ipctk
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"ipctk cannot be imported ({one_line(error)}); install it with: pip install ipctk"
+        ) from None
+    ipctk.set_num_threads(1)  # as all of the simulator: one process a core, one thread each
+    return ipctk
+
+
+class SelfContact:
+    """Barrier -w k d̂ (s² - 1)² log s², s = d/d̂ < 1, on pairs of primitives at the distance d.
+
+    A pair is a vertex and a triangle, or two edges (faded out where they are parallel), without
+    a vertex in common; w is the rest area it stands for. The barrier is twice continuously
+    differentiable, zero from d̂ on and infinite at contact; the distance is once, its second
+    derivative jumps where the nearest point passes from a triangle to its edge.
+
+    Pairs come and go during a minimisation, the pattern of the Hessian does not. It couples the
+    vertices of all pairs that are nearer than ``reach`` at first. A block of the Hessian outside
+    the pattern is replaced by an upper bound on the diagonal, so that the convex Hessian stays
+    semi-definite; it is exact only where :meth:`is_complete`.
+
+    An element is a vertex or a couple of vertices; gradients stand with the vertices. The convex
+    Hessian is semi-definite as a sum, not element by element.
+
+    Args:
+        mesh: the specimen.
+        positions: (V, 3) m, around which the pattern is built.
+        distance: d̂, m, below the smallest height of a triangle.
+        pressure: N/m² between two sheets of cloth d̂/2 apart.
+        reach: m, at least ``distance``.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        positions: np.ndarray,
+        *,
+        distance: float,
+        pressure: float,
+        reach: float,
+    ) -> None:
+        self._ipctk = import_ipctk()
+        self._vertices = len(mesh.rest)
+        self._distance = distance
+        rest = np.column_stack([mesh.rest, np.zeros(self._vertices)])  # gives the areas
+        self._mesh = self._ipctk.CollisionMesh(rest, mesh.edges, mesh.faces)
+        self._barrier = self._ipctk.BarrierPotential(
+            distance, pressure / _HALF_WAY, use_physical_barrier=True
+        )
+        self._latest = self._hessians = None
+        couples = self._near(positions, reach)
+        self._keys = couples @ [self._vertices, 1]
+        vertex = 3 * np.arange(self._vertices)[:, None] + np.arange(3)
+        alone = np.concatenate([vertex, np.full_like(vertex, -1)], axis=1)
+        self.dofs = np.concatenate([alone, vertex[couples].reshape(-1, 6)])
+
+    def value(self, q: np.ndarray) -> float:
+        pairs, x = self._pairs(q)
+        return float(self._barrier(pairs, self._mesh, x))
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        pairs, x = self._pairs(q)
+        result = np.zeros(self.dofs.shape)
+        if not pairs.empty():
+            gradient = self._barrier.gradient(pairs, self._mesh, x)
+            result[: self._vertices, :3] = gradient.reshape(-1, 3)
+        return result
+
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+        exact, convex, _ = self._both_hessians(q)
+        return (1.0 - convexity) * exact + convexity * convex
+
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        """False when the cloth would pass through itself on the way, or end close to doing so.
+
+        A fifth of the way to the collision must be left, for the reason given at
+        :meth:`sim.energies.fold_limit.FoldLimit.allows`.
+        """
+        before, after = self._positions(old), self._positions(new)
+        return self._ipctk.is_step_collision_free(
+            self._mesh, before, before + _OVERSHOOT * (after - before)
+        )
+
+    def is_complete(self, q: np.ndarray) -> bool:
+        """Whether the pattern holds all pairs in contact at ``q``."""
+        return self._both_hessians(q)[2]
+
+    def _positions(self, q: np.ndarray) -> np.ndarray:
+        return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
+
+    def _pairs(self, q: np.ndarray) -> tuple:
+        """The pairs in contact (of the toolkit) and the positions (V, 3); kept for the next call.
+
+        Newton asks for value, gradient and several Hessians at the same place.
+        """
+        x = self._positions(q)
+        if self._latest is None or not np.array_equal(x, self._latest[1]):
+            pairs = self._ipctk.NormalCollisions()
+            pairs.use_area_weighting = True
+            pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
+            pairs.build(self._mesh, x, self._distance)
+            self._latest, self._hessians = (pairs, x), None
+        return self._latest
+
+    def _both_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Exact and convex blocks (N, 6, 6), and whether the pattern holds all of them."""
+        pairs, x = self._pairs(q)
+        if self._hessians is None:
+            blocks, complete = [], True
+            for projection in ("NONE", "CLAMP"):
+                result = np.zeros((*self.dofs.shape, 6))
+                if not pairs.empty():
+                    method = getattr(self._ipctk.PSDProjectionMethod, projection)
+                    whole = self._barrier.hessian(pairs, self._mesh, x, method)
+                    complete = self._fill(result, whole) and complete
+                blocks.append(result)
+            self._hessians = (*blocks, complete)
+        return self._hessians
+
+    def _fill(self, result: np.ndarray, whole: sparse.spmatrix) -> bool:
+        """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if blocks are left."""
+        blocks = sparse.bsr_matrix(whole, blocksize=(3, 3))
+        row = np.repeat(np.arange(self._vertices), np.diff(blocks.indptr))
+        column, data = blocks.indices.astype(np.int64), blocks.data
+        diagonal, upper = row == column, row < column
+        result[row[diagonal], :3, :3] = data[diagonal]
+        row, column, data = row[upper], column[upper], data[upper]
+        couple = row * self._vertices + column
+        found = np.isin(couple, self._keys)
+        element = self._vertices + np.searchsorted(self._keys, couple[found])
+        result[element, :3, 3:] = data[found]
+        result[element, 3:, :3] = np.swapaxes(data[found], 1, 2)
+        # [[|B|, -B], [-B', |B|]] is semi-definite and makes up for a block B left out.
+        left = ~found
+        bound = np.linalg.norm(data[left], axis=(1, 2))[:, None, None] * np.eye(3)
+        for vertex in (row, column):
+            np.add.at(result[:, :3, :3], vertex[left], bound)
+        return not left.any()
+
+    def _near(self, positions: np.ndarray, reach: float) -> np.ndarray:
+        """(C, 2) couples of vertices, sorted, of all pairs nearer than ``reach``."""
+        x = np.asfortranarray(positions)
+        edges, faces = self._mesh.edges, self._mesh.faces
+        candidates = self._ipctk.Candidates()
+        candidates.build(self._mesh, x, reach / 2)
+        corners = [
+            pair.vertex_ids(edges, faces)
+            for pair in [*candidates.fv_candidates, *candidates.ee_candidates]
+            if pair.compute_distance(pair.dof(x, edges, faces)) < reach**2  # squared, there
+        ]
+        corners = np.array(corners, dtype=np.int64).reshape(-1, 4)
+        couples = corners[:, np.stack(np.triu_indices(4, 1), axis=-1)].reshape(-1, 2)
+        return np.unique(np.sort(couples, axis=1), axis=0)

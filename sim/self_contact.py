@@ -1,0 +1,179 @@
+"""Cloth that meets itself: where it intersects itself, and equilibria in which it does not."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from sim.energies.base import Energy
+from sim.energies.self_contact import SelfContact, import_ipctk
+from sim.equilibrium import CONTACT_PRESSURE, find_equilibrium
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.mesh import Mesh
+from sim.newton import NewtonOptions, NewtonResult, Status
+from sim.scene import Scene, State
+
+DISTANCE = 1e-3
+"""m between two sheets of cloth at which they begin to feel each other, about two thicknesses."""
+_SHARE_OF_HEIGHT = 0.5  # on fine meshes the distance is at most this share of a triangle's height
+_REACH = 3.0  # pairs within this multiple of the distance get a place in the Hessian
+_ROUND = 25  # Newton steps after which these places are chosen anew
+_UNTANGLING_ROUNDS = 60
+
+
+def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(N, 3) the edges, as two vertices, and the faces they pass through.
+
+    Exact, by floating-point predicates with certain signs. A face and its own edges, or edges
+    that start at its corners, do not count; an edge that only touches a face does.
+
+    Args:
+        positions: (V, 3) finite, m.
+        faces: (F, 3).
+    """
+    ipctk = import_ipctk()
+    edges = ipctk.edges(faces)
+    boxes = ipctk.LBVH()
+    boxes.build(np.asfortranarray(positions), edges, faces)
+    near = [(pair.edge_id, pair.face_id) for pair in boxes.detect_edge_face_candidates()]
+    edge, face = np.array(near, dtype=np.int64).reshape(-1, 2).T
+    apart = (edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+    edge, face = edge[apart], face[apart]
+    corners = positions[np.concatenate([edges[edge], faces[face]], axis=1)]
+    crossing = np.array([ipctk.is_edge_intersecting_triangle(*five) for five in corners], bool)
+    found = np.column_stack([edges[edge], face])[crossing]
+    return found[np.lexsort(found.T)]
+
+
+def find_free_equilibrium(
+    scene: Scene,
+    fabric: Fabric,
+    start: State,
+    *,
+    laws: Laws | None = None,
+    extra: Sequence[Energy] = (),
+    options: NewtonOptions | None = None,
+) -> tuple[State, NewtonResult]:
+    """An equilibrium in which the cloth does not intersect itself; arguments as find_equilibrium.
+
+    First without contact between parts of the cloth, which is all for most drapes: where that
+    equilibrium is free of intersections it is returned as it is. Otherwise it is untangled and
+    Newton's method goes on from there with contact (:class:`SelfContact`), through which no step
+    leads. The result counts the work of both.
+
+    Status SELF_CONTACT says that the cloth could not be untangled, or is tangled again.
+    """
+    state, plain = find_equilibrium(scene, fabric, start, laws=laws, extra=extra, options=options)
+    count = len(self_intersections(state.positions, scene.mesh.faces))
+    if count == 0 or plain.status is not Status.CONVERGED:
+        return state, plain
+    positions = untangled(scene.mesh, scene.held, state.positions)
+    if positions is None:
+        message = f"intersects itself in {count} places and could not be untangled"
+        return state, replace(plain, status=Status.SELF_CONTACT, message=message)
+    state, result = _continue_with_contact(
+        scene, fabric, State(positions, state.rotations), laws=laws, extra=extra, options=options
+    )
+    count = len(self_intersections(state.positions, scene.mesh.faces))
+    if count:
+        message = f"intersects itself in {count} places ({result.message})"
+        result = replace(result, status=Status.SELF_CONTACT, message=message)
+    return state, replace(
+        result,
+        iterations=plain.iterations + result.iterations,
+        factorisations=plain.factorisations + result.factorisations,
+        seconds=dict(Counter(plain.seconds) + Counter(result.seconds)),
+    )
+
+
+def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
+    """Positions (V, 3), m, near the given ones without intersections; None if none are found.
+
+    Vertices around each intersection move half-way to the mean of their neighbours, again and
+    again, more of them and more often the longer it takes. Held vertices stay.
+
+    Args:
+        mesh: the specimen.
+        held: (V,) bool.
+        positions: (V, 3) m.
+    """
+    first, second = mesh.edges.T
+    vertices = len(positions)
+    ones = np.ones(len(first))
+    one_way = sparse.coo_matrix((ones, (first, second)), shape=(vertices, vertices))
+    adjacent = (one_way + one_way.T).tocsr()
+    degree = np.bincount(mesh.edges.ravel(), minlength=vertices)[:, None]
+    x = positions.copy()
+    for step in range(_UNTANGLING_ROUNDS):
+        crossing = self_intersections(x, mesh.faces)
+        if len(crossing) == 0:
+            return x
+        around = np.zeros(vertices, dtype=bool)
+        around[crossing[:, :2]] = around[mesh.faces[crossing[:, 2]]] = True
+        for _ in range(1 + step // 6):
+            around |= adjacent @ around > 0
+        moving = around & ~held
+        for _ in range(2 + step // 4):
+            x[moving] = 0.5 * (x + adjacent @ x / degree)[moving]
+    return None
+
+
+def _continue_with_contact(
+    scene: Scene,
+    fabric: Fabric,
+    state: State,
+    *,
+    laws: Laws | None,
+    extra: Sequence[Energy],
+    options: NewtonOptions | None,
+) -> tuple[State, NewtonResult]:
+    """Equilibrium with self-contact from a ``state`` without intersections."""
+    options = options or NewtonOptions()
+    distance = contact_distance(scene.mesh)
+    iterations, factorisations, seconds = 0, 0, Counter()
+    while True:
+        contact = SelfContact(
+            scene.mesh,
+            state.positions,
+            distance=distance,
+            pressure=CONTACT_PRESSURE * fabric.density * scene.gravity,
+            reach=_REACH * distance,
+        )
+        steps = min(_ROUND, options.max_iterations - iterations)
+        state, result = find_equilibrium(
+            scene,
+            fabric,
+            state,
+            laws=laws,
+            extra=[*extra, contact],
+            options=replace(options, max_iterations=steps),
+        )
+        iterations += max(result.iterations, 1)  # rounds without a step must end, too
+        factorisations += result.factorisations
+        seconds.update(result.seconds)
+        exact = contact.is_complete(np.concatenate([state.positions.ravel(), state.rotations]))
+        ended = result.status is not Status.MAX_ITERATIONS and exact
+        if ended or iterations >= options.max_iterations:
+            break
+    message = f"{result.message}; self-contact took {iterations} iterations"
+    status = result.status
+    if status is Status.CONVERGED and not exact:
+        status = Status.MAX_ITERATIONS  # a minimum only of an approximate Hessian
+    return state, replace(
+        result,
+        status=status,
+        message=message,
+        iterations=iterations,
+        factorisations=factorisations,
+        seconds=dict(seconds),
+    )
+
+
+def contact_distance(mesh: Mesh) -> float:
+    """Distance, m, at which contact begins on ``mesh``: a flat specimen does not feel itself."""
+    corners = mesh.rest[mesh.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    return float(min(DISTANCE, _SHARE_OF_HEIGHT * (2 * mesh.areas / longest).min()))

@@ -1,0 +1,295 @@
+"""Cloth that meets itself: found exactly, kept apart, and left alone where it does not."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from sim.energies.self_contact import SelfContact, import_ipctk
+from sim.equilibrium import find_equilibrium
+from sim.errors import InputError
+from sim.material import Fabric
+from sim.mesh import Mesh, draped_square, strip
+from sim.newton import NewtonOptions, Status
+from sim.scene import Scene, State
+from sim.self_contact import (
+    contact_distance,
+    find_free_equilibrium,
+    self_intersections,
+    untangled,
+)
+
+SOFT = Fabric(np.full(3, 4e-6))
+OPTIONS = NewtonOptions(residual=1e-4, step=1e-4)
+WEIGHT = SOFT.density * 9.81  # N/m²
+
+
+def sheet(size: float = 0.08, edge: float = 0.01, seed: int = 0, jitter: float = 0.15) -> Mesh:
+    mesh, _ = strip(length=size, width=size, edge=edge, clamp=0.0, diagonals="random",
+                    jitter=jitter, seed=seed)
+    return mesh
+
+
+def flat(mesh: Mesh, height: float = 0.0) -> np.ndarray:
+    return np.column_stack([mesh.rest, np.full(len(mesh.rest), height)])
+
+
+def two_sheets(gap: float, turn: float = 0.0) -> tuple[Mesh, np.ndarray]:
+    """One mesh of two equal sheets, the second ``gap`` above the first and turned in its plane."""
+    mesh = sheet()
+    centre = mesh.rest.mean(axis=0)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    upper = (mesh.rest - centre) @ rotation.T + centre
+    rest = np.concatenate([mesh.rest, mesh.rest + np.array([1.0, 0.0])])
+    both = Mesh(rest=rest, faces=np.concatenate([mesh.faces, mesh.faces + len(mesh.rest)]))
+    heights = np.repeat([0.0, gap], len(mesh.rest))
+    return both, np.column_stack([np.concatenate([mesh.rest, upper]), heights])
+
+
+def folded(mesh: Mesh, radius: float, at: float = 0.04, turn: float = np.pi) -> np.ndarray:
+    """Positions of ``mesh`` bent by ``turn`` from x = at on, over itself, around a cylinder."""
+    x, y = mesh.rest.T
+    angle = np.clip((x - at) / radius, 0.0, turn)
+    straight = np.maximum(x - at - turn * radius, 0.0)
+    across = np.minimum(x, at) + radius * np.sin(angle) + straight * np.cos(turn)
+    up = radius * (1 - np.cos(angle)) + straight * np.sin(turn)
+    return np.column_stack([across, y, up])
+
+
+# Detection
+
+
+def test_flat_and_closely_folded_sheets_do_not_intersect():
+    mesh = sheet()
+    assert len(self_intersections(flat(mesh), mesh.faces)) == 0
+    fine = sheet(edge=0.002, jitter=0.0)
+    assert len(self_intersections(folded(fine, radius=2e-3), fine.faces)) == 0
+    both, positions = two_sheets(gap=1e-9, turn=0.3)
+    assert len(self_intersections(positions, both.faces)) == 0
+
+
+def test_a_sheet_folded_through_itself_is_found_where_it_crosses():
+    mesh = sheet(edge=0.005, jitter=0.0)
+    positions = folded(mesh, radius=5e-3, turn=1.2 * np.pi)
+    crossing = self_intersections(positions, mesh.faces)
+    middle = positions[mesh.faces[crossing[:, 2]]].mean(axis=1)
+    assert len(crossing) >= 8  # the line of the crossing is 16 edges long
+    assert np.abs(middle[:, 2]).max() < 5e-3  # where the turned part meets the flat one
+
+
+def test_a_triangle_through_another_has_two_edges_through_it():
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0],
+                          [0.2, 0.2, -1], [0.3, 0.2, -1], [0.2, 0.25, 1.0]])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    assert self_intersections(positions, faces).tolist() == [[3, 5, 0], [4, 5, 0]]
+    lifted = positions + np.repeat([[0, 0, 0], [0, 0, 1.0 + 1e-12]], 3, axis=0)
+    assert len(self_intersections(lifted, faces)) == 0
+    lifted[3:, 2] -= 2e-12
+    assert len(self_intersections(lifted, faces)) == 2
+
+
+def test_count_does_not_depend_on_the_frame():
+    both, positions = two_sheets(gap=0.0, turn=0.3)  # edges in one plane would touch
+    positions[len(positions) // 2 :, 2] = 0.3 * (positions[len(positions) // 2 :, 0] - 0.0417)
+    rotation, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
+    count = len(self_intersections(positions, both.faces))
+    assert count > 8
+    assert len(self_intersections(positions @ rotation + [1, 2, 3], both.faces)) == count
+
+
+# The energy
+
+
+def touching(gap: float = 0.5e-3, reach: float = 3e-3) -> tuple[SelfContact, np.ndarray]:
+    """Two wavy sheets in contact at many places, d̂ = 1 mm and the unknowns."""
+    both, positions = two_sheets(gap, turn=0.3)
+    positions[:, 2] += np.random.default_rng(1).normal(0, 0.1 * gap, len(positions))
+    contact = SelfContact(both, positions, distance=1e-3, pressure=20 * WEIGHT, reach=reach)
+    return contact, np.concatenate([positions.ravel(), np.zeros(len(both.edges))])
+
+
+def summed_gradient(energy: SelfContact, q: np.ndarray) -> np.ndarray:
+    total = np.zeros(len(q) + 1)
+    np.add.at(total, energy.dofs, energy.gradient(q))
+    return total[:-1]
+
+
+def summed_hessian(energy: SelfContact, q: np.ndarray, convexity: float) -> np.ndarray:
+    total = np.zeros((len(q) + 1, len(q) + 1))
+    np.add.at(total, (energy.dofs[:, :, None], energy.dofs[:, None, :]),
+              energy.hessian(q, convexity))
+    return total[:-1, :-1]
+
+
+def assert_derivative(value, exact: np.ndarray) -> None:
+    """Central differences of value(h) converge to ``exact`` with the square of h."""
+    errors = np.array([np.abs((value(h) - value(-h)) / (2 * h) - exact).max()
+                       for h in 1e-5 * 2.0 ** -np.arange(10)])
+    size = np.abs(exact).max()
+    rates = np.log2(errors[:-1] / errors[1:])
+    quadratic = np.abs(rates - 2) < 0.2
+    assert (quadratic[:-2] & quadratic[1:-1] & quadratic[2:]).any(), rates
+    assert errors.min() < 1e-5 * size
+
+
+def test_derivatives():
+    energy, q = touching()
+    assert energy.is_complete(q)
+    direction = np.random.default_rng(2).standard_normal(len(q))
+    gradient, hessian = summed_gradient(energy, q), summed_hessian(energy, q, 0.0)
+    assert np.abs(gradient).max() > 1e-4 * WEIGHT  # does touch
+    assert_derivative(lambda h: energy.value(q + h * direction), gradient @ direction)
+    assert_derivative(lambda h: summed_gradient(energy, q + h * direction), hessian @ direction)
+
+
+def test_convexity_removes_the_indefinite_part_linearly():
+    energy, q = touching()
+    exact, middle, convex = (summed_hessian(energy, q, c) for c in (0.0, 0.3, 1.0))
+    assert np.linalg.eigvalsh(exact).min() < -1e-3 * np.abs(exact).max()
+    assert np.linalg.eigvalsh(convex).min() > -1e-12 * np.abs(convex).max()
+    assert np.allclose(middle, 0.7 * exact + 0.3 * convex, atol=1e-12 * np.abs(exact).max())
+
+
+def test_pairs_outside_the_pattern_leave_the_convex_hessian_semi_definite():
+    full, q = touching()
+    poor, _ = touching(reach=1e-6)
+    assert len(poor.dofs) < len(full.dofs)
+    assert full.is_complete(q) and not poor.is_complete(q)
+    assert np.array_equal(summed_gradient(full, q), summed_gradient(poor, q))
+    convex = summed_hessian(poor, q, 1.0)
+    above = convex - summed_hessian(full, q, 1.0)
+    for matrix in (convex, above):
+        assert np.linalg.eigvalsh(matrix).min() > -1e-12 * np.abs(convex).max()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_sheets_half_the_distance_apart_press_as_asked(turn):
+    pressure = 20 * WEIGHT
+    both, positions = two_sheets(gap=0.5e-3, turn=turn)
+    energy = SelfContact(both, positions, distance=1e-3, pressure=pressure, reach=3e-3)
+    q = np.concatenate([positions.ravel(), np.zeros(len(both.edges))])
+    force = -summed_gradient(energy, q)[: positions.size].reshape(-1, 3)
+    assert np.abs(force.sum(axis=0)).max() < 1e-12 * np.abs(force).sum()  # action and reaction
+    upper = np.arange(len(positions)) >= len(positions) // 2
+    inner = upper & (np.abs(positions[:, :2] - 0.04).max(axis=1) < 0.028)
+    found = force[inner, 2].sum() / both.vertex_areas[inner].sum()
+    assert found == pytest.approx(pressure, rel=0.25)
+
+
+def test_there_is_no_force_beyond_the_distance_nor_within_a_flat_specimen():
+    energy, q = touching(gap=1.6e-3)
+    assert energy.value(q) == 0.0
+    assert not energy.gradient(q).any() and not energy.hessian(q, 0.5).any()
+    for resolution in (16, 51):
+        mesh, _, _ = draped_square(size=0.3, plate_radius=0.05, resolution=resolution, seed=1)
+        distance = contact_distance(mesh)
+        contact = SelfContact(mesh, flat(mesh), distance=distance, pressure=1.0, reach=distance)
+        assert contact.value(flat(mesh).ravel()) == 0.0
+
+
+def test_steps_through_the_cloth_are_refused():
+    both, positions = two_sheets(gap=0.5e-3, turn=0.3)
+    energy = SelfContact(both, positions, distance=1e-3, pressure=1.0, reach=1e-3)
+    fall = np.zeros_like(positions)
+    fall[len(positions) // 2 :, 2] = -0.5e-3
+    q, fall = positions.ravel(), fall.ravel()
+    assert energy.allows(q, q + 0.7 * fall)
+    assert not energy.allows(q, q + 0.9 * fall)  # less than a fifth of the way is left
+    assert not energy.allows(q, q + 3.0 * fall)  # free of intersections again, but beyond
+    assert len(self_intersections((q + 3.0 * fall).reshape(-1, 3), both.faces)) == 0
+
+
+# Equilibria
+
+
+def fold_over_itself() -> tuple[Scene, State, Mesh]:
+    """A strip held flat over 60 mm whose free 60 mm are folded back above the held part."""
+    mesh, held = strip(length=0.06, width=0.03, edge=5e-3, clamp=0.06, diagonals="random",
+                       jitter=0.1, seed=1)
+    return Scene(mesh=mesh, held=held), State.at(mesh, folded(mesh, radius=8e-3, at=0.0)), mesh
+
+
+def test_cloth_rests_on_cloth():
+    """A slack sheet between two held ends, 5 mm above a held one on which it comes to lie."""
+    mesh, positions = two_sheets(gap=5e-3)
+    upper = np.arange(len(positions)) >= len(positions) // 2
+    x = positions[:, 0] / 0.08
+    held = ~upper | (x == 0) | (x == 1)
+    positions[upper, 0] *= 0.94
+    positions[upper, 2] += 12e-3 * np.sin(np.pi * x[upper])
+    contact = SelfContact(mesh, positions, distance=1e-3, pressure=20 * WEIGHT, reach=0.02)
+    assert not contact.value(positions.ravel())
+    scene, start = Scene(mesh=mesh, held=held), State.at(mesh, positions)
+    state, result = find_equilibrium(scene, SOFT, start, extra=[contact], options=OPTIONS)
+    assert result.status is Status.CONVERGED, result.message
+    assert result.positive_definite and result.residual < OPTIONS.residual
+    assert contact.is_complete(state.positions.ravel())
+    assert len(self_intersections(state.positions, mesh.faces)) == 0
+    lying = upper & (state.positions[:, 2] < 1e-3)
+    assert lying.sum() >= 9  # at least a row
+    # Carried well within the distance, by a pressure a few times its own weight per area.
+    assert 0.3e-3 < state.positions[lying, 2].min() < 0.95e-3
+
+
+def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
+    scene, start, mesh = fold_over_itself()
+    through, plain = find_equilibrium(scene, SOFT, start, options=OPTIONS)
+    assert plain.status is Status.CONVERGED
+    assert len(self_intersections(through.positions, mesh.faces)) > 0  # the case is one
+    first, second = (find_free_equilibrium(scene, SOFT, start, options=OPTIONS) for _ in range(2))
+    state, result = first
+    assert result.status is Status.CONVERGED, result.message
+    assert result.positive_definite and result.residual < OPTIONS.residual
+    assert result.iterations > plain.iterations
+    assert len(self_intersections(state.positions, mesh.faces)) == 0
+    assert state.positions.tobytes() == second[0].positions.tobytes()
+
+
+def test_nothing_changes_where_the_cloth_does_not_meet_itself():
+    mesh, held, _ = draped_square(size=0.3, plate_radius=0.05, resolution=16, seed=2)
+    scene = Scene(mesh=mesh, held=held)
+    start = State.at(mesh, flat(mesh) * [1, 1, 0] + 1e-3 * np.sin(40 * flat(mesh)[:, :1]) *
+                     [0, 0, 1] * ~held[:, None])
+    fabric = Fabric(np.full(3, 60e-6))
+    plain, expected = find_equilibrium(scene, fabric, start, options=OPTIONS)
+    state, result = find_free_equilibrium(scene, fabric, start, options=OPTIONS)
+    assert expected.status is Status.CONVERGED
+    assert state.positions.tobytes() == plain.positions.tobytes()
+    assert state.rotations.tobytes() == plain.rotations.tobytes()
+    assert result.iterations == expected.iterations
+
+
+def test_untangling_moves_little_and_only_free_vertices():
+    mesh = sheet(edge=0.005, jitter=0.0)
+    tangled = folded(mesh, radius=5e-3, turn=1.2 * np.pi)
+    held = mesh.rest[:, 0] < 0.03
+    assert len(self_intersections(tangled, mesh.faces)) > 0
+    positions = untangled(mesh, held, tangled)
+    assert len(self_intersections(positions, mesh.faces)) == 0
+    moved = np.linalg.norm(positions - tangled, axis=1)
+    assert not moved[held].any()
+    assert moved.max() < 0.015
+    everything = np.ones(len(held), dtype=bool)
+    assert untangled(mesh, everything, tangled) is None
+
+
+def test_cloth_that_cannot_be_untangled_says_so():
+    """Two held sheets that cross, and one free vertex to move."""
+    mesh, positions = two_sheets(gap=0.0)
+    half = len(positions) // 2
+    positions[half:, 2] = positions[half:, 0] - 0.0417
+    held = np.ones(len(positions), dtype=bool)
+    held[0] = False
+    scene = Scene(mesh=mesh, held=held)
+    state, result = find_free_equilibrium(scene, SOFT, State.at(mesh, positions), options=OPTIONS)
+    assert result.status is Status.SELF_CONTACT
+    count = len(self_intersections(state.positions, mesh.faces))
+    assert f"in {count} places" in result.message
+
+
+def test_without_the_library_the_error_names_the_remedy(monkeypatch):
+    import_ipctk.cache_clear()
+    monkeypatch.setitem(sys.modules, "ipctk", None)
+    mesh = sheet()
+    with pytest.raises(InputError, match="pip install ipctk"):
+        self_intersections(flat(mesh), mesh.faces)
