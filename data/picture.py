@@ -29,7 +29,7 @@ def shade(
     Args:
         positions: (V, 3) m, z up.
         faces: (F, 3).
-        plate_radius: of the cylinder, m.
+        plate_radius: of the cylinder, m; 0 for none.
         azimuth, elevation: of the viewer, degrees; azimuth -90 looks towards +y, 90 elevation
             looks straight down with +y up.
         size: width and height, px.
@@ -42,7 +42,9 @@ def shade(
     open3d = import_open3d()
     floor = min(positions[:, 2].min(), -0.11) - 0.02
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    meshes = [(positions, faces), _cylinder(plate_radius * 0.985, floor)]
+    meshes = [(positions, faces)]
+    if plate_radius > 0:
+        meshes.append(_cylinder(plate_radius * 0.985, floor))
     for points, triangles in meshes:
         scene.add_triangles(
             open3d.core.Tensor(points.astype(np.float32)),
@@ -64,7 +66,7 @@ def shade(
     uv = hits["primitive_uvs"].numpy()
 
     image = _background(starts, forward, floor, positions)
-    for k, (colour, (_, triangles)) in enumerate(zip((_CLOTH, _STAND), meshes, strict=True)):
+    for k, (colour, (_, triangles)) in enumerate(zip((_CLOTH, _STAND), meshes, strict=False)):
         seen = np.isfinite(distance) & (which == k)
         corners = triangles[triangle[seen].astype(int)]
         u, v = uv[seen].T[..., None]

@@ -82,7 +82,7 @@ class DatasetConfig:
         return {
             "sampling": self.sampling.as_dict(),
             "prior": prior_content(self.prior),
-            "rig": asdict(self.rig),
+            "rig": self.rig.as_dict(),
             "cameras": _plain(asdict(self.cameras)),
             "solver": {"resolution": self.resolution, "jitter": self.jitter},
             "storage": {

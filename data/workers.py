@@ -28,9 +28,14 @@ _worker: dict = {}
 
 
 def _start_worker(config: DatasetConfig, solver: Solver | None, renderer: Renderer | None) -> None:
-    """Prepare a worker process, and end it when the main process is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Prepare a worker process."""
+    end_with_parent()
     _worker.update(config=config, solver=solver, renderer=renderer)
+
+
+def end_with_parent() -> None:
+    """End this worker process when the main process is killed, and leave Ctrl-C to that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
     def follow_parent() -> None:
@@ -45,7 +50,7 @@ def _work(index: int) -> dict[str, np.ndarray]:
 
 
 @contextmanager
-def _worker_environment() -> Iterator[None]:
+def worker_environment() -> Iterator[None]:
     """Limit the threads of processes started within; they read it before numpy is loaded."""
     before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     os.environ.update(WORKER_ENVIRONMENT)
@@ -73,7 +78,7 @@ def make_records(
     """
     if not indices:
         return
-    with _worker_environment():
+    with worker_environment():
         pool = ProcessPoolExecutor(
             min(workers, len(indices)),
             mp_context=get_context("spawn"),

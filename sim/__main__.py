@@ -6,11 +6,16 @@ Keys (``key=value``):
     beta         quadratic moduli warp,bias,weft in nN·m², usually negative
     density      g/m²; the shape depends on moduli/density only
     rig          square300_cylinder100: 300 mm square on a cylinder of 100 mm
+                 disc300_support180: 300 mm disc on a support of 180 mm (ISO 9073-9)
+                 square600_corners500: 600 mm square hung by two corners 500 mm apart
     start        initial shape: sine or fold
+    borrow       drape.npz of another fabric on the same rig to start from, in place of start
     seed         of the initial shape and of the triangulation
-    resolution   vertices a side
+    mesh         structured, perturbed or unstructured
+    resolution   vertices a side, or across the disc
     offset       specimen's centre off the plate's axis along warp,weft in mm
-    out          folder for drape.ply (mesh, metres), drape.png and drape.json
+    out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
+                 rest, positions, faces, held; see sim/drape_file.py)
 """
 
 import json
@@ -21,10 +26,11 @@ import numpy as np
 
 from sim.cli import parse_overrides, run_command
 from sim.drape import DrapeResult, drape
+from sim.drape_file import read_borrowed, write_drape
 from sim.errors import InputError
 from sim.files import replace_file
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.measures import drape_coefficient, fold_count, maximum_stretch
+from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
 
 DEFAULTS = {
@@ -33,7 +39,9 @@ DEFAULTS = {
     "density": 300.0,
     "rig": "square300_cylinder100",
     "start": "sine",
+    "borrow": "",
     "seed": 0,
+    "mesh": "perturbed",
     "resolution": 51,
     "offset": [0.0, 0.0],
     "out": "outputs/drape",
@@ -41,7 +49,7 @@ DEFAULTS = {
 
 
 def main(argv: list[str]) -> None:
-    """Simulate, print what came out, and write the three files."""
+    """Simulate, print what came out, and write the files."""
     if {"-h", "--help", "help"} & set(argv):
         print(__doc__)
         return
@@ -58,7 +66,9 @@ def main(argv: list[str]) -> None:
         rig=Rig.from_name(config["rig"]),
         resolution=config["resolution"],
         start=config["start"],
+        borrowed=read_borrowed(Path(config["borrow"])) if config["borrow"] else None,
         seed=config["seed"],
+        mesh=config["mesh"],
         offset=tuple(1e-3 * v for v in config["offset"]),
     )
     summary = summarise(result, config)
@@ -67,20 +77,26 @@ def main(argv: list[str]) -> None:
     print(f"{summary['status']}: {summary['message']}")
     print(f"residual            {summary['residual']:.1e} of a vertex's weight")
     print(f"minimum             {'yes' if summary['positive_definite'] else 'not proven'}")
-    print(f"drape coefficient   {100 * summary['drape_coefficient']:.1f} %")
-    print(f"folds               {summary['fold_count']}")
+    if result.rig.has_plate:
+        print(f"drape coefficient   {100 * summary['drape_coefficient']:.1f} %")
+        print(f"folds               {summary['fold_count']}")
     print(f"largest stretch     {100 * summary['maximum_stretch']:.2f} %")
     print(f"{summary['iterations']} Newton steps, {summary['seconds']:.1f} s; see {folder}/")
 
 
 def summarise(result: DrapeResult, config: dict) -> dict:
-    """What drape.json says: parameters in people's units, outcome, measures."""
+    """What drape.json says: parameters in people's units, outcome, measures.
+
+    Measures that refer to a plate are null on a rig without one.
+    """
+    positions, faces, rig = result.positions, result.faces, result.rig
     return {
         "parameters": {
             "alpha_uN_m": dict(zip(DIRECTIONS, config["alpha"], strict=True)),
             "beta_nN_m2": dict(zip(DIRECTIONS, config["beta"], strict=True)),
             "density_g_m2": config["density"],
-            **{key: config[key] for key in ("rig", "start", "seed", "resolution")},
+            **{key: config[key]
+               for key in ("rig", "start", "borrow", "seed", "mesh", "resolution")},
             "offset_mm": config["offset"],
         },
         "status": result.status.value,
@@ -88,18 +104,18 @@ def summarise(result: DrapeResult, config: dict) -> dict:
         "residual": result.residual,
         "last_step_mm": result.step,
         "positive_definite": result.positive_definite,
+        "self_intersections": result.self_intersections,
         "iterations": result.iterations,
         "seconds": round(result.seconds, 3),
-        "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
-        "fold_count": fold_count(result.positions, result.rest, result.rig),
-        "maximum_stretch": maximum_stretch(
-            result.positions, result.rest, result.faces, result.held
-        ),
+        "drape_coefficient": drape_coefficient(positions, faces, rig) if rig.has_plate else None,
+        "fold_count": fold_count(positions, result.rest, rig) if rig.has_plate else None,
+        "deepest_entry_mm": 1e3 * deepest_entry(positions, faces, rig),
+        "maximum_stretch": maximum_stretch(positions, result.rest, faces, result.held),
     }
 
 
 def write(folder: Path, result: DrapeResult, summary: dict) -> None:
-    """Write drape.ply, drape.png and drape.json, each whole or not at all."""
+    """Write drape.ply, drape.png, drape.json and drape.npz, each whole or not at all."""
     # Pictures and mesh formats are the command line's business, not the simulator's.
     import cv2
     import trimesh
@@ -107,13 +123,17 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     from data.picture import shade
 
     mesh = trimesh.Trimesh(result.positions, result.faces, process=False)
-    radius = result.rig.plate_radius
-    views = [shade(result.positions, result.faces, plate_radius=radius, elevation=angle)
+    size, radius = result.rig.specimen_size, result.rig.plate_radius
+    # Pictures show what is around the plate's height; hung cloth is raised to there.
+    raised = np.array([0.0, 0.0, 0.0 if result.rig.has_plate else 0.4 * size])
+    views = [shade(result.positions + raised, result.faces, plate_radius=radius, elevation=angle,
+                   field=4 / 3 * size)
              for angle in (25.0, 90.0)]
     _, picture = cv2.imencode(".png", np.hstack(views)[..., ::-1])
     replace_file(folder / "drape.ply", mesh.export(file_type="ply"))
     replace_file(folder / "drape.png", picture.tobytes())
     replace_file(folder / "drape.json", (json.dumps(summary, indent=2) + "\n").encode())
+    write_drape(folder / "drape.npz", result)
 
 
 def entry() -> None:

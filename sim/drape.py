@@ -8,14 +8,17 @@ import numpy as np
 
 from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
-from sim.initial import initial_positions, interpolate_positions
+from sim.initial import borrowed_positions, initial_positions, interpolate_positions
+from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import draped_square
 from sim.newton import NewtonOptions, Status
 from sim.scene import Rig, Scene, State
+from sim.self_contact import find_free_equilibrium, self_intersections
+from sim.specimens import make_specimen
 
 COARSEST = 16  # fewest vertices a side that a drape is started on
+BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to survive
 COARSE_MEMBRANE = 0.1
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps: soft fabrics take half the time."""
@@ -29,16 +32,19 @@ class DrapeResult:
 
     Attributes:
         fabric, rig: what was asked for.
-        positions: (V, 3) m; origin at the centre of the plate's top face, z up.
+        positions: (V, 3) m; origin and axes as :class:`sim.scene.Rig` says, z up.
         rotations: (E,) rad, edge rotations of the bending law.
-        rest: (V, 2) m, warp along +x, weft along +y, origin on the plate's axis.
+        rest: (V, 2) m, warp along +x, weft along +y, origin on the plate's axis, without a
+            plate at the specimen's centre.
         faces: (F, 3) int64, counter-clockwise seen from above at rest.
-        diagonals: (n-1, n-1) bool; ``faces == sim.mesh.grid_faces(diagonals)``.
-        held: (V,) bool, vertices on the plate.
+        diagonals: (n-1, n-1) bool; ``faces == sim.mesh.grid_faces(diagonals)``; None where the
+            mesh is no grid.
+        held: (V,) bool, vertices that the rig holds.
         status, message: how it ended, in one word and in a sentence.
         residual: largest force residual, in units of a vertex's weight.
         step: last Newton step, mm.
         positive_definite: whether the exact Hessian is, so that the state is a minimum.
+        self_intersections: places where an edge passes through a triangle; 0 when converged.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
         time_spent: seconds of all minimisations by activity (see :class:`NewtonResult`).
@@ -50,13 +56,14 @@ class DrapeResult:
     rotations: np.ndarray
     rest: np.ndarray
     faces: np.ndarray
-    diagonals: np.ndarray
+    diagonals: np.ndarray | None
     held: np.ndarray
     status: Status
     message: str
     residual: float
     step: float
     positive_definite: bool
+    self_intersections: int
     iterations: int
     seconds: float
     time_spent: dict[str, float]
@@ -73,10 +80,12 @@ def drape(
     rig: Rig | None = None,
     resolution: int = 51,
     start: str = "sine",
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
     seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0),
+    mesh: str = "perturbed",
     jitter: float = 0.15,
-    diagonals: str = "random",
+    diagonals: str | None = None,
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
 ) -> DrapeResult:
@@ -86,12 +95,14 @@ def drape(
     reference density; its own density changes nothing.
 
     Args:
-        resolution: vertices a side of the final mesh.
-        start: initial shape, see :mod:`sim.initial`.
+        rig: what holds the specimen; None for the square on its cylinder.
+        resolution: vertices a side, or across a disc, of the final mesh.
+        start: initial shape, see :data:`sim.initial.STARTS`.
+        borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
+            to start from, in place of ``start``; on a mesh fine enough for its folds.
         seed: of the initial shape and of the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        jitter: random displacement of rest vertices, as a fraction of the spacing.
-        diagonals: kind of triangulation, see :data:`sim.mesh.DIAGONALS`.
+        mesh, jitter, diagonals: kind of triangulation, see :func:`sim.specimens.make_specimen`.
         laws: of bending and membrane.
         options: of the final minimisation.
 
@@ -109,59 +120,67 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     laws = laws or Laws()
-    levels = coarse_to_fine(resolution)
+    levels = coarse_to_fine(resolution, COARSEST if borrowed is None else BORROWED_COARSEST)
     iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
         last = level == resolution
-        mesh, held, cells = draped_square(
-            size=rig.specimen_size,
-            plate_radius=rig.plate_radius,
+        specimen = make_specimen(
+            rig,
+            mesh=mesh,
             resolution=level,
             offset=offset,
-            diagonals=diagonals,
             jitter=jitter,
+            diagonals=diagonals,
             seed=seed,
         )
-        if coarse is None:
-            rng = np.random.default_rng([seed, 1])
-            positions = initial_positions(mesh.rest, rig=rig, start=start, rng=rng)
+        cloth, held = specimen.mesh, specimen.held
+        if coarse is not None:
+            positions = interpolate_positions(*coarse, cloth.rest)
+        elif borrowed is not None:
+            positions = borrowed_positions(cloth.rest, rig=rig, borrowed=borrowed)
         else:
-            positions = interpolate_positions(*coarse, mesh.rest)
-        positions[held] = np.column_stack([mesh.rest[held], np.zeros(held.sum())])
-        scene = Scene(mesh=mesh, held=held, cylinder_radius=rig.plate_radius)
-        state, result = find_equilibrium(
+            rng = np.random.default_rng([seed, 1])
+            positions = initial_positions(cloth.rest, rig=rig, start=start, rng=rng)
+        positions[held] = rig.place(cloth.rest[held])
+        scene = Scene(mesh=cloth, held=held, obstacles=rig.obstacles)
+        state, result, _ = find_settled_equilibrium(
             scene,
             simulated,
-            State.at(mesh, positions),
+            State.at(cloth, positions),
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or _FINE) if last else _COARSE,
+            find=find_free_equilibrium if last else find_equilibrium,
         )
         iterations += result.iterations
         time_spent.update(result.seconds)
-        coarse = (mesh.rest, state.positions)
+        coarse = (cloth.rest, state.positions)
     return DrapeResult(
         fabric=fabric,
         rig=rig,
         positions=state.positions,
         rotations=state.rotations,
-        rest=mesh.rest,
-        faces=mesh.faces,
-        diagonals=cells,
+        rest=cloth.rest,
+        faces=cloth.faces,
+        diagonals=specimen.diagonals,
         held=held,
         status=result.status,
         message=result.message,
         residual=result.residual,
         step=result.step,
         positive_definite=result.positive_definite,
+        self_intersections=len(self_intersections(state.positions, cloth.faces)),
         iterations=iterations,
         seconds=time.perf_counter() - began,
         time_spent=dict(time_spent),
     )
 
 
-def coarse_to_fine(resolution: int) -> list[int]:
-    """Vertices a side of the meshes a drape is solved on; the spacing halves each time."""
+def coarse_to_fine(resolution: int, coarsest: int = COARSEST) -> list[int]:
+    """Vertices a side of the meshes a drape is solved on; the spacing halves each time.
+
+    None but the last has fewer than ``coarsest``.
+    """
     levels = [resolution]
-    while (levels[0] - 1) // 2 + 1 >= COARSEST:
+    while (levels[0] - 1) // 2 + 1 >= coarsest:
         levels.insert(0, (levels[0] - 1) // 2 + 1)
     return levels

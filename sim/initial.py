@@ -2,11 +2,14 @@
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.optimize import brentq
+from scipy.spatial import ConvexHull, QhullError
 
 from sim.errors import InputError
 from sim.scene import Rig
 
 STARTS = ("sine", "fold")
+"""Starts made at random; a drape can also be borrowed, see :func:`borrowed_positions`."""
 
 
 def initial_positions(
@@ -15,8 +18,12 @@ def initial_positions(
     """Positions (V, 3), m, of rest points (V, 2); flat on the plate, see :data:`STARTS`.
 
     Raises:
-        InputError: unknown start.
+        InputError: unknown start, or one that the rig has not.
     """
+    if start == "sine" and not rig.has_plate:
+        return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
+    if start == "fold" and not rig.has_plate:
+        raise InputError(f"start=fold bends the cloth over a plate, which {rig.name} has not")
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
         return flat + _waves(rest, rig, rng, amplitude=5e-3)
@@ -62,6 +69,58 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([plane, -drop])
 
 
+def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:
+    """A square held by its upper corners, its rows bent to circular arcs between them."""
+    chord = rig.corners_apart / rig.specimen_size
+    turn = brentq(lambda t: np.sin(t) / t - chord, 1e-6, np.pi)
+    radius = rig.specimen_size / 2 / turn
+    angle = rest[:, 0] / radius
+    sag = radius * (np.cos(angle) - np.cos(turn))
+    return np.column_stack([radius * np.sin(angle), -sag, rest[:, 1] - rig.specimen_size / 2])
+
+
+def borrowed_positions(
+    rest: np.ndarray, *, rig: Rig, borrowed: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Positions (V, 3), m, of rest points (V, 2) in a previous drape of another fabric.
+
+    Where the two specimens lie differently on the plate, points of the plate and points of the
+    border still belong together, and those between are shifted in proportion.
+
+    Args:
+        rest: points of this specimen, its border among them.
+        rig: of both drapes.
+        borrowed: rest points (W, 2) and positions (W, 3) of the other drape, m.
+
+    Raises:
+        InputError: the other drape is not of such a specimen.
+    """
+    other_rest, other_positions = (np.asarray(array, np.float64) for array in borrowed)
+    if (other_rest.ndim != 2 or other_rest.shape[1:] != (2,)
+            or other_positions.shape != (len(other_rest), 3)
+            or not (np.isfinite(other_rest).all() and np.isfinite(other_positions).all())):
+        raise InputError("a borrowed drape needs finite rest points (V, 2) and positions (V, 3)")
+    try:
+        area = ConvexHull(other_rest).volume
+    except (QhullError, ValueError):
+        area = 0.0
+    if abs(area / rig.specimen_area - 1) > 0.03:
+        raise InputError(
+            f"the borrowed drape's specimen measures {1e4 * area:.0f} cm², that of {rig.name} "
+            f"{1e4 * rig.specimen_area:.0f} cm²"
+        )
+    centre, other_centre = (0.5 * (r.min(0) + r.max(0)) for r in (rest, other_rest))
+    from_centre = np.abs(rest - centre)
+    if rig.specimen == "disc":
+        from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
+    to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)
+    to_plate = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
+    share = to_plate / np.maximum(to_plate + to_border, 1e-12)
+    return interpolate_positions(
+        other_rest, other_positions, rest + share[:, None] * (other_centre - centre)
+    )
+
+
 def interpolate_positions(
     coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
@@ -72,4 +131,26 @@ def interpolate_positions(
     surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull
-    return surface(inward)
+    positions = surface(inward)
+    outside = np.isnan(positions[:, 0])
+    if outside.any():
+        positions[outside] = _beyond_border(surface, coarse_rest, centre, inward[outside])
+    return positions
+
+
+def _beyond_border(
+    surface: CloughTocher2DInterpolator, rest: np.ndarray, centre: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``.
+
+    The border of a disc is a polygon with more corners on a finer mesh, which lie outside.
+    """
+    equations = ConvexHull(rest).equations
+    ray = points - centre
+    rise = ray @ equations[:, :2].T
+    room = -(centre @ equations[:, :2].T + equations[:, 2])
+    crossing = np.where(rise > 0, room / np.where(rise > 0, rise, 1.0), np.inf).min(axis=1)
+    last = (crossing * (1 - 1e-6))[:, None]
+    before = 0.98 * last
+    at_last, at_before = surface(centre + last * ray), surface(centre + before * ray)
+    return at_last + (at_last - at_before) * ((1 - last) / (last - before))

@@ -1,17 +1,21 @@
 """Figures that describe a drape."""
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from sim.energies.contact import Obstacle
 from sim.energies.membrane import CorotationalMembrane
 from sim.mesh import Mesh
 from sim.scene import Rig
 
 _PIXEL = 5e-4  # m, of the top view that is measured
 _LEAST_FOLD = 3e-3  # m, depth of the shallowest fold that is counted
+_OUTLINE = 720  # points of an outline
 
 
 def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
@@ -21,7 +25,7 @@ def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> flo
     faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight down. Good to 0.3 %.
     """
     plate = np.pi * rig.plate_radius**2
-    return (projected_area(positions, faces) - plate) / (rig.specimen_size**2 - plate)
+    return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
 
 
 def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
@@ -32,20 +36,34 @@ def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
     return _covered(pixels[faces], shape[0], shape[1]) * _PIXEL**2
 
 
-def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
-    """Number of folds: how often the cloth's distance from the axis peaks around the specimen.
+def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarray:
+    """The drape's edge seen from above: (720, 2) x and y, m, of a material circle.
 
-    Followed along the material circle at 90 % of the specimen's inradius, around its centre,
-    peaks of less than 3 mm left out. positions (V, 3) and rest (V, 2) in m.
+    The circle has 90 % of the specimen's inradius, around its centre; its points are every half
+    degree, from the warp axis towards the weft. positions (V, 3) and rest (V, 2) in m.
     """
-    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, _OUTLINE, endpoint=False)
     circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     centre = (rest.min(axis=0) + rest.max(axis=0)) / 2
-    around = LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
-    radius = gaussian_filter1d(np.linalg.norm(around, axis=1), 6.0, mode="wrap")
-    radius = np.roll(radius, -int(radius.argmin()))  # no peak at the seam
+    return LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
+
+
+def fold_angles(outline: np.ndarray) -> np.ndarray:
+    """Where the folds are: angles (n,) on the material circle, radians, ascending.
+
+    A fold is a peak of the distance from the axis along ``outline`` (:func:`fold_outline`) that
+    stands out by 3 mm.
+    """
+    radius = gaussian_filter1d(np.linalg.norm(outline, axis=1), 6.0, mode="wrap")
+    seam = int(radius.argmin())
+    radius = np.roll(radius, -seam)  # no peak at the seam
     peaks, _ = find_peaks(np.append(radius, radius[0]), prominence=_LEAST_FOLD)
-    return len(peaks)
+    return np.sort((peaks + seam) % _OUTLINE) * (2 * np.pi / _OUTLINE)
+
+
+def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
+    """Number of folds of positions (V, 3) with rest (V, 2), m; see :func:`fold_angles`."""
+    return len(fold_angles(fold_outline(positions, rest, rig)))
 
 
 def maximum_stretch(
@@ -58,6 +76,57 @@ def maximum_stretch(
     mesh = Mesh(rest=rest, faces=faces)
     membrane = CorotationalMembrane(mesh, ~held[faces].all(axis=1))
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
+
+
+def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
+    """How deep the cloth enters the rig's obstacles anywhere, between its vertices too, m.
+
+    positions (V, 3) m, faces (F, 3). Exact to a micrometre; 0 where nothing enters.
+    """
+    corners = positions[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    deepest = 0.0
+    for obstacle in rig.obstacles:
+        at_corners = obstacle.depths(positions)[faces].max(axis=1)
+        near = corners[at_corners > -longest]  # no point of a triangle is further from a corner
+        if len(near):
+            deepest = max(deepest, float(_largest_depths(obstacle, near).max()))
+    return deepest
+
+
+def _largest_depths(obstacle: Obstacle, triangles: np.ndarray) -> np.ndarray:
+    """(N,) largest depths on triangles (N, 3, 3), m.
+
+    Depth is concave, so it has one maximum along any line, and so has that maximum as the line
+    moves across the triangle: two nested searches find it.
+    """
+    a, b, c = triangles.transpose(1, 0, 2)
+
+    def along_line(share: np.ndarray) -> np.ndarray:
+        start, end = a + share[:, None] * (b - a), a + share[:, None] * (c - a)
+        return _largest(
+            lambda t: obstacle.depths(start + t[:, None] * (end - start)), len(triangles)
+        )
+
+    return _largest(along_line, len(triangles))
+
+
+def _largest(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
+    """(N,) maxima over [0, 1] of ``count`` concave functions, by golden section."""
+    golden = (np.sqrt(5) - 1) / 2
+    low, high = np.zeros(count), np.ones(count)
+    left, right = high - golden * (high - low), low + golden * (high - low)
+    at_left, at_right = function(left), function(right)
+    best = np.maximum(function(low), function(high))
+    for _ in range(20):
+        best = np.maximum(best, np.maximum(at_left, at_right))
+        up = at_left < at_right
+        low, high = np.where(up, left, low), np.where(up, high, right)
+        new = np.where(up, low + golden * (high - low), high - golden * (high - low))
+        at_new = function(new)
+        left, right = np.where(up, right, new), np.where(up, new, left)
+        at_left, at_right = np.where(up, at_right, at_new), np.where(up, at_new, at_left)
+    return np.maximum(best, np.maximum(at_left, at_right))
 
 
 @numba.njit(cache=True)

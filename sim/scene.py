@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sim.energies.contact import Cylinder, Obstacle
 from sim.errors import InputError
 from sim.mesh import Mesh
 
@@ -13,25 +14,58 @@ GRAVITY = 9.81  # m/s²
 
 @dataclass(frozen=True)
 class Rig:
-    """A square specimen on a round plate that tops a vertical cylinder (paper, section 3.1).
+    """A specimen and what holds it, named after both.
 
-    The world's origin is the centre of the plate's top face, z points up; the cylinder's side
-    goes down from the plate's rim.
+    Either a round plate holds the middle of the specimen (paper, section 3.1): the world's origin
+    is then the centre of the plate's top face, z points up. Or two neighbouring corners of a
+    square hang at the height z = 0, at the same distance from the origin (section 7.4.2).
 
     Attributes:
         name: identifier stored in datasets and checkpoints.
-        specimen_size: side of the square specimen, m.
-        plate_diameter: diameter of the plate and of the cylinder under it, m.
+        specimen_size: side of a square specimen or diameter of a disc, m.
+        plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
+        specimen: "square" or "disc".
+        corners_apart: distance between the two corners that hold a specimen without plate, m.
     """
 
     name: str = "square300_cylinder100"
     specimen_size: float = 0.300
     plate_diameter: float = 0.100
+    specimen: str = "square"
+    corners_apart: float | None = None
 
     @property
     def plate_radius(self) -> float:
         """Radius of the plate, m."""
         return self.plate_diameter / 2
+
+    @property
+    def has_plate(self) -> bool:
+        """Whether the specimen is draped over a plate, so that it has a drape coefficient."""
+        return self.plate_diameter > 0
+
+    @property
+    def specimen_area(self) -> float:
+        """Area of the flat specimen, m²."""
+        square = self.specimen_size**2
+        return np.pi / 4 * square if self.specimen == "disc" else square
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """What the cloth may touch."""
+        return (Cylinder(self.plate_radius),) if self.has_plate else ()
+
+    def place(self, rest: np.ndarray) -> np.ndarray:
+        """Where the rig holds the held points ``rest`` (N, 2) m of the specimen: (N, 3) m."""
+        if self.has_plate:
+            return np.column_stack([rest, np.zeros(len(rest))])
+        across = rest[:, 0] * self.corners_apart / self.specimen_size
+        return np.column_stack([across, np.zeros((len(rest), 2))])
+
+    def as_dict(self) -> dict:
+        """What a dataset's description says of the rig; the name stands for the rest."""
+        return {"name": self.name, "specimen_size": self.specimen_size,
+                "plate_diameter": self.plate_diameter}
 
     @staticmethod
     def from_name(name: str) -> "Rig":
@@ -45,7 +79,13 @@ class Rig:
         return RIGS[name]
 
 
-RIGS = {rig.name: rig for rig in (Rig(),)}
+DISC_RIG = Rig("disc300_support180", 0.300, 0.180, specimen="disc")
+"""The drape tester of textile laboratories: ISO 9073-9, BS 5058."""
+
+HUNG_SQUARE = Rig("square600_corners500", 0.600, 0.0, corners_apart=0.500)
+"""The hanging test of section 7.4.2."""
+
+RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG, HUNG_SQUARE)}
 
 
 @dataclass(frozen=True)
@@ -55,13 +95,13 @@ class Scene:
     Attributes:
         mesh: the specimen.
         held: (V,) bool, vertices that do not move; triangles held entirely store no energy.
-        cylinder_radius: of the solid cylinder below z = 0, m; None for no contact.
+        obstacles: solids that the free vertices stay out of.
         gravity: m/s², towards -z.
     """
 
     mesh: Mesh
     held: np.ndarray
-    cylinder_radius: float | None = None
+    obstacles: tuple[Obstacle, ...] = ()
     gravity: float = GRAVITY
 
     @cached_property

@@ -1,56 +1,126 @@
-"""Contact with the cylinder under the plate."""
+"""Contact with rigid obstacles: the cylinder under the plate, a tester's ramp.
+
+Obstacles are convex. Each says, for any points, how deep they lie inside it; one energy turns
+depth into pressure.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
 
 import numba
 import numpy as np
 
 
-class CylinderContact:
-    """Penalty A p d³/(3 s²) on the depth d of a vertex inside the solid cylinder.
+class Obstacle(Protocol):
+    """A convex solid."""
 
-    The solid is z < 0 within the plate's radius, open downwards. The depth is the distance to
-    the nearest surface, side or top. Pressure p at depth s supports the cloth, so that depths
-    stay of the order of s; the cube keeps the Hessian continuous at first touch.
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        """(N,) depth of points (N, 3) below the nearest surface, m; negative outside.
+
+        A concave function that changes by at most the distance moved.
+        """
+
+    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the surface nearest to points (N, 3): outward normals (N, 3) and radii (N,), m.
+
+        Radii are those of the surface's curvature about the vertical, infinite where it is flat.
+        """
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards."""
+
+    radius: float
+
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        x, y, z = points.T
+        return np.minimum(self.radius - np.hypot(x, y), -z)
+
+    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y, z = points.T
+        distance = np.hypot(x, y)
+        sideways = self.radius - distance < -z
+        safe = np.where(distance > 0, distance, 1.0)
+        normal = np.stack([x / safe * sideways, y / safe * sideways, 1.0 - sideways], axis=1)
+        return normal, np.where(sideways, safe, np.inf)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A platform z = 0 that ends at x = 0 in a plane ``angle`` (rad) below the horizontal.
+
+    The stand of a bending-length tester with a fixed angle.
+    """
+
+    angle: float
+
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        x, _, z = points.T
+        return np.minimum(-z, -(x * np.sin(self.angle) + z * np.cos(self.angle)))
+
+    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, _, z = points.T
+        sloping = -(x * np.sin(self.angle) + z * np.cos(self.angle)) < -z
+        slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
+        normal = np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
+        return normal, np.full(len(x), np.inf)
+
+
+class ObstacleContact:
+    """Penalty A p d³/(3 s²) on the depth d inside an obstacle of some of the cloth's points.
+
+    Pressure p at depth s supports the cloth, so that depths stay of the order of s; the cube
+    keeps the Hessian continuous at first touch. Each point is the mean of its vertices: one for
+    the vertices themselves, two for the middles of edges.
 
     Args:
-        areas: (V,) area each vertex stands for, m².
-        radius: of the cylinder, m.
+        vertices: (N, k) int64, vertices of each point.
+        areas: (N,) area each point stands for, m².
+        obstacle: what is not entered.
         pressure: p, N/m², a few times the weight of the cloth per area.
         depth: s, m.
     """
 
     def __init__(
-        self, areas: np.ndarray, *, radius: float, pressure: float, depth: float = 1e-4
+        self,
+        vertices: np.ndarray,
+        areas: np.ndarray,
+        *,
+        obstacle: Obstacle,
+        pressure: float,
+        depth: float = 1e-4,
     ) -> None:
-        self.dofs = np.arange(3 * len(areas)).reshape(-1, 3)
+        self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
+        self._share = 1.0 / vertices.shape[1]
         self._scale = areas * pressure / depth**2
-        self._radius = radius
+        self._obstacle = obstacle
 
     def value(self, q: np.ndarray) -> float:
-        depth, _, _ = self._depth(q)
-        return float(self._scale @ depth**3) / 3
+        return float(self._scale @ self._depth(self._points(q)) ** 3) / 3
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        depth, normal, _ = self._depth(q)
-        return -(self._scale * depth**2)[:, None] * normal
+        points = self._points(q)
+        normal, _ = self._obstacle.normals(points)
+        force = -(self._share * self._scale * self._depth(points) ** 2)[:, None] * normal
+        return np.tile(force, self.dofs.shape[1] // 3)
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        depth, normal, radius = self._depth(q)
-        return _hessian(depth, normal, radius, self._scale, convexity)
+        points = self._points(q)
+        normal, radius = self._obstacle.normals(points)
+        scale = self._share**2 * self._scale
+        block = _hessian(self._depth(points), normal, radius, scale, convexity)
+        count = self.dofs.shape[1] // 3
+        return np.tile(block, (1, count, count))
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         return True
 
-    def _depth(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depth (V,), outward normal (V, 3) and distance from the axis (V,)."""
-        x, y, z = q[self.dofs].T
-        radius = np.hypot(x, y)
-        side, top = self._radius - radius, -z
-        inside = (side > 0) & (top > 0)
-        sideways = side < top
-        depth = np.where(inside, np.minimum(side, top), 0.0)
-        safe = np.where(radius > 0, radius, 1.0)
-        normal = np.stack([x / safe * sideways, y / safe * sideways, 1.0 - sideways], axis=1)
-        return depth, normal, radius
+    def _points(self, q: np.ndarray) -> np.ndarray:
+        return q[self.dofs].reshape(len(self.dofs), -1, 3).mean(axis=1)
+
+    def _depth(self, points: np.ndarray) -> np.ndarray:
+        return np.maximum(self._obstacle.depths(points), 0.0)
 
 
 @numba.njit(cache=True)
@@ -63,12 +133,11 @@ def _hessian(depth, normal, radius, scale, convexity):
         for i in range(3):
             for j in range(3):
                 result[a, i, j] = stiffness * normal[a, i] * normal[a, j]
-        if normal[a, 2] == 0.0:
-            # Curvature of the side: along the tangent, force/radius, pushing outwards.
-            bend = -(1.0 - convexity) * scale[a] * depth[a] ** 2 / radius[a]
-            tx, ty = -normal[a, 1], normal[a, 0]
-            result[a, 0, 0] += bend * tx * tx
-            result[a, 0, 1] += bend * tx * ty
-            result[a, 1, 0] += bend * tx * ty
-            result[a, 1, 1] += bend * ty * ty
+        # Curvature of the surface: along its tangent, force/radius, pushing outwards.
+        bend = -(1.0 - convexity) * scale[a] * depth[a] ** 2 / radius[a]
+        tx, ty = -normal[a, 1], normal[a, 0]
+        result[a, 0, 0] += bend * tx * tx
+        result[a, 0, 1] += bend * tx * ty
+        result[a, 1, 0] += bend * tx * ty
+        result[a, 1, 1] += bend * ty * ty
     return result

@@ -2,8 +2,26 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 
-from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang_strip
+from sim.cantilever import (
+    aspect_ratio,
+    elastica,
+    fabric_of_gamma,
+    gamma_of_aspect_ratio,
+    hang,
+    hang_strip,
+    heavy_elastica,
+)
+from sim.cantilever.directions import cylinder_moduli, free_modulus
+from sim.cantilever.elastica import curvature_of_torque
+from sim.cantilever.guide import GuidedSides
+from sim.energies import plate_law
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import SOFTENING_LIMIT, Fabric, plate_constants, softening, torque
+from sim.membranes import Corotational
+from sim.mesh import strip
 
 TRIANGULATIONS = {
     "alternating": {"diagonals": "alternating"},
@@ -48,3 +66,147 @@ def test_strip_matches_the_heavy_elastica(gamma, tolerance, mesh):
 def test_error_falls_with_the_square_of_the_spacing():
     coarse, fine = (abs(deviation(100, edge=edge)) for edge in (6e-3, 3e-3))
     assert 1.6 < np.log2(coarse / fine) < 2.6
+
+
+@pytest.mark.parametrize(("gamma", "soft"), [(20, 0.05), (80, 0.03), (50, -0.1), (300, 0.2)])
+def test_non_linear_elastica_against_collocation(gamma, soft):
+    """The same boundary-value problem by another method, with the law from its table."""
+    kappa = np.linspace(0, 200, 200_001)
+    law = torque(kappa, 1.0, -soft)
+
+    def slope(s, y):
+        return np.stack([np.interp(y[1], law, kappa), -gamma * (1 - s) * np.cos(y[0])])
+
+    width = 1 / np.sqrt(1 + gamma)
+    s = np.unique(np.concatenate([np.linspace(0, min(1, 10 * width), 200), np.linspace(0, 1, 200)]))
+    guess = np.pi / 2 * gamma / (gamma + 10) * np.stack([1 - np.exp(-s / width),
+                                                         np.exp(-s / width) / width])
+    solution = solve_bvp(slope, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-7,
+                         max_nodes=100_000)
+    assert solution.success
+    at = np.linspace(0, 1, 20_001)
+    angle = solution.sol(at)[0]
+    end = np.trapezoid(np.stack([np.cos(angle), np.sin(angle)]), at, axis=1)
+    assert aspect_ratio(elastica(gamma, softening=soft)[-1]) == pytest.approx(
+        aspect_ratio(end), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("soft", [-0.1, 0.0, 1e-9, 0.03, 0.3])
+def test_curvature_of_torque_inverts_the_law(soft):
+    for kappa in (0.0, 1e-3, 1.0, 5.0, 20.0):
+        assert curvature_of_torque(float(torque(kappa, 1.0, -soft)), soft, SOFTENING_LIMIT) == (
+            pytest.approx(kappa, rel=1e-12)
+        )
+
+
+def test_a_sloping_clamp_starts_the_elastica_at_its_slope():
+    shape = elastica(5.0, slope=np.radians(30))
+    assert np.degrees(np.arctan2(*shape[1][::-1])) == pytest.approx(30, abs=0.1)
+    assert aspect_ratio(shape[-1]) > np.tan(np.radians(30))
+
+
+def test_gamma_of_aspect_ratio_inverts_the_elastica():
+    for gamma in (0.01, 3.0, 500.0):
+        assert gamma_of_aspect_ratio(aspect_ratio(elastica(gamma)[-1])) == pytest.approx(
+            gamma, rel=1e-6
+        )
+
+
+@pytest.mark.parametrize(("gamma", "slope"), [(0.0, 0.0), (np.nan, 0.0), (1e5, 0.0), (1.0, 1.6)])
+def test_elastica_refuses_what_it_cannot_solve(gamma, slope):
+    with pytest.raises(InputError):
+        elastica(gamma, slope=slope)
+
+
+@pytest.mark.parametrize("ratio", [-4e-3, 4e-3])
+def test_non_linear_strip_matches_the_non_linear_elastica(ratio):
+    fabric = fabric_of_gamma(50.0, 0.09)
+    fabric = Fabric(fabric.alpha, ratio * fabric.alpha)
+    end, result = hang_strip(fabric, width=0.01, edge=0.002)
+    assert result.status.value == "converged"
+    exact = aspect_ratio(heavy_elastica(fabric.alpha[0], fabric.beta[0], weight=0.3 * 9.81,
+                                        length=0.09)[-1])
+    linear = aspect_ratio(elastica(50.0)[-1])
+    assert abs(aspect_ratio(end) / exact - 1) < 0.01
+    assert abs(exact / linear - 1) > 0.1  # or the strip would not tell the laws apart
+
+
+def test_strip_on_a_ramp_matches_its_elastica():
+    end, _ = hang_strip(fabric_of_gamma(20.0, 0.09), slope=0.5, width=0.01, edge=0.0025)
+    assert aspect_ratio(end) == pytest.approx(aspect_ratio(elastica(20.0, slope=0.5)[-1]), rel=0.01)
+
+
+ORTHOTROPIC = Fabric(alpha=[60e-6, 20e-6, 15e-6], beta=[-120e-9, -60e-9, -30e-9])
+
+
+@pytest.mark.parametrize("angle", [0.0, 22.5, 45.0, 67.5, 90.0])
+def test_cylinder_moduli_are_those_of_the_plate_law(angle):
+    """Torque of a cylinder: the derivative of the energy per area by its curvature."""
+    phi = np.radians(angle)
+    direction = np.array([np.cos(phi) ** 2, np.sin(phi) ** 2, np.cos(phi) * np.sin(phi)])
+    law = np.array([*plate_constants(ORTHOTROPIC.alpha),
+                    *softening(ORTHOTROPIC.alpha, ORTHOTROPIC.beta), SOFTENING_LIMIT])
+    alpha, beta = cylinder_moduli(ORTHOTROPIC, phi)
+    for kappa in (1.0, 50.0, 400.0):
+        h = 1e-4 * kappa
+        energies = [plate_law.energy((kappa + sign * h) * direction, law) for sign in (1, -1)]
+        assert torque(kappa, alpha, beta) == pytest.approx(
+            (energies[0] - energies[1]) / (2 * h), rel=1e-6
+        )
+
+
+@pytest.mark.parametrize("angle", [22.5, 45.0, 90.0])
+def test_guided_strips_follow_the_law_at_any_angle(angle):
+    fabric = Fabric(ORTHOTROPIC.alpha)
+    phi = np.radians(angle)
+    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guided=True)
+    assert hung.result.status.value == "converged"
+    alpha, _ = cylinder_moduli(fabric, phi)
+    found = 0.3 * 9.81 * 0.09**3 / gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1]))
+    assert found == pytest.approx(alpha, rel=0.02)
+    assert abs(hung.twist) < 1e-4
+
+
+def test_narrow_free_strips_tend_to_the_plates_compliance():
+    """Off the yarns a free strip twists, and is far softer than a cylinder.
+
+    The clamp hinders the twist over a length of about the width, hence the extrapolation.
+    """
+    fabric, phi, gravity = Fabric(ORTHOTROPIC.alpha), np.pi / 4, 9.81e-3
+    wide, narrow = (
+        hang(fabric, angle=phi, width=width, edge=0.0025, across=4, gravity=gravity,
+             laws=Laws(membrane=Corotational(1.0)))
+        for width in (0.009, 0.0045)
+    )
+    moduli = [0.3 * gravity * 0.09**3 / gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1]))
+              for hung in (wide, narrow)]
+    assert 2 * moduli[1] - moduli[0] == pytest.approx(free_modulus(fabric, phi), rel=0.02)
+    assert cylinder_moduli(fabric, phi)[0] > 3 * moduli[1]
+    assert abs(narrow.twist) > 1e-3
+
+
+def test_a_free_strip_of_an_isotropic_fabric_is_a_cylinder():
+    fabric = Fabric(np.full(3, 2e-5))
+    for angle in (0.0, 0.3, np.pi / 4):
+        assert free_modulus(fabric, angle) == pytest.approx(2e-5, rel=1e-12)
+
+
+def test_guide_is_a_quadratic_form_that_cylinders_do_not_feel():
+    mesh, _ = strip(length=0.02, width=0.015, edge=0.005, clamp=0.01)
+    guide = GuidedSides(mesh, across=4, stiffness=3.0, edge=0.005)
+    rng = np.random.default_rng(0)
+    size = 3 * len(mesh.rest) + len(mesh.edges)
+    q = rng.standard_normal(size)
+    total = np.zeros(size + 1)
+    np.add.at(total, guide.dofs, guide.gradient(q))
+    step = rng.standard_normal(size)
+    change = (guide.value(q + step) - guide.value(q - step)) / 2  # exact for a quadratic form
+    assert change == pytest.approx(total[:-1] @ step, rel=1e-12)
+    curvature = np.einsum("nij,nj->ni", guide.hessian(q, 0.5),
+                          np.where(guide.dofs >= 0, q[guide.dofs], 0.0))
+    assert np.allclose(curvature, guide.gradient(q), rtol=1e-12)
+    x, y = mesh.rest.T
+    cylinder = np.concatenate([np.column_stack([np.sin(x), y, np.cos(x)]).ravel(),
+                               np.zeros(len(mesh.edges))])
+    assert guide.value(cylinder) < 1e-30

@@ -17,7 +17,8 @@ def run(*words: str) -> subprocess.CompletedProcess:
 def test_writes_mesh_picture_and_figures(tmp_path):
     done = run("alpha=60,60,60", "resolution=16", f"out={tmp_path}")
     assert done.returncode == 0, done.stderr
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["drape.json", "drape.ply", "drape.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "drape.json", "drape.npz", "drape.ply", "drape.png"]
     figures = json.loads((tmp_path / "drape.json").read_text())
     assert figures["status"] == "converged" and figures["positive_definite"]
     assert figures["parameters"]["alpha_uN_m"] == {"warp": 60.0, "bias": 60.0, "weft": 60.0}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.energies.contact import CylinderContact
+from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.fold_limit import LIMIT_START, FoldLimit
 from sim.energies.gravity import Gravity
 from sim.energies.membrane import CorotationalMembrane
@@ -41,7 +41,9 @@ def energy_and_state(name: str):
     if name == "contact":
         rng = np.random.default_rng(1)
         points = rng.uniform(-0.045, 0.045, (40, 3)) - [0, 0, 0.05]
-        return CylinderContact(np.full(40, 1e-5), radius=0.05, pressure=60.0), points.ravel()
+        contact = ObstacleContact(np.arange(40).reshape(20, 2), np.full(20, 1e-5),
+                                  obstacle=Cylinder(0.05), pressure=60.0)
+        return contact, points.ravel()
     mesh, active, q = crumpled_strip(amplitude=8e-3)
     energy = FoldLimit(mesh, active, stiffness=2e-5)
     assert np.abs(energy.angles(q)).max() > LIMIT_START + 0.1  # or the test would test nothing

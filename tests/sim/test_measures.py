@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from sim.measures import drape_coefficient, fold_count, maximum_stretch, projected_area
+from sim.measures import (
+    drape_coefficient,
+    fold_angles,
+    fold_count,
+    fold_outline,
+    maximum_stretch,
+    projected_area,
+)
 from sim.mesh import draped_square
 from sim.scene import Rig
 
@@ -46,6 +53,16 @@ def test_folds_are_counted(specimen, folds):
 def test_ripples_below_three_millimetres_are_no_folds(specimen):
     mesh, _ = specimen
     assert fold_count(skirt(mesh.rest, 6, 0.001), mesh.rest, RIG) == 0
+
+
+def test_outline_tells_where_the_folds_are(specimen):
+    mesh, _ = specimen
+    outline = fold_outline(skirt(mesh.rest, 5, 0.008), mesh.rest, RIG)
+    # The material circle lies 0.135 - 0.05 m below the rim.
+    wave = 0.05 + 0.008 * 0.085 / 0.1 * np.cos(5 * np.linspace(0, 2 * np.pi, 720, False) + 1)
+    assert np.abs(np.linalg.norm(outline, axis=1) - wave).max() < 4e-4
+    peaks = (2 * np.pi * np.arange(1, 6) - 1) / 5
+    np.testing.assert_allclose(fold_angles(outline), peaks, atol=np.radians(2))
 
 
 def test_stretch_is_that_of_the_most_stretched_direction(specimen):

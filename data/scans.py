@@ -1,0 +1,93 @@
+"""Scanned drapes of real fabrics on the disc rig, as meshes."""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim.errors import InputError, one_line
+from sim.scene import Rig
+
+LARGEST_SCAN = 1_000_000  # vertices or triangles
+_FLAT = 5e-3  # m, how far cloth on the support may lie from its plane
+_OUTSIDE = 1.02  # rest points may lie this much beyond the specimen's radius
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scanned drape; z up, the support's top in the plane z = 0, its axis through the origin.
+
+    Attributes:
+        name: of the file, without its ending.
+        positions: (V, 3) m.
+        rest: (V, 2) m, the same vertices on the flat specimen, whose centre is the origin.
+        faces: (F, 3) int64, counter-clockwise at rest.
+    """
+
+    name: str
+    positions: np.ndarray
+    rest: np.ndarray
+    faces: np.ndarray
+
+
+def read_scan(path: Path, rig: Rig) -> Scan:
+    """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
+
+    Raises:
+        InputError: not such a file, numbers that are no mesh, or a drape that does not lie on
+            the support of ``rig``.
+    """
+    keys = ("vertices", "rest", "faces")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in keys if key in file}
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot read the scan {path} ({one_line(error)})") from None
+    if missing := [key for key in keys if key not in arrays]:
+        raise InputError(f"{path} is no scan: it has no array '{missing[0]}'")
+    positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
+    count = len(positions) if positions.ndim else 0
+    shapes = positions.shape == (count, 3) and rest.shape == (count, 2)
+    if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"{path}: vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
+    if not 3 <= count <= LARGEST_SCAN or not 1 <= len(faces) <= LARGEST_SCAN:
+        raise InputError(f"{path}: a scan has from 3 to {LARGEST_SCAN} vertices and triangles")
+    if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= count:
+        raise InputError(f"{path}: faces must be indices of vertices")
+    if not all(a.dtype.kind in "fiu" and np.isfinite(a).all() for a in (positions, rest)):
+        raise InputError(f"{path}: vertices and rest must be finite numbers")
+    scan = Scan(
+        name=path.stem,
+        positions=positions.astype(np.float64),
+        rest=rest.astype(np.float64),
+        faces=faces.astype(np.int64),
+    )
+    _check_place(scan, path, rig)
+    return scan
+
+
+def _check_place(scan: Scan, path: Path, rig: Rig) -> None:
+    """Refuse other units, other axes and drapes that hang beside the support."""
+    radius = np.linalg.norm(scan.rest, axis=1)
+    largest = rig.specimen_size / 2
+    if not 0.9 * largest < radius.max() < _OUTSIDE * largest:
+        raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
+                         f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
+    flat = scan.positions[radius < 0.9 * rig.plate_radius]
+    if not len(flat) or np.abs(flat[:, 2]).max() > _FLAT:
+        raise InputError(f"{path}: cloth on the support must lie in the plane z = 0, z up")
+    if scan.positions[:, 2].min() > -_FLAT:
+        raise InputError(f"{path}: nothing hangs below the support")
+
+
+def read_scans(folder: Path, rig: Rig) -> list[Scan]:
+    """All scans (``*.npz``) of a folder, by name.
+
+    Raises:
+        InputError: no scan in the folder, or one that cannot be read.
+    """
+    files = sorted(folder.glob("*.npz"))
+    if not files:
+        raise InputError(f"no scans (*.npz) in {folder}; name their folder with scans=FOLDER")
+    return [read_scan(file, rig) for file in files]

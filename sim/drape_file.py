@@ -1,0 +1,47 @@
+"""Drapes on disk: ``drape.npz``, from which another drape can start.
+
+A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metres, float64;
+``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.DrapeResult`.
+"""
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from sim.drape import DrapeResult
+from sim.errors import InputError
+from sim.files import replace_file
+
+
+def write_drape(path: Path, result: DrapeResult) -> None:
+    """Write ``result`` to ``path`` whole or not at all; InputError where that is refused."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, rest=result.rest, positions=result.positions, faces=result.faces,
+                        held=result.held)
+    replace_file(path, buffer.getvalue())
+
+
+def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Rest points (V, 2) and positions (V, 3), m, of a drape to start another one from.
+
+    Raises:
+        InputError: the file cannot be read or is not of the form described above.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            rest, positions = archive["rest"], archive["positions"]
+    except OSError as error:
+        reason = error.strerror or "not a drape.npz"
+        raise InputError(f"cannot read {path}: {reason}") from None
+    except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile,
+            zlib.error):
+        raise InputError(f"{path} is not a drape.npz with rest and positions") from None
+    for name, array, columns in (("rest", rest, 2), ("positions", positions, 3)):
+        if array.dtype.kind != "f" or array.shape != (len(rest) if rest.ndim else 0, columns):
+            raise InputError(f"{path}: {name} must be numbers of shape (V, {columns})")
+        if not np.isfinite(array).all():
+            raise InputError(f"{path}: {name} holds numbers that are not finite")
+    return rest, positions

@@ -1,0 +1,93 @@
+"""Reading scanned drapes: a made-up scan, broken ones, and the real ones where they are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.scans import read_scan, read_scans
+from sim.errors import InputError
+from sim.measures import projected_area
+from sim.mesh import grid_faces
+from sim.scene import Rig
+
+SCANS = Path(__file__).parents[2] / ".." / "shared" / "scans"
+needs_scans = pytest.mark.skipif(not SCANS.exists(), reason="the scans are not here")
+RIG = Rig(name="disc", specimen_size=0.300, plate_diameter=0.180)
+
+
+def scan_arrays() -> dict[str, np.ndarray]:
+    """A disc of rings whose overhang hangs down along a cone of 45°."""
+    angle = np.linspace(0, 2 * np.pi, 61)[:-1]
+    radius = np.linspace(0.01, 0.15, 15)
+    rest = (radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)).reshape(-1, 2)
+    over = np.maximum(np.repeat(radius, 60) - 0.09, 0)
+    scale = (np.repeat(radius, 60) - (1 - np.sqrt(0.5)) * over) / np.repeat(radius, 60)
+    vertices = np.column_stack([rest * scale[:, None], -np.sqrt(0.5) * over])
+    columns = np.append(np.arange(60), 0)
+    index = 60 * np.arange(15)[:, None] + columns
+    faces = index.ravel()[grid_faces(np.ones((14, 60), bool))]
+    return {"vertices": vertices.astype(np.float32), "rest": rest.astype(np.float32),
+            "faces": faces.astype(np.int32)}
+
+
+def test_scan_comes_back_as_it_was_written(tmp_path):
+    arrays = scan_arrays()
+    np.savez(tmp_path / "cone.npz", **arrays)
+    (scan,) = read_scans(tmp_path, RIG)
+    assert scan.name == "cone"
+    assert scan.positions.dtype == np.float64 and scan.faces.dtype == np.int64
+    np.testing.assert_array_equal(scan.positions, arrays["vertices"])
+    np.testing.assert_array_equal(scan.faces, arrays["faces"])
+    seen = np.pi * (0.09 + 0.06 * np.sqrt(0.5)) ** 2 - np.pi * 0.01**2
+    assert projected_area(scan.positions, scan.faces) == pytest.approx(seen, rel=5e-3)
+
+
+@pytest.mark.parametrize(("change", "complaint"), [
+    (lambda a: a.pop("rest"), "no array 'rest'"),
+    (lambda a: a.update(rest=a["rest"][:-1]), r"rest \(V, 2\)"),
+    (lambda a: a.update(vertices=np.float64(3.0)), r"vertices must be \(V, 3\)"),
+    (lambda a: a.update(faces=a["faces"] + 1), "indices of vertices"),
+    (lambda a: a.update(faces=a["faces"] * 1.0), "indices of vertices"),
+    (lambda a: a.update(faces=a["faces"][:0]), "from 3 to"),
+    (lambda a: a.update(vertices=a["vertices"] * np.nan), "finite"),
+    (lambda a: a.update(vertices=a["vertices"].astype(object)), "cannot read"),
+    (lambda a: a.update({k: 1e3 * a[k] for k in ("vertices", "rest")}), "in metres"),
+    (lambda a: a.update(vertices=a["vertices"][:, [0, 2, 1]]), "z up"),
+    (lambda a: a.update(vertices=a["vertices"] * [1, 1, -1]), "below the support"),
+])
+def test_what_is_no_scan_is_refused_in_one_line(tmp_path, change, complaint):
+    arrays = scan_arrays()
+    change(arrays)
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(InputError, match=complaint) as caught:
+        read_scan(tmp_path / "bad.npz", RIG)
+    assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"some text", b"\x93NUMPY\x01\x00"])
+def test_files_that_are_no_npz_are_refused(tmp_path, content):
+    (tmp_path / "bad.npz").write_bytes(content)
+    with pytest.raises(InputError, match="cannot read the scan"):
+        read_scan(tmp_path / "bad.npz", RIG)
+
+
+def test_a_bare_array_is_refused(tmp_path):
+    with (tmp_path / "bad.npz").open("wb") as file:
+        np.save(file, np.zeros((5, 3)))
+    with pytest.raises(InputError, match="cannot read the scan"):
+        read_scan(tmp_path / "bad.npz", RIG)
+
+
+def test_absent_scans_are_named(tmp_path):
+    with pytest.raises(InputError, match="name their folder with scans=FOLDER"):
+        read_scans(tmp_path / "nowhere", RIG)
+
+
+@needs_scans
+def test_the_real_scans_are_read():
+    scans = read_scans(SCANS, RIG)
+    assert len(scans) == 9
+    for scan in scans:
+        held = np.linalg.norm(scan.rest, axis=1) < 0.089
+        np.testing.assert_allclose(scan.positions[held, :2], scan.rest[held], atol=1e-4)

@@ -1,0 +1,153 @@
+"""Borrowed starts: the folds of another drape survive; files that hold one; interpolation."""
+
+import numpy as np
+import pytest
+
+from sim.drape import coarse_to_fine, drape
+from sim.drape_file import read_borrowed, write_drape
+from sim.errors import InputError
+from sim.initial import borrowed_positions, initial_positions, interpolate_positions
+from sim.material import Fabric
+from sim.measures import fold_angles, fold_outline
+from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
+from sim.specimens import make_specimen
+
+
+def isotropic(alpha: float) -> Fabric:
+    """Linear fabric of alpha µN·m at 300 g/m²."""
+    return Fabric(np.full(3, alpha * 1e-6))
+
+
+@pytest.fixture(scope="module")
+def lender():
+    """A disc has many fold configurations to choose from; this drape has ten folds."""
+    return drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1)
+
+
+def mean_distance(first, second) -> float:
+    """Between two drapes at the rest points of the first, m."""
+    other = interpolate_positions(second.rest, second.positions, first.rest)
+    return np.linalg.norm(first.positions - other, axis=1).mean()
+
+
+def folds(result) -> np.ndarray:
+    """Directions of the folds, rad."""
+    return fold_angles(fold_outline(result.positions, result.rest, result.rig))
+
+
+def test_the_same_fabric_stays_where_its_drape_was(lender):
+    again = drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1,
+                  borrowed=(lender.rest, lender.positions))
+    assert again.converged
+    assert np.abs(again.positions - lender.positions).max() < 1e-6
+    assert again.iterations < 0.5 * lender.iterations
+
+
+@pytest.mark.parametrize("mesh", ["structured", "perturbed", "unstructured"])
+def test_folds_survive_in_another_fabric_on_another_mesh(lender, mesh):
+    settings = {"rig": DISC_RIG, "resolution": 31, "seed": 8, "mesh": mesh}
+    borrowed = drape(isotropic(17), **settings, borrowed=(lender.rest, lender.positions))
+    own = drape(isotropic(17), **settings)
+    assert borrowed.converged and len(folds(borrowed)) == len(folds(lender))
+    apart = np.exp(1j * folds(borrowed)[:, None]) / np.exp(1j * folds(lender))
+    assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
+    assert mean_distance(own, lender) > 2 * mean_distance(borrowed, lender)
+
+
+def test_borrowed_drape_drifts_with_the_specimen(lender):
+    offset = (4e-3, -2e-3)
+    moved = drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1, offset=offset,
+                  borrowed=(lender.rest, lender.positions))
+    assert moved.converged
+    assert np.allclose((moved.rest.max(0) + moved.rest.min(0)) / 2, offset, atol=2e-4)
+    assert len(folds(moved)) == len(folds(lender))
+    assert mean_distance(moved, lender) < 5e-3
+
+
+@pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+def test_drift_matches_plate_with_plate_and_border_with_border(rig):
+    lent = make_specimen(rig, resolution=26, seed=1).mesh
+    mesh = make_specimen(rig, resolution=31, offset=(5e-3, 3e-3), seed=2).mesh
+    flat = np.column_stack([lent.rest, np.zeros(len(lent.rest))])
+    found = borrowed_positions(mesh.rest, rig=rig, borrowed=(lent.rest, flat))[:, :2]
+    radius = np.linalg.norm(mesh.rest, axis=1)
+    assert np.allclose(found[radius < rig.plate_radius], mesh.rest[radius < rig.plate_radius],
+                       atol=1e-9)
+    border = np.unique(mesh.edges[mesh.edge_faces[:, 1] < 0])
+    shifted = mesh.rest[border] - [5e-3, 3e-3]
+    # The centre of a disc is found from its corners, good to their distance from the circle.
+    assert np.allclose(found[border], shifted, atol=1e-4 if rig.specimen == "disc" else 1e-9)
+    stretched = np.linalg.norm(np.diff(found[mesh.edges], axis=1), axis=-1) / np.linalg.norm(
+        np.diff(mesh.rest[mesh.edges], axis=1), axis=-1)
+    assert abs(stretched - 1).max() < 0.15
+
+
+def test_interpolation_is_exact_for_planes_beyond_a_disc_s_polygon_too():
+    coarse, fine = (make_specimen(DISC_RIG, resolution=n, seed=1).mesh.rest for n in (16, 41))
+    plane = np.array([[1.0, 0.2, -0.3], [0.1, 0.9, 0.4]])
+    assert np.allclose(interpolate_positions(coarse, coarse @ plane, fine), fine @ plane,
+                       atol=1e-9)
+
+
+def test_borrowing_starts_on_a_mesh_that_resolves_folds():
+    assert coarse_to_fine(101, 24) == [26, 51, 101]
+    assert coarse_to_fine(41, 24) == [41]
+    assert coarse_to_fine(16, 24) == [16]
+
+
+def test_hung_start_is_isometric_between_the_corners():
+    """The arc has the square's width, so that it starts nearly without stretch."""
+    mesh = make_specimen(HUNG_SQUARE, resolution=41, mesh="structured").mesh
+    rng = np.random.default_rng(0)
+    start = initial_positions(mesh.rest, rig=HUNG_SQUARE, start="sine", rng=rng)
+    bottom = np.isclose(mesh.rest[:, 1], -0.3)
+    steps = np.diff(mesh.rest[mesh.edges], axis=1)[:, 0]
+    lengths = np.linalg.norm(np.diff(start[mesh.edges], axis=1)[:, 0], axis=1)
+    assert np.allclose(start[bottom, 2], -0.6)
+    assert np.median(lengths / np.linalg.norm(steps, axis=1)) == pytest.approx(1.0, abs=0.02)
+    assert np.ptp(start[:, 0]) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_file_gives_the_drape_back(tmp_path, lender):
+    write_drape(tmp_path / "drape.npz", lender)
+    rest, positions = read_borrowed(tmp_path / "drape.npz")
+    assert np.array_equal(rest, lender.rest) and np.array_equal(positions, lender.positions)
+    with np.load(tmp_path / "drape.npz", allow_pickle=False) as archive:
+        assert np.array_equal(archive["faces"], lender.faces)
+        assert np.array_equal(archive["held"], lender.held)
+
+
+def bad_file(path, kind, drape) -> None:
+    good = {"rest": drape.rest, "positions": drape.positions}
+    if kind == "text":
+        path.write_text("rest, positions")
+    elif kind == "cut":
+        np.savez_compressed(path, **good)
+        path.write_bytes(path.read_bytes()[:-200])
+    elif kind == "pickle":
+        np.savez(path, rest=np.array([{}], dtype=object), positions=drape.positions)
+    elif kind == "scalar":
+        np.savez(path, rest=1.0, positions=2.0)
+    elif kind == "no positions":
+        np.savez(path, rest=drape.rest)
+    elif kind == "short":
+        np.savez(path, rest=drape.rest[1:], positions=drape.positions)
+    elif kind == "holes":
+        np.savez(path, rest=drape.rest, positions=np.where(drape.positions < -0.1, np.nan, 0.0))
+
+
+@pytest.mark.parametrize(
+    "kind", ["missing", "text", "cut", "pickle", "scalar", "no positions", "short", "holes"]
+)
+def test_bad_files_are_refused_in_one_line(tmp_path, lender, kind):
+    path = tmp_path / "other.npz"
+    bad_file(path, kind, lender)
+    with pytest.raises(InputError) as caught:
+        read_borrowed(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("rig", "word"), [(HUNG_SQUARE, "3600"), (Rig(), "900")])
+def test_drapes_of_other_specimens_are_not_borrowed(lender, rig, word):
+    with pytest.raises(InputError, match=word):
+        drape(isotropic(20), rig=rig, borrowed=(lender.rest, lender.positions))
