@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench example clean
+.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench-sim example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -43,18 +43,20 @@ sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 prior: $(STAMP)  ## refit the fabric prior: make prior TABLE=fabrics.csv
 	$(BIN)/python -m data.prior fit table=$(TABLE)
 
-dataset: $(STAMP)  ## simulate and render training drapes, resumes when interrupted
+dataset: $(STAMP)  ## simulate and render two datasets of drapes, resumes when interrupted
 	$(BIN)/python -m data.generate out=$(DATASET) dataset=one_start drapes=832
+	$(BIN)/python -m data.generate out=$(DATASET)_more dataset=one_start drapes=720 seed=1
 
-train: $(STAMP)  ## train on that dataset, resumes when interrupted
+train: $(STAMP)  ## train on these datasets, resumes when interrupted
 	$(BIN)/python train.py experiment=cpu_small data=$(DATASET) out=outputs/train/first
 	$(BIN)/python train.py experiment=cpu_small_finish data=$(DATASET) out=outputs/train/second
+	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET)_more out=outputs/train/third
 
 evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
 	$(BIN)/python -m drapenet.evaluate
 
-bench: $(STAMP)  ## time a drape on this machine, JSON
-	$(BIN)/python -m benchmarks.drapes
+bench-sim: $(STAMP)  ## time drapes on this machine, JSON
+	$(BIN)/python -m benchmarks.speed
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)

@@ -18,6 +18,7 @@ from data.dataset import DrapeDataset
 from data.records import code_version
 from data.sensor import SensorNoise
 from data.view_order import ORDERS, reorder_axis, reorder_views
+from drapenet.checkpoint import read_header
 from drapenet.config import TrainConfig
 from drapenet.convention import TARGET_NAMES, TARGET_UNITS
 from drapenet.metrics import regression_metrics
@@ -128,7 +129,9 @@ class _Prepared(Dataset):
 
 
 def open_splits(config: TrainConfig) -> tuple[DrapeSet, DrapeSet, TargetScale]:
-    """Training and validation drapes of different fabrics, and the training set's scale.
+    """Training and validation drapes of different fabrics, and the targets' scale.
+
+    The scale is that of the initial weights, or else of the training set.
 
     Raises:
         InputError: see :class:`data.dataset.DrapeDataset`; or too few drapes for one batch.
@@ -146,7 +149,9 @@ def open_splits(config: TrainConfig) -> tuple[DrapeSet, DrapeSet, TargetScale]:
         raise InputError(f"{config.data} has {len(training)} training samples an epoch, less "
                          f"than one batch of {config.optim.batch_size}; generate more drapes or "
                          "lower optim.batch_size")
-    scale = TargetScale.fit(torch.from_numpy(training.theta))
+    # Weights to go on from speak in the units they have learned.
+    scale = (read_header(config.initial).scale if config.initial
+             else TargetScale.fit(torch.from_numpy(training.theta)))
     common = {"form": config.model.form, "scale": scale}
     cached = {**common, "seed": config.seed, "workers": config.workers}
     # Validation sees the same pictures every epoch, so they are always worth keeping.

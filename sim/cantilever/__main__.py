@@ -1,0 +1,160 @@
+"""Cantilever strips on the command line.
+
+Simulate strips of the default law, a JSON list of gamma and aspect ratio:
+
+    python -m sim.cantilever --gamma 0.1 1 10 100 --json FILE       (FILE may be -)
+
+Estimate moduli from measured deflection curves, CSV files with the columns x_mm and y_mm whose
+first row is the clamp's edge; several strips of a direction are joined by commas:
+
+    python -m sim.cantilever estimate warp=a.csv,b.csv bias=c.csv weft=d.csv density=150
+
+Keys of estimate:
+
+    warp, bias, weft   curves of each direction, any subset
+    density            g/m²
+    method             table (nearest computed curve, for measured curves) or regression
+                       (torque on curvature, for clean ones)
+    slope              angle of the clamp below the horizontal, degrees
+    degree             of the Bézier curves, 0 chooses it for each
+    rounds             of simulated correction; needs all three directions
+    width              of the strips, mm, for the correction
+    out                JSON file with the result
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from sim.cantilever.curves import read_curve
+from sim.cantilever.elastica import aspect_ratio, elastica
+from sim.cantilever.fabric import correct, estimate
+from sim.cantilever.tester import fabric_of_gamma, hang
+from sim.cli import parse_overrides, run_command
+from sim.errors import InputError
+from sim.files import replace_file
+from sim.material import DIRECTIONS, MICRO, NANO
+from sim.newton import Status
+
+LENGTH = 0.09  # m; only gamma matters
+LARGEST_SIMULATED_GAMMA = 2000.0
+CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
+
+DEFAULTS = {
+    **dict.fromkeys(DIRECTIONS, ""),
+    "density": 0.0,
+    "method": "table",
+    "slope": 0.0,
+    "degree": 0,
+    "rounds": 0,
+    "width": 30.0,
+    "out": "",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Argument parser whose complaints are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(message)
+
+
+def main(argv: list[str]) -> None:
+    """Dispatch to :func:`print_strips` or :func:`print_estimate`."""
+    if not argv or {"-h", "--help", "help"} & set(argv):
+        print(__doc__)
+    elif argv[0] == "estimate":
+        print_estimate(parse_overrides(DEFAULTS, argv[1:]))
+    else:
+        parser = _Parser(prog="python -m sim.cantilever", add_help=False)
+        parser.add_argument("--gamma", nargs="+", type=float, required=True)
+        parser.add_argument("--json", default="-")
+        options = parser.parse_args(argv)
+        print_strips(options.gamma, options.json)
+
+
+def print_strips(gammas: list[float], out: str) -> None:
+    """Simulate a strip for each gamma; write JSON to the file ``out``, or print it for "-"."""
+    for gamma in gammas:
+        if not 0 < gamma <= LARGEST_SIMULATED_GAMMA:
+            raise InputError(
+                f"gamma={gamma:g} must lie above 0 and not above {LARGEST_SIMULATED_GAMMA:g}"
+            )
+    text = json.dumps([simulate(gamma) for gamma in gammas], indent=2) + "\n"
+    if out == "-":
+        print(text, end="")
+    else:
+        replace_file(Path(out), text.encode())
+
+
+def simulate(gamma: float) -> dict:
+    """Figures of an isotropic strip of the default law, on a mesh that resolves its bends."""
+    cells = np.ceil(max(30.0, CELLS * gamma ** (1 / 3)))
+    edge = LENGTH / cells
+    hung = hang(fabric_of_gamma(gamma, LENGTH), length=LENGTH, width=6 * edge, edge=edge)
+    settled = hung.result.status is Status.CONVERGED
+    return {
+        "gamma": gamma,
+        "aspect_ratio": aspect_ratio(hung.curve[-1]) if settled else None,
+        "elastica_aspect_ratio": aspect_ratio(elastica(gamma)[-1]),
+        "cells_along": int(cells),
+        "status": hung.result.status.value,
+        "message": hung.result.message,
+    }
+
+
+def print_estimate(config: dict) -> None:
+    """Estimate, print a table in people's units, and write JSON where asked."""
+    files = {d: [Path(f) for f in config[d].split(",")] for d in DIRECTIONS if config[d]}
+    if not files:
+        raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
+    if not config["density"] > 0:
+        raise InputError("the fabric's density is needed, in g/m²: density=150")
+    if config["rounds"] < 0 or not 0 < config["width"] <= 500:
+        raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
+    strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
+    options = {
+        "density": 1e-3 * config["density"],
+        "method": config["method"],
+        "slope": float(np.radians(config["slope"])),
+        "degree": config["degree"] or None,
+    }
+    found = estimate(strips, **options)
+    rows = {
+        direction: {
+            "alpha_uN_m": e.alpha / MICRO,
+            "beta_nN_m2": e.beta / NANO,
+            "misfit": e.misfit,
+            "largest_curvature_1_m": e.curvature,
+            "largest_reduced_curvature": e.reduced_curvature,
+        }
+        for direction, e in found.items()
+    }
+    if config["rounds"]:
+        fabric = correct(
+            strips, found, rounds=config["rounds"], width=1e-3 * config["width"], **options
+        )
+        for k, direction in enumerate(DIRECTIONS):
+            rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
+            rows[direction]["beta_nN_m2"] = float(fabric.beta[k] / NANO)
+    print(f"{'':6}{'alpha µN·m':>12}{'beta nN·m²':>12}{'misfit %':>10}{'-beta κ/alpha':>15}")
+    for direction, row in rows.items():
+        print(f"{direction:6}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}"
+              f"{100 * row['misfit']:10.2f}{row['largest_reduced_curvature']:15.2f}")
+    if config["out"]:
+        report = {"density_g_m2": config["density"], "method": config["method"],
+                  "rounds": config["rounds"], "moduli": rows}
+        replace_file(Path(config["out"]), (json.dumps(report, indent=2) + "\n").encode())
+
+
+def entry() -> None:
+    """Console script."""
+    run_command(main)
+
+
+if __name__ == "__main__":
+    sys.exit(entry())

@@ -1,0 +1,162 @@
+"""From the strips of one fabric to its moduli in warp, bias and weft.
+
+The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
+bias also twists and curves across while it bends and so hangs a little lower than a cylinder
+would (docs/validation.md). :func:`correct` takes this out by simulating the three strips and
+moving the moduli until the same estimator reads from them what it read from the real ones.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sim.cantilever.curves import fit_bezier
+from sim.cantilever.regression import Estimate, regress
+from sim.cantilever.table import match
+from sim.cantilever.tester import hang
+from sim.errors import InputError
+from sim.material import DIRECTIONS, Fabric
+from sim.newton import Status
+from sim.scene import GRAVITY
+
+ANGLES = {"warp": 0.0, "bias": np.pi / 4, "weft": np.pi / 2}
+METHODS = {"regression": regress, "table": match}
+CELLS = 20
+"""Along the bending length of a simulated strip's direction; they err by 1 % in alpha."""
+
+CELLS_ACROSS = 10
+Strips = Mapping[str, Sequence[np.ndarray]]
+"""Curves (N, 2), m, of one or several strips of each direction."""
+
+
+def bending_length(alpha: float, density: float) -> float:
+    """(alpha/rho g)^(1/3), m, of a modulus N·m and a density kg/m².
+
+    Strips of 1.5 and 2.5 of it, which fall 0.4 and 1.5 times as far as they reach if the law is
+    linear, tell alpha and beta well.
+    """
+    return float((alpha / (density * GRAVITY)) ** (1 / 3))
+
+
+def estimate(
+    strips: Strips, *, density: float, method: str = "regression", slope: float = 0.0,
+    degree: int | None = None,
+) -> dict[str, Estimate]:
+    """The moduli of each direction, from its strips alone.
+
+    Args:
+        strips: by direction, any of :data:`sim.material.DIRECTIONS`.
+        density: kg/m².
+        method: a key of :data:`METHODS`.
+        slope: angle of the clamp below the horizontal, radians.
+        degree: of the Bézier curves, None to choose it for each.
+
+    Raises:
+        InputError: unknown method or direction, or curves that no strip has.
+    """
+    if method not in METHODS:
+        raise InputError(f"unknown method '{method}'; choose from {', '.join(METHODS)}")
+    if not density > 0:
+        raise InputError("the density must be positive, in g/m²")
+    found = {}
+    for direction, curves in strips.items():
+        if direction not in ANGLES:
+            raise InputError(f"'{direction}' is not one of {', '.join(ANGLES)}")
+        try:
+            found[direction] = METHODS[method](
+                curves, weight=density * GRAVITY, slope=slope, degree=degree
+            )
+        except InputError as error:
+            raise InputError(f"{direction}: {error}") from None
+    return found
+
+
+def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
+    """The fabric with the estimated moduli of the three directions.
+
+    Raises:
+        InputError: a direction is missing, or no plate has these moduli.
+    """
+    missing = [direction for direction in DIRECTIONS if direction not in estimates]
+    if missing:
+        raise InputError(f"a fabric needs strips of all three directions; no {missing[0]}")
+    return Fabric(
+        alpha=np.array([estimates[d].alpha for d in DIRECTIONS]),
+        beta=np.array([estimates[d].beta for d in DIRECTIONS]),
+        density=density,
+    )
+
+
+def simulate_strips(
+    fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float = 0.03,
+    slope: float = 0.0, cells: int = CELLS, seed: int = 0, guided: bool = False,
+) -> dict[str, list[np.ndarray]]:
+    """Curves of simulated strips of ``lengths`` (m) by direction.
+
+    Args:
+        width: m.
+        slope, guided: see :func:`sim.cantilever.tester.hang`; guided strips are cylinders, and
+            a few cells across them are enough.
+        cells: along the bending length of the strip's direction.
+        seed: of the triangulation.
+
+    Raises:
+        InputError: a strip does not reach equilibrium.
+    """
+    strips: dict[str, list[np.ndarray]] = {}
+    for direction, each in lengths.items():
+        alpha = fabric.alpha[DIRECTIONS.index(direction)]
+        spacing = bending_length(alpha, fabric.density) / cells
+        for length in each:
+            edge = length / np.ceil(length / spacing)
+            hung = hang(
+                fabric, angle=ANGLES[direction], slope=slope, length=length, edge=edge,
+                width=3 * edge if guided else width, across=3 if guided else CELLS_ACROSS,
+                diagonals="random", seed=seed, guided=guided,
+            )
+            if hung.result.status is not Status.CONVERGED:
+                raise InputError(
+                    f"the simulated {direction} strip of {1e3 * length:.0f} mm does not settle: "
+                    f"{hung.result.message}"
+                )
+            strips.setdefault(direction, []).append(hung.curve)
+    return strips
+
+
+def correct(
+    strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = 3,
+    method: str = "regression", slope: float = 0.0, degree: int | None = None,
+    width: float = 0.03,
+) -> Fabric:
+    """Moduli whose simulated strips give the estimates that the measured strips gave.
+
+    Each round simulates the strips, estimates from them alike, and moves log alpha and
+    beta/alpha of each direction by what is missing.
+
+    Args:
+        strips, estimates: of all three directions, see :func:`estimate`.
+        rounds: of simulation.
+        width: of the strips, m.
+        density, method, slope, degree: as for :func:`estimate`.
+
+    Raises:
+        InputError: a direction is missing, no plate has the moduli, or a strip does not settle.
+    """
+    fabric = fabric_of(estimates, density)
+    lengths = {
+        direction: [fit_bezier(c, degree=degree, slope=slope)[0].length for c in strips[direction]]
+        for direction in DIRECTIONS
+    }
+    target = np.array([[np.log(e.alpha), e.beta / e.alpha] for e in _ordered(estimates)])
+    unknowns = target.copy()
+    for _ in range(rounds):
+        simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
+        read = estimate(simulated, density=density, method=method, slope=slope, degree=degree)
+        unknowns += target - [[np.log(e.alpha), e.beta / e.alpha] for e in _ordered(read)]
+        alpha = np.exp(unknowns[:, 0])
+        fabric = Fabric(alpha=alpha, beta=unknowns[:, 1] * alpha, density=density)
+    return fabric
+
+
+def _ordered(estimates: Mapping[str, Estimate]) -> list[Estimate]:
+    return [estimates[direction] for direction in DIRECTIONS]

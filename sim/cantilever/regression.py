@@ -1,0 +1,125 @@
+"""Moduli by regression of torque on curvature along a deflection curve (section 4.3.1).
+
+The torque per width at a point of the strip is the moment of the weight beyond it,
+
+    tau_i = rho g ∫ (x(s) - x_i) ds  from s_i to the free end                 (Eq. 5),
+
+by the trapezoidal rule (Eq. 6). Beyond the softening limit a simulated strip does not follow the
+parabola alpha kappa + beta kappa²; the fitted law is therefore :func:`sim.material.torque`, which
+is the parabola up to the limit and straight beyond.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from sim.cantilever.curves import fit_bezier
+from sim.errors import InputError
+from sim.material import torque
+
+SAMPLES = 256
+"""Points along each curve (section 4.3)."""
+
+RATIO_RANGE = (-0.02, 0.02)  # m; beta/alpha of fabrics lies within
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Moduli of one direction.
+
+    Attributes:
+        alpha, beta: N·m and N·m².
+        misfit: root mean square of what the law leaves unexplained: of the torque, relative to
+            its root mean square (regression), or of the points' distance from the curve, relative
+            to the mean length (table).
+        curvature: largest of the curves, 1/m.
+    """
+
+    alpha: float
+    beta: float
+    misfit: float
+    curvature: float
+
+    @property
+    def reduced_curvature(self) -> float:
+        """Largest -beta kappa/alpha; far below 0.1 the curves say little about beta."""
+        return -self.beta / self.alpha * self.curvature
+
+
+def torque_and_curvature(
+    curve: np.ndarray,
+    *,
+    weight: float,
+    slope: float = 0.0,
+    degree: int | None = None,
+    samples: int = SAMPLES,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Torque (samples,), N, and curvature (samples,), 1/m, from the clamp to the free end.
+
+    Args:
+        curve: (N, 2) m, reach and drop.
+        weight: rho g, N/m².
+        slope, degree: see :func:`sim.cantilever.curves.fit_bezier`.
+    """
+    bezier, _ = fit_bezier(curve, degree=degree, slope=slope)
+    t = bezier.evenly(samples)
+    points = bezier.at(t)
+    return weight * moment_beyond(points), bezier.curvature(t)
+
+
+def moment_beyond(points: np.ndarray) -> np.ndarray:
+    """(N,) integral of x(s) - x_i over the curve points (N, 2) beyond each point i (Eq. 6)."""
+    x = points[:, 0]
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    beyond = np.concatenate([np.cumsum(((x[1:] + x[:-1]) / 2 * steps)[::-1])[::-1], [0.0]])
+    length = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+    return beyond - x * length
+
+
+def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
+    """alpha, beta and relative misfit of the torque law through samples (N,) each.
+
+    The law is proportional to alpha for a given beta/alpha, so that only this ratio is searched.
+
+    Raises:
+        InputError: the torque does not grow with the curvature.
+    """
+    curvature = np.asarray(curvature)
+    sign, kappa = np.sign(curvature), np.abs(curvature)
+
+    def project(ratio: float) -> tuple[float, float]:
+        law = sign * torque(kappa, 1.0, ratio)
+        alpha = float(law @ moment / (law @ law))
+        return alpha, float(((moment - alpha * law) ** 2).mean())
+
+    ratios = np.linspace(*RATIO_RANGE, 81)
+    best = int(np.argmin([project(ratio)[1] for ratio in ratios]))
+    low, high = ratios[max(best - 1, 0)], ratios[min(best + 1, len(ratios) - 1)]
+    found = minimize_scalar(
+        lambda ratio: np.sqrt(project(ratio)[1]), bounds=(low, high), method="bounded",
+        options={"xatol": 1e-9},
+    )
+    alpha, error = project(found.x)
+    if not alpha > 0:
+        raise InputError("the curves do not bend as a hanging strip does; check their axes")
+    return alpha, float(alpha * found.x), float(np.sqrt(error / (moment**2).mean()))
+
+
+def regress(
+    curves: Sequence[np.ndarray],
+    *,
+    weight: float,
+    slope: float = 0.0,
+    degree: int | None = None,
+) -> Estimate:
+    """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
+
+    Strips of several lengths widen the range of curvatures; each sample counts alike.
+    ``weight``, ``slope``, ``degree`` as for :func:`torque_and_curvature`.
+    """
+    samples = [torque_and_curvature(c, weight=weight, slope=slope, degree=degree) for c in curves]
+    moment, curvature = (np.concatenate(part) for part in zip(*samples, strict=True))
+    alpha, beta, misfit = fit_law(curvature, moment)
+    return Estimate(alpha, beta, misfit, float(curvature.max()))
