@@ -12,7 +12,7 @@ Keys (``key=value``):
     borrow       drape.npz of another fabric on the same rig to start from, in place of start
     seed         of the initial shape and of the triangulation
     mesh         structured, perturbed or unstructured
-    resolution   vertices a side, or across the disc
+    resolution   vertices a side, or across the disc; 0 chooses by the fabric's bending length
     offset       specimen's centre off the plate's axis along warp,weft in mm
     out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
                  rest, positions, faces, held; see sim/drape_file.py)
@@ -42,7 +42,7 @@ DEFAULTS = {
     "borrow": "",
     "seed": 0,
     "mesh": "perturbed",
-    "resolution": 51,
+    "resolution": 0,
     "offset": [0.0, 0.0],
     "out": "outputs/drape",
 }
@@ -64,7 +64,7 @@ def main(argv: list[str]) -> None:
     result = drape(
         fabric,
         rig=Rig.from_name(config["rig"]),
-        resolution=config["resolution"],
+        resolution=config["resolution"] or None,
         start=config["start"],
         borrowed=read_borrowed(Path(config["borrow"])) if config["borrow"] else None,
         seed=config["seed"],
@@ -96,7 +96,8 @@ def summarise(result: DrapeResult, config: dict) -> dict:
             "beta_nN_m2": dict(zip(DIRECTIONS, config["beta"], strict=True)),
             "density_g_m2": config["density"],
             **{key: config[key]
-               for key in ("rig", "start", "borrow", "seed", "mesh", "resolution")},
+               for key in ("rig", "start", "borrow", "seed", "mesh")},
+            "resolution": result.resolution,
             "offset_mm": config["offset"],
         },
         "status": result.status.value,

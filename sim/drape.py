@@ -13,7 +13,7 @@ from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.newton import NewtonOptions, Status
-from sim.scene import Rig, Scene, State
+from sim.scene import GRAVITY, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 from sim.specimens import make_specimen
 
@@ -22,6 +22,9 @@ BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to sur
 COARSE_MEMBRANE = 0.1
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps: soft fabrics take half the time."""
+LENGTHS_PER_SPACING = 0.5
+"""Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
+_CHOSEN = (51, 101)  # vertices a side: fewest, for folds and rim; most, for the time
 _COARSE = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 _FINE = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
@@ -40,6 +43,7 @@ class DrapeResult:
         diagonals: (n-1, n-1) bool; ``faces == sim.mesh.grid_faces(diagonals)``; None where the
             mesh is no grid.
         held: (V,) bool, vertices that the rig holds.
+        resolution: vertices a side, or across a disc.
         status, message: how it ended, in one word and in a sentence.
         residual: largest force residual, in units of a vertex's weight.
         step: last Newton step, mm.
@@ -58,6 +62,7 @@ class DrapeResult:
     faces: np.ndarray
     diagonals: np.ndarray | None
     held: np.ndarray
+    resolution: int
     status: Status
     message: str
     residual: float
@@ -78,7 +83,7 @@ def drape(
     fabric: Fabric,
     *,
     rig: Rig | None = None,
-    resolution: int = 51,
+    resolution: int | None = None,
     start: str = "sine",
     borrowed: tuple[np.ndarray, np.ndarray] | None = None,
     seed: int = 0,
@@ -96,7 +101,8 @@ def drape(
 
     Args:
         rig: what holds the specimen; None for the square on its cylinder.
-        resolution: vertices a side, or across a disc, of the final mesh.
+        resolution: vertices a side, or across a disc, of the final mesh; None chooses it, see
+            :func:`default_resolution`.
         start: initial shape, see :data:`sim.initial.STARTS`.
         borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
             to start from, in place of ``start``; on a mesh fine enough for its folds.
@@ -113,6 +119,7 @@ def drape(
         InputError: parameters that make no sense.
     """
     rig = rig or Rig()
+    resolution = resolution or default_resolution(fabric, rig)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
     if not 0 <= jitter <= 0.3:
@@ -163,6 +170,7 @@ def drape(
         faces=cloth.faces,
         diagonals=specimen.diagonals,
         held=held,
+        resolution=resolution,
         status=result.status,
         message=result.message,
         residual=result.residual,
@@ -173,6 +181,17 @@ def drape(
         seconds=time.perf_counter() - began,
         time_spent=dict(time_spent),
     )
+
+
+def default_resolution(fabric: Fabric, rig: Rig) -> int:
+    """Vertices a side so that the spacing follows the fabric's bending length (alpha/rho g)^⅓.
+
+    Softer cloth makes narrower folds. ``LENGTHS_PER_SPACING`` of the softest direction's bending
+    length, within ``_CHOSEN``.
+    """
+    length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
+    cells = rig.specimen_size / (LENGTHS_PER_SPACING * length)
+    return int(np.clip(np.ceil(cells) + 1, *_CHOSEN))
 
 
 def coarse_to_fine(resolution: int, coarsest: int = COARSEST) -> list[int]:

@@ -65,13 +65,14 @@ def make_specimen(
     if rig.specimen == "disc" and diagonals is not None:
         raise InputError(f"diagonals={diagonals}: the mesh of a disc has none to choose")
     perturbed = mesh == "perturbed"
+    edge = rig.specimen_size / (resolution - 1)
     if mesh == "unstructured":
         return _unstructured(rig, resolution=resolution, offset=offset, seed=seed)
     if rig.specimen == "disc":
         return Specimen(
             *draped_disc(
                 diameter=rig.specimen_size,
-                plate_radius=rig.plate_radius,
+                plate_radius=rim_radius(rig, edge),
                 resolution=resolution,
                 offset=offset,
                 perturbed=perturbed,
@@ -86,7 +87,7 @@ def make_specimen(
     return Specimen(
         *draped_square(
             size=rig.specimen_size,
-            plate_radius=rig.plate_radius,
+            plate_radius=rim_radius(rig, edge),
             resolution=resolution,
             offset=offset,
             diagonals=chosen,
@@ -94,6 +95,16 @@ def make_specimen(
             seed=seed,
         )
     )
+
+
+def rim_radius(rig: Rig, edge: float) -> float:
+    """Radius on which a mesh of the spacing ``edge`` has the rim's vertices, m.
+
+    A little outside the plate's, so that the polygon through them has the plate's area: with
+    corners on the rim it would hold too little cloth and lie inside the cylinder.
+    """
+    chord = edge / rig.plate_radius
+    return rig.plate_radius * (1 + chord**2 / 12)
 
 
 def _unstructured(
@@ -105,7 +116,7 @@ def _unstructured(
         return Specimen(mesh, _upper_corners(mesh, rig.specimen_size))
     if rig.specimen_size / 2 - np.hypot(*offset) < rig.plate_radius + 1.5 * edge:
         raise InputError("the specimen's overhang is too narrow; reduce the offset or refine")
-    settings = {"edge": edge, "plate_radius": rig.plate_radius, "offset": offset, "seed": seed}
+    settings = {"edge": edge, "plate_radius": rim_radius(rig, edge), "offset": offset, "seed": seed}
     if rig.specimen == "disc":
         return Specimen(*unstructured_disc(diameter=rig.specimen_size, **settings))
     return Specimen(*unstructured_square(size=rig.specimen_size, **settings))

@@ -17,7 +17,7 @@ Keys of estimate:
                        (torque on curvature, for clean ones)
     slope              angle of the clamp below the horizontal, degrees
     degree             of the Bézier curves, 0 chooses it for each
-    rounds             of simulated correction; needs all three directions
+    rounds             of simulated correction, at most (6 is enough); needs all three directions
     width              of the strips, mm, for the correction
     out                JSON file with the result
 """

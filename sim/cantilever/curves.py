@@ -20,7 +20,7 @@ LARGEST_FILE = 1 << 20  # bytes
 LONGEST = 2.0  # m
 DEGREES = tuple(range(3, 15))
 """Degrees tried for a Bézier curve. A cubic one (section 4.3) cannot follow the curvature from the
-clamp to the free end and makes the moduli 10 to 30 % too small (docs/validation.md)."""
+clamp to the free end: it misreads alpha by 6 % at best (docs/validation.md)."""
 
 _ROUNDS = 30
 

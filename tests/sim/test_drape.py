@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.drape import coarse_to_fine, drape
+from sim.drape import coarse_to_fine, default_resolution, drape
 from sim.errors import InputError
 from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
 from sim.newton import NewtonOptions
+from sim.scene import Rig
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
@@ -125,3 +126,11 @@ def test_nonsense_is_refused_in_words(arguments, word):
 def test_levels_halve_the_spacing():
     assert coarse_to_fine(101) == [26, 51, 101]
     assert coarse_to_fine(16) == [16]
+
+
+def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
+    chosen = [default_resolution(isotropic(alpha), Rig()) for alpha in (100, 20, 3, 1, 0.1)]
+    assert chosen == sorted(chosen) and chosen[0] == 51 < chosen[2] < chosen[3] <= chosen[4] == 101
+    spacing = 0.3 / (chosen[2] - 1)
+    assert spacing <= 0.5 * (3e-6 / (0.3 * 9.81)) ** (1 / 3) <= 0.3 / (chosen[2] - 2)
+    assert default_resolution(isotropic(3).at_density(0.1), Rig()) == chosen[2]

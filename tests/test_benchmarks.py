@@ -1,0 +1,90 @@
+"""What the benchmarks share: resumed work, and the search for a scan's modulus."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import common
+from benchmarks.common import load_arrays, run_cases, table
+from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
+from sim.errors import InputError
+
+
+def count_calls(log: str, value: float) -> dict:
+    """A case's work that leaves a trace of having been done."""
+    with Path(log).open("a", encoding="utf-8") as file:
+        file.write(f"{value}\n")
+    return {"square": value**2, "arrays": {"row": np.arange(value)}}
+
+
+def test_finished_cases_are_not_done_again(tmp_path, monkeypatch):
+    log = tmp_path / "log"
+    cases = {f"case{k}": {"log": str(log), "value": k} for k in (3, 2)}
+
+    def run() -> dict:
+        return run_cases(count_calls, cases, folder=tmp_path / "cases", workers=1)
+
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
+    assert sorted(log.read_text().split()) == ["2", "3"]
+    assert load_arrays(tmp_path / "cases", "case3")["row"].tolist() == [0, 1, 2]
+    cases["case2"]["value"] = 5  # other settings under the same name
+    (tmp_path / "cases" / "case3.json").write_text("{torn")
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 25}}
+    assert sorted(log.read_text().split()) == ["2", "3", "3", "5"]
+    monkeypatch.setattr(common, "sources_digest", lambda: "another simulator")
+    run()
+    assert len(log.read_text().split()) == 6
+
+
+def test_no_workers_are_refused(tmp_path):
+    with pytest.raises(InputError, match="workers=0"):
+        run_cases(count_calls, {"a": {"log": "", "value": 1}}, folder=tmp_path, workers=0)
+
+
+def test_table_is_aligned():
+    lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
+    assert lines[2] == "| long name | 1.23 |"
+    assert len({len(line) for line in lines}) == 1
+
+
+def fake_search(coefficients: dict[float, float]) -> Search:
+    search = Search(DEFAULTS)
+    search.drapes = {a: {"alpha_uN_m": a, "coefficient": c, "status": "converged"}
+                     for a, c in coefficients.items()}
+    return search
+
+
+def test_search_halves_the_interval_that_encloses_the_scan():
+    search = fake_search({1.0: 10.0, 4.0: 30.0, 16.0: 60.0})
+    assert search.between(40.0) == pytest.approx(8.0)
+    assert search.between(20.0) == pytest.approx(2.0)
+    assert search.between(70.0) is None
+    assert search.nearest(40.0)["alpha_uN_m"] == 4.0
+    search.drapes[8.0] = {"alpha_uN_m": 8.0, "coefficient": 90.0, "status": "line_search"}
+    assert search.nearest(90.0)["alpha_uN_m"] == 16.0  # not a drape that failed
+    assert search.between(40.0) is None  # nor tried again
+
+
+def test_search_closes_in_on_any_coefficient():
+    def coefficient(alpha: float) -> float:
+        return 100 * alpha / (alpha + 10) + 3 * np.sin(9 * np.log(alpha))
+
+    search = fake_search({a: coefficient(a) for a in (1.0, 10.0, 100.0)})
+    for _ in range(8):
+        alpha = search.between(55.0)
+        search.drapes[alpha] = {"alpha_uN_m": alpha, "coefficient": coefficient(alpha),
+                                "status": "converged"}
+    assert search.nearest(55.0)["coefficient"] == pytest.approx(55.0, abs=0.5)
+    assert all(alpha == rounded(alpha) for alpha in search.drapes)
+
+
+def test_turning_the_cloth_moves_its_points_along():
+    angle = 2 * np.pi * np.arange(720) / 720
+    outline = (1 + 0.2 * np.cos(3 * angle) + 0.1 * np.sin(angle))[:, None] * np.column_stack(
+        [np.cos(angle), np.sin(angle)])
+    turned = turn_cloth(outline, np.pi / 2)
+    np.testing.assert_allclose(turned[180], [0.0, 1.2], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(turned, axis=1),
+                               np.roll(np.linalg.norm(outline, axis=1), 180))
