@@ -1,0 +1,160 @@
+"""What benchmarks share: the machine's description, reports, and work that can be resumed."""
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data.workers import end_with_parent, worker_environment
+from sim.errors import InputError
+from sim.files import replace_file, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+REPORTS = ROOT / "docs" / "validation"
+
+
+def machine() -> dict:
+    """Hardware and versions."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "numba", "scipy", "torch")},
+    }
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            return next(line.split(":")[1].strip() for line in file if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+def write_report(path: Path, content: dict) -> None:
+    """Write ``content`` and the machine's description as JSON."""
+    text = json.dumps({"machine": machine(), **content}, indent=2, allow_nan=False)
+    replace_file(path, (text + "\n").encode())
+
+
+def write_figure(path: Path, figure: "Figure") -> None:
+    """Write a matplotlib figure as PNG."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+
+
+def run_cases(
+    work: Callable[..., dict],
+    cases: dict[str, dict],
+    *,
+    folder: Path,
+    workers: int = 1,
+) -> dict[str, dict]:
+    """Results of ``work(**settings)`` for every case, from ``folder`` where it is finished.
+
+    Each case becomes ``folder/NAME.json`` as soon as it is done, with its settings and a digest
+    of the simulator's sources. A file of other settings or sources is made anew; so an
+    interrupted run goes on where it stopped, and old figures never mix with new ones.
+
+    Args:
+        work: a function at the top of a module; what it returns must be fit for JSON, but for
+            an entry "arrays" of arrays by name, which become ``folder/NAME.npz``
+            (:func:`load_arrays`).
+        cases: keyword arguments of ``work`` by name of the case, fit for JSON.
+        workers: processes, one thread each.
+
+    Returns:
+        Results by name, in the order of ``cases``.
+
+    Raises:
+        InputError: a worker was ended from outside, or the folder cannot be written.
+    """
+    # Through JSON, so that tuples and numbers compare as they are read back.
+    stamps = {
+        name: json.loads(json.dumps({"settings": settings, "sources": sources_digest()}))
+        for name, settings in cases.items()
+    }
+    results = {name: _finished(folder / f"{name}.json", stamps[name]) for name in cases}
+    missing = [name for name in cases if results[name] is None]
+    if not missing:
+        return results
+    if workers < 1:
+        raise InputError(f"workers={workers}: at least one process is needed")
+    print(f"{len(cases) - len(missing)} of {len(cases)} cases are finished; "
+          f"{len(missing)} to go", flush=True)
+    with worker_environment():
+        pool = ProcessPoolExecutor(
+            min(workers, len(missing)),
+            mp_context=get_context("spawn"),
+            initializer=end_with_parent,
+        )
+        try:
+            futures = {pool.submit(work, **cases[name]): name for name in missing}
+            for future in as_completed(futures):
+                name = futures[future]
+                results[name] = future.result()
+                _keep(folder / f"{name}.json", stamps[name], results[name])
+                print(f"  {name}", flush=True)
+        except BrokenProcessPool:
+            raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
+                             "run the same command again, with fewer workers") from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return results
+
+
+def _keep(path: Path, stamp: dict, result: dict) -> None:
+    """Write a finished case, its arrays first, so that no JSON stands without them."""
+    if arrays := result.pop("arrays", None):
+        with replacing(path.with_suffix(".npz")) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    text = json.dumps({**stamp, "result": result}, indent=1, allow_nan=False) + "\n"
+    replace_file(path, text.encode())
+
+
+def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """The arrays of a finished case of :func:`run_cases`."""
+    with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
+        return dict(file)
+
+
+def _finished(path: Path, stamp: dict) -> dict | None:
+    """The result in ``path``, None if there is none for these settings and sources."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return content["result"] if all(content[k] == v for k, v in stamp.items()) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def sources_digest() -> str:
+    """A short digest of the simulator's source files: figures of other sources are others."""
+    digest = hashlib.sha256()
+    for file in sorted((ROOT / "sim").rglob("*.py")):
+        digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Lines of a Markdown table; floats with three significant digits."""
+    def cell(value: object) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    lines = [[cell(v) for v in head], *([cell(v) for v in row] for row in rows)]
+    width = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    text = ["| " + " | ".join(v.ljust(w) for v, w in zip(line, width, strict=True)) + " |"
+            for line in lines]
+    text.insert(1, "|" + "|".join("-" * (w + 2) for w in width) + "|")
+    return "\n".join(text)

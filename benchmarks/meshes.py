@@ -1,0 +1,251 @@
+"""Does the mesh decide the drape? ``python -m benchmarks.meshes [workers=2]`` (Figure 12).
+
+Six fabrics, three of them anisotropic. Which folds a drape falls into is decided by chance on its
+way down; so each fabric is draped once, and the equilibrium next to that shape is sought on every
+mesh and under every law, without coarser meshes before it. Compared are
+
+- structured, perturbed and unstructured meshes, for the default law and for hinge laws;
+- perturbed meshes of 51 to 151 vertices a side, for the default law;
+- a perturbed mesh with itself, started from the common shape and from the unstructured mesh's
+  drape: what remains between the two are minima that the mesh itself makes.
+
+Two drapes have the same fold configuration when they have as many folds and each lies within a
+quarter of the mean fold distance of its partner (:func:`sim.comparison.same_folds`).
+
+Keys (``key=value``):
+
+    fabrics       some of the names in benchmarks.mesh_cases.FABRICS, or all
+    laws          bending laws; those that follow a direction are left out for isotropic fabrics
+    resolution    vertices a side where meshes are compared
+    refinement    vertices a side of the refined meshes
+    start         vertices a side of the common start
+    membrane      in-plane stiffness, N/m
+    seed          of the common start and of the meshes
+    workers       processes, one thread each
+    cases         folder of finished drapes; an interrupted run goes on from there
+    out           the report, JSON; a picture of the same name beside it
+"""
+
+from itertools import combinations
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import (
+    REPORTS,
+    load_arrays,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
+from benchmarks.mesh_cases import (
+    DEFAULT_LAW,
+    FABRICS,
+    MESHES,
+    SOFTENING,
+    case_name,
+    chosen_fabrics,
+    common_start,
+    laws_for,
+    one_drape,
+    plan,
+)
+from data.picture import shade
+from sim.cli import parse_overrides, run_command
+from sim.comparison import compare, same_folds
+from sim.measures import fold_outline
+from sim.scene import Rig
+
+LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
+
+DEFAULTS = {
+    "fabrics": "all",
+    "laws": "midedge,hinge,hinge_edge,hinge_curvature",
+    "resolution": 51,
+    "refinement": [51, 76, 101, 151],
+    "start": 51,
+    "membrane": 200.0,
+    "seed": 0,
+    "workers": 1,
+    "cases": "outputs/validation/meshes",
+    "out": str(REPORTS / "meshes.json"),
+}
+
+
+class Finished:
+    """Finished drapes by name, with their shapes."""
+
+    def __init__(self, folder: Path, results: dict[str, dict]) -> None:
+        self.results = results
+        self.shapes = {name: SimpleNamespace(**load_arrays(folder, name)) for name in results}
+
+    def outline(self, name: str) -> np.ndarray:
+        """Material circle of a drape seen from above, (720, 2) m."""
+        shape = self.shapes[name]
+        return fold_outline(shape.positions, shape.rest, Rig())
+
+    def difference(self, one: str, two: str) -> dict:
+        """How far drape ``two`` lies from ``one``, in people's units."""
+        found = compare(self.shapes[one], self.shapes[two])
+        results = [self.results[name] for name in (one, two)]
+        return {
+            "drapes": [one, two],
+            "mean_mm": 1e3 * found.displacement,
+            "largest_mm": 1e3 * found.largest,
+            "curvature": found.curvature,
+            "folds": [r["folds"] for r in results],
+            "same_folds": same_folds(self.outline(one), self.outline(two)),
+            "drape_coefficients": [r["drape_coefficient"] for r in results],
+            "converged": all(r["status"] == "converged" for r in results),
+        }
+
+
+def compare_meshes(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
+    """Differences between the three meshes, for each fabric and law."""
+    rows = []
+    for fabric in fabrics:
+        for law in laws_for(fabric, config):
+            for one, two in combinations(MESHES, 2):
+                names = [case_name(fabric, law, mesh, config["resolution"]) for mesh in (one, two)]
+                rows.append({"fabric": fabric, "law": law, "meshes": [one, two],
+                             **finished.difference(*names)})
+    return rows
+
+
+def compare_resolutions(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
+    """Differences between each refined mesh and the finest."""
+    *coarser, finest = sorted(config["refinement"])
+    return [
+        {"fabric": fabric, "resolution": n, "finest": finest,
+         **finished.difference(case_name(fabric, DEFAULT_LAW, "perturbed", finest),
+                               case_name(fabric, DEFAULT_LAW, "perturbed", n))}
+        for fabric in fabrics for n in coarser
+    ]
+
+
+def compare_returns(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
+    """Differences between two equilibria on one mesh, reached from two sides."""
+    n = config["resolution"]
+    return [
+        {"fabric": fabric,
+         **finished.difference(*(case_name(fabric, DEFAULT_LAW, mesh, n)
+                                 for mesh in ("perturbed", "return")))}
+        for fabric in fabrics
+    ]
+
+
+def summarise(rows: list[dict]) -> dict[str, dict]:
+    """For each law: how many pairs keep their folds, and how far apart these are."""
+    summary = {}
+    for law in dict.fromkeys(row["law"] for row in rows):
+        chosen = [row for row in rows if row["law"] == law]
+        same = [row["mean_mm"] for row in chosen if row["same_folds"] and row["converged"]]
+        summary[law] = {
+            "pairs": len(chosen),
+            "not_converged": sum(not row["converged"] for row in chosen),
+            "same_folds": len(same),
+            "mean_mm": float(np.mean(same)) if same else None,
+            "largest_mean_mm": max(same) if same else None,
+        }
+    return summary
+
+
+def main(argv: list[str]) -> None:
+    """Run what is missing, print the tables, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    folder, fabrics = Path(config["cases"]), chosen_fabrics(config)
+    plans = [plan(fabric, config) for fabric in fabrics]
+    results: dict[str, dict] = {}
+    for work, group in zip((common_start, one_drape, one_drape), zip(*plans, strict=True),
+                           strict=True):
+        cases = {name: settings for cases in group for name, settings in cases.items()}
+        results |= run_cases(work, cases, folder=folder, workers=config["workers"])
+    finished = Finished(folder, results)
+    meshes = compare_meshes(finished, fabrics, config)
+    resolutions = compare_resolutions(finished, fabrics, config)
+    returns = compare_returns(finished, fabrics, config)
+    summary = summarise(meshes)
+
+    print(f"\nMean displacement between meshes of {config['resolution']} vertices a side\n")
+    print(table(
+        ["fabric", "law", "meshes", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
+        [[row["fabric"], row["law"], " – ".join(row["meshes"]), *_cells(row)] for row in meshes],
+    ))
+    print("\nPerturbed meshes against the finest\n")
+    print(table(
+        ["fabric", "vertices a side", "mean, mm", "largest, mm", "curvature", "folds",
+         "same folds", "seconds"],
+        [[row["fabric"], f"{row['resolution']} – {row['finest']}", *_cells(row),
+          finished.results[row["drapes"][1]]["seconds"]] for row in resolutions],
+    ))
+    print("\nOne perturbed mesh, reached from two sides\n")
+    print(table(["fabric", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
+                [[row["fabric"], *_cells(row)] for row in returns]))
+    default = summary[DEFAULT_LAW]
+    print()
+    for law, figures in summary.items():
+        print(f"{law}: {figures['same_folds']} of {figures['pairs']} pairs keep their folds"
+              + (f", mean {figures['mean_mm']:.2f} mm, at most {figures['largest_mean_mm']:.2f} mm"
+                 if figures["same_folds"] else ""))
+    worst = default["largest_mean_mm"]
+    passed = worst is not None and worst < LIMIT
+    print(f"{DEFAULT_LAW} {'below' if passed else 'not below'} {LIMIT} mm wherever the folds agree")
+    out = Path(config["out"])
+    write_report(out, {
+        "settings": {k: config[k] for k in ("laws", "resolution", "refinement", "start",
+                                            "membrane", "seed")},
+        "fabrics_alpha_uN_m": {name: FABRICS[name] for name in fabrics},
+        "beta_over_alpha_mm": SOFTENING,
+        "limit_mm": LIMIT, "passed": passed, "summary": summary,
+        "meshes": meshes, "refinement": resolutions, "returns": returns, "drapes": results,
+    })
+    draw(finished, fabrics, config, out.with_suffix(".png"))
+
+
+def _cells(row: dict) -> list[object]:
+    """A difference's figures as a table shows them."""
+    folds = "–".join(str(n) for n in row["folds"])
+    same = ("yes" if row["same_folds"] else "no") + ("" if row["converged"] else ", not converged")
+    return [f"{row['mean_mm']:.2f}", f"{row['largest_mm']:.1f}",
+            f"{100 * row['curvature']:.1f} %", folds, same]
+
+
+def draw(finished: Finished, fabrics: list[str], config: dict, path: Path) -> None:
+    """Picture: the drapes from above, one row a fabric, and their outlines laid together."""
+    laws = config["laws"].split(",")[:2]
+    columns = [(law, mesh) for law in laws for mesh in MESHES]
+    wide = len(columns) + len(laws) + 1
+    figure = Figure(figsize=(1.75 * wide, 1.8 * len(fabrics) + 0.3), layout="constrained")
+    axes = figure.subplots(len(fabrics), wide, squeeze=False)
+    for row, fabric in zip(axes, fabrics, strict=True):
+        for axis, (law, mesh) in zip(row, columns, strict=False):
+            name = case_name(fabric, law, mesh, config["resolution"])
+            if shape := finished.shapes.get(name):
+                axis.imshow(shade(shape.positions, shape.faces, plate_radius=Rig().plate_radius,
+                                  elevation=90.0, size=(260, 260), field=0.31))
+            axis.set_title(f"{law}\n{mesh}", fontsize=7)
+        groups = {law: {mesh: case_name(fabric, law, mesh, config["resolution"])
+                        for mesh in MESHES} for law in laws}
+        groups["refinement"] = {str(n): case_name(fabric, DEFAULT_LAW, "perturbed", n)
+                                for n in sorted(config["refinement"])}
+        for axis, (title, group) in zip(row[len(columns):], groups.items(), strict=True):
+            for label, name in group.items():
+                if name in finished.shapes:
+                    outline = 1e3 * finished.outline(name)
+                    axis.plot(*np.vstack([outline, outline[:1]]).T, lw=0.8, label=label)
+            if axis.lines:
+                axis.legend(fontsize=4.5, frameon=False, loc="center")
+            axis.set_aspect("equal")
+            axis.set_title(title, fontsize=7)
+        row[0].set_ylabel(fabric, fontsize=8)
+        for axis in row:
+            axis.set_xticks([])
+            axis.set_yticks([])
+    write_figure(path, figure)
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

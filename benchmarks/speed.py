@@ -1,0 +1,124 @@
+"""Time drapes on one core: ``python -m benchmarks.speed [key=value ...]``, or ``make bench-sim``.
+
+Fabrics drawn from the shipped prior, each draped from a sine start: CPU-seconds, Newton steps and
+where the time goes; then one median fabric on finer and finer meshes. References: 19.8 CPU-seconds
+a drape with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs),
+329 with Newton 1.8's Style3D solver.
+
+Keys (``key=value``):
+
+    drapes       fabrics
+    seed         of the fabrics
+    resolution   vertices a side; 0: as the simulator chooses by itself
+    fine         vertices a side of a second round; 0 for none
+    fine_drapes  fabrics of the second round
+    growth       vertices a side of the median fabric's meshes
+    out          the report, JSON
+"""
+
+import os
+
+# One core means one thread, also in libraries that would take more.
+for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import resource  # noqa: E402
+import time  # noqa: E402
+from collections import Counter  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+import numpy as np  # noqa: E402
+
+from benchmarks.common import REPORTS, table, write_report  # noqa: E402
+from data.fabrics import fabric_from_theta  # noqa: E402
+from data.prior import load_prior, sample_admissible  # noqa: E402
+from data.sampling import Stream, stream  # noqa: E402
+from sim.cli import parse_overrides, run_command  # noqa: E402
+from sim.drape import drape  # noqa: E402
+from sim.linear import available_solvers  # noqa: E402
+from sim.material import MICRO, Fabric  # noqa: E402
+
+DEFAULTS = {
+    "drapes": 32,
+    "seed": 77,
+    "resolution": 0,
+    "fine": 101,
+    "fine_drapes": 8,
+    "growth": [51.0, 101.0, 151.0, 201.0],
+    "out": str(REPORTS / "speed.json"),
+}
+MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
+
+
+def timed(fabric: Fabric, *, resolution: int | None, seed: int) -> dict:
+    """Figures of one drape."""
+    began = time.process_time()
+    result = drape(fabric, resolution=resolution, seed=seed)
+    return {
+        "alpha_uN_m": (fabric.alpha / MICRO).round(2).tolist(),
+        "resolution": result.resolution,
+        "status": result.status.value,
+        "cpu_seconds": round(time.process_time() - began, 3),
+        "newton_steps": result.iterations,
+        "seconds_by_activity": {k: round(v, 3) for k, v in result.time_spent.items()},
+    }
+
+
+def round_of(fabrics: list[Fabric], resolution: int | None) -> dict:
+    """Drape every fabric, and sum up."""
+    runs = []
+    for seed, fabric in enumerate(fabrics):
+        runs.append(timed(fabric, resolution=resolution, seed=seed))
+        print(f"  {seed + 1} of {len(fabrics)}: {runs[-1]['cpu_seconds']:.2f} CPU-seconds, "
+              f"{runs[-1]['resolution']} vertices a side, {runs[-1]['status']}", flush=True)
+    seconds = np.array([run["cpu_seconds"] for run in runs])
+    activities = Counter()
+    for run in runs:
+        activities.update({k: v for k, v in run["seconds_by_activity"].items() if k != "total"})
+    return {
+        "mean_cpu_seconds": float(seconds.mean()),
+        "median_cpu_seconds": float(np.median(seconds)),
+        "largest_cpu_seconds": float(seconds.max()),
+        "mean_newton_steps": float(np.mean([run["newton_steps"] for run in runs])),
+        "converged": sum(run["status"] == "converged" for run in runs),
+        "share_by_activity": {k: v / seconds.sum() for k, v in activities.items()},
+        "runs": runs,
+    }
+
+
+def main(argv: list[str]) -> None:
+    """Run, print the lines, and write the report."""
+    config = parse_overrides(DEFAULTS, argv)
+    prior = load_prior()
+    fabrics = [
+        fabric_from_theta(sample_admissible(prior, stream(config["seed"], Stream.FABRIC, i))[0])
+        for i in range(config["drapes"])
+    ]
+    drape(MEDIAN, resolution=16)  # compiles or loads the kernels
+    report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1,
+              "settings": {k: v for k, v in config.items() if k != "out"}}
+    report["default"] = round_of(fabrics, config["resolution"] or None)
+    if config["fine"]:
+        report["fine"] = round_of(fabrics[: config["fine_drapes"]], config["fine"])
+    report["growth"] = [timed(MEDIAN, resolution=int(n), seed=0) for n in config["growth"] if n]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+    report["peak_memory_GiB"] = round(peak, 2)
+
+    print(table(["vertices a side", "CPU-seconds", "Newton steps", "status"],
+                [[r["resolution"], r["cpu_seconds"], r["newton_steps"], r["status"]]
+                 for r in report["growth"]]))
+    for name in ("default", "fine"):
+        if name in report:
+            part = report[name]
+            print(f"\n{name}: {part['converged']} of {len(part['runs'])} converged, "
+                  f"{part['mean_newton_steps']:.0f} Newton steps in the mean")
+            print("where the time goes: " + ", ".join(
+                f"{k} {100 * v:.0f} %" for k, v in part["share_by_activity"].items()))
+            print(f"median CPU-seconds a drape: {part['median_cpu_seconds']:.2f}")
+            print(f"mean CPU-seconds a drape: {part['mean_cpu_seconds']:.2f}")
+    print(f"peak memory: {report['peak_memory_GiB']:.2f} GiB")
+    write_report(Path(config["out"]), report)
+
+
+if __name__ == "__main__":
+    run_command(main)
