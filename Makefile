@@ -58,6 +58,10 @@ evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never s
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m benchmarks.speed
 
+validate: $(STAMP)  ## figures of docs/validation.md, about 2 hours of CPU, resumes when interrupted
+	for name in elastica strips testers membranes meshes convergence; do \
+	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
 
