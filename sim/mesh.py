@@ -139,9 +139,14 @@ def strip(
 
     Returns:
         The mesh and the mask (V,) bool of the clamped vertices, x <= 0.
+
+    Raises:
+        InputError: a clamp that is no multiple of ``edge``.
     """
     rng = np.random.default_rng(seed)
     held_columns, columns = round(clamp / edge), round(length / edge)
+    if not np.isclose(held_columns * edge, clamp, rtol=1e-6):
+        raise InputError(f"clamp={clamp:g} m must be a multiple of the spacing {edge:g} m")
     shape = (held_columns + columns + 1, round(width / edge) + 1)
     points = grid_points(shape, (clamp + length, width), jitter, rng)
     points[..., 0] -= clamp

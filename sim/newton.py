@@ -98,6 +98,7 @@ _SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regula
 _SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 _SMALLEST_STEP = 2.0**-30
 _NUDGES = 5
+_NUDGE_HALVINGS = 20
 
 
 def minimise(
@@ -257,7 +258,12 @@ class _Run:
         if not self._factorise(1.0, _SHIFTS[1]):
             return np.zeros(self.objective.size)
         move = self._solve(self.rng.standard_normal(self.objective.size))
-        return move * (0.1 / self.objective.step_length(move))
+        move *= 0.1 / self.objective.step_length(move)
+        for _ in range(_NUDGE_HALVINGS):
+            if self.objective.allows(self.result.y, self.result.y + move):
+                return move
+            move /= 2
+        return np.zeros(self.objective.size)
 
 
 class _Timer:

@@ -4,6 +4,7 @@ import numba
 import numpy as np
 
 from sim.energies.base import blend_eigenvalue
+from sim.energies.strain import triangle_elements
 from sim.mesh import Mesh
 
 _blend = numba.njit(inline="always")(blend_eigenvalue)
@@ -25,13 +26,7 @@ class CorotationalMembrane:
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, stiffness: float = 200.0, poisson: float = 0.3
     ) -> None:
-        faces = mesh.faces[active]
-        self.dofs = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
-        self._areas = mesh.areas[active]
-        a, b, c = (mesh.rest[faces[:, i]] for i in range(3))
-        inverse = np.linalg.inv(np.stack([b - a, c - a], axis=-1))  # (N, 2, 2)
-        # F = sum over corners of x_i (outer) shape_i
-        self._shape = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
+        self.dofs, self._areas, self._shape = triangle_elements(mesh, active)
         self._mu = stiffness / (2 * (1 + poisson))
         self._lam = stiffness * poisson / (1 - poisson**2)
 
