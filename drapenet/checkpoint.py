@@ -62,6 +62,13 @@ class Header:
                              ) from None
 
     @property
+    def datasets(self) -> list[dict]:
+        """The datasets trained on, latest first: sha256, counts and "generation" of each."""
+        dataset = self.content["dataset"]
+        latest = {key: value for key, value in dataset.items() if key != "earlier"}
+        return [latest, *dataset.get("earlier", [])]
+
+    @property
     def scale(self) -> TargetScale:
         """Standardisation of the targets."""
         import torch

@@ -68,14 +68,15 @@ def require_unseen(header: Header, generation: dict) -> None:
     Raises:
         InputError: it does not.
     """
-    rig, training = generation["rig"]["name"], header.content["dataset"]["generation"]
+    rig = generation["rig"]["name"]
     if rig != header.rig:
         raise InputError(f"the drapes are of the rig '{rig}', the checkpoint of '{header.rig}'")
     # A fabric depends on the prior, the seed and its index only.
-    if (generation["prior"] == training["prior"]
-            and generation["sampling"]["seed"] == training["sampling"]["seed"]):
-        raise InputError("the training set has the same seed and prior, so that its fabrics are "
-                         "not unseen; choose another seed")
+    for training in (dataset["generation"] for dataset in header.datasets):
+        if (generation["prior"] == training["prior"]
+                and generation["sampling"]["seed"] == training["sampling"]["seed"]):
+            raise InputError("a training set has the same seed and prior, so that its fabrics "
+                             "are not unseen; choose another seed")
 
 
 def main(argv: list[str]) -> None:
@@ -102,16 +103,19 @@ def format_result(result: dict) -> str:
     data, network, mean = result["dataset"], result["network"], result["training_mean"]
     lines = [f"{network['samples']} captures of {data['drapes']} drapes of {data['fabrics']} "
              f"unseen fabrics ({data['not_converged']} drapes left out: not converged)",
-             f"{'standardised RMSE':28}{'network':>9}{'mean':>7}"]
+             f"{'standardised RMSE':28}{'network':>9}{'mean':>7}{'ratio':>7}"]
     for key, name in (("rmse_log_alpha", "log alpha, all directions"),
                       ("rmse_beta_over_alpha", "beta/alpha, all directions")):
-        lines.append(f"{name:28}{network[key]:9.3f}{mean[key]:7.3f}")
-    lines += [f"{name:28}{value:9.3f}{mean['rmse'][name]:7.3f}"
-              for name, value in network["rmse"].items()]
+        lines.append(_line(name, network[key], mean[key]))
+    lines += [_line(name, value, mean["rmse"][name]) for name, value in network["rmse"].items()]
     if network["axis_error_deg"] is not None:
         error = network["axis_error_deg"]
         lines.append(f"{'stiff axis, median error':28}{error:8.1f}° (45° by chance)")
     return "\n".join(lines)
+
+
+def _line(name: str, network: float, mean: float) -> str:
+    return f"{name:28}{network:9.3f}{mean:7.3f}{network / mean:7.3f}"
 
 
 def entry() -> NoReturn:

@@ -235,6 +235,8 @@ def describe(
             "training_drapes": drapes.drapes,
             "training_fabrics": len(set(drapes.fabric.tolist())),
             "generation": drapes.manifest["config"],
+            # What the initial weights have seen: none of it counts as unseen.
+            "earlier": read_header(config.initial).datasets if config.initial else [],
         },
         "validation": metrics,
         "epochs": epoch + 1,

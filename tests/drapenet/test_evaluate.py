@@ -34,13 +34,16 @@ def test_training_fabrics_are_not_unseen(untrained_checkpoint: Path, tmp_path: P
         evaluate(header, DrapeDataset(tmp_path / "dataset"))
 
 
+@pytest.mark.parametrize("seen", ["latest", "earlier"])
 def test_what_cannot_be_judged_is_refused_before_it_is_made(
-    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: str
 ) -> None:
     copy = tmp_path / "copy.json"
     content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
     prior = prior_content(load_prior())
-    content["dataset"]["generation"] = {"sampling": {"seed": 5}, "prior": prior}
+    generations = [{"sampling": {"seed": seed}, "prior": prior} for seed in (5, 6)]
+    latest, earlier = generations if seen == "latest" else reversed(generations)
+    content["dataset"] |= {"generation": latest, "earlier": [{"generation": earlier}]}
     copy.write_text(json.dumps(content))
     copy.with_suffix(".safetensors").write_bytes(untrained_checkpoint.read_bytes())
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
