@@ -51,6 +51,7 @@ train: $(STAMP)  ## train on these datasets, resumes when interrupted
 	$(BIN)/python train.py experiment=cpu_small data=$(DATASET) out=outputs/train/first
 	$(BIN)/python train.py experiment=cpu_small_finish data=$(DATASET) out=outputs/train/second
 	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET)_more out=outputs/train/third
+	$(BIN)/python train.py experiment=cpu_small_last data=$(DATASET)_more out=outputs/train/last
 
 evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
 	$(BIN)/python -m drapenet.evaluate
