@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from sim.energies import dihedral, plate_law
+from sim.energies.clamp import bending_areas
 from sim.material import SOFTENING_LIMIT, Fabric, plate_constants, softening
 from sim.mesh import Mesh
 
@@ -45,7 +46,7 @@ class MidEdgeBending:
         self.dofs = np.concatenate(
             [coordinates, np.where(self._sign != 0, rotation, -1)], axis=1
         )
-        self._areas = mesh.areas[active]
+        self._areas = bending_areas(mesh, active, self._share)
         self._maps = curvature_maps(mesh)[active]
         a11, a22, a12, a66 = plate_constants(fabric.alpha)
         self.law = np.array([a11, a22, a12, a66, *softening(fabric.alpha, fabric.beta),

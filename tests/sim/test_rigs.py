@@ -85,7 +85,7 @@ def test_limp_disc_has_more_folds_than_a_stiff_one():
 
 
 @pytest.mark.parametrize("mesh", ["structured", "unstructured"])
-def test_stiff_disc_sags_like_a_plate_with_second_order_convergence(mesh):
+def test_stiff_disc_sags_like_a_plate_at_least_to_second_order(mesh):
     """Axisymmetric plate under its weight, clamped at the rim, free at the border."""
     alpha, a, b = 0.3, 0.15, 0.09
     load = 0.3 * 9.81 / alpha
@@ -105,8 +105,8 @@ def test_stiff_disc_sags_like_a_plate_with_second_order_convergence(mesh):
         border = np.isclose(np.linalg.norm(result.rest, axis=1), a)
         errors.append(-result.positions[border, 2].mean() / expected - 1)
     rate = -np.polyfit(np.log(np.array(resolutions) - 1), np.log(np.abs(errors)), 1)[0]
-    assert 1.8 < rate < 2.5
-    assert abs(errors[-1]) < 0.025
+    assert rate > 1.9  # more where the corrected clamp leaves little of the second order
+    assert abs(errors[-1]) < 0.005
 
 
 def test_hung_square_sags_between_its_corners_and_mirrors_itself():
