@@ -25,7 +25,6 @@ from PIL import Image
 
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
 from data.reading import finite_number, read_mapping, read_text, read_views, shown
-from data.remap import remap_depth
 from data.render import VIEWS
 from sim.errors import InputError, one_line
 
@@ -154,9 +153,15 @@ def to_camera(capture: Capture, rig: CameraRig) -> np.ndarray:
     source, target = capture.intrinsics, rig.intrinsics
     if source == target:
         return capture.views.copy()
+    # Imported late: a bad capture is told without waiting for torch.
+    import torch
+
+    from data.remap import remap_depth
+
     u = (np.arange(target.width) - target.cx) / target.fx * source.fx + source.cx
     v = (np.arange(target.height) - target.cy) / target.fy * source.fy + source.cy
-    views = remap_depth(capture.views, u[None, :], v[:, None])
+    views = remap_depth(torch.from_numpy(capture.views), torch.from_numpy(u)[None, :],
+                        torch.from_numpy(v)[:, None]).numpy()
     if not (views > 0).any(axis=(1, 2)).all():
         raise InputError(f"{capture.path}: with these intrinsics the cloth lies outside the "
                          "rig's pictures; check fx, fy, cx and cy")

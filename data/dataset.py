@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import torch
 from torch.utils.data import Dataset
 
 from data.shards import Shard, read_manifest
@@ -21,8 +22,8 @@ log = logging.getLogger(__name__)
 FRACTIONS = MappingProxyType({"train": 0.8, "validation": 0.1, "test": 0.1})
 OPEN_SHARDS = 32  # files that one process keeps open
 
-Noise = Callable[[np.ndarray, np.random.Generator], np.ndarray]
-"""Adds sensor noise to views (4, H, W) in m, like :class:`data.sensor.SensorNoise`."""
+Noise = Callable[[torch.Tensor, torch.Tensor, torch.Generator], torch.Tensor]
+"""Of views (4, H, W) in m and intrinsics (4,), like :class:`data.sensor.SensorNoise`."""
 
 
 def split_by_fabric(
@@ -67,7 +68,7 @@ class DrapeDataset(Dataset):
         root: folder written by :mod:`data.generate`.
         split: name in ``fractions``; None takes all drapes.
         fractions, split_seed: see :func:`split_by_fabric`.
-        noise: sensor noise, called with views (4, H, W) and a generator; None leaves it out.
+        noise: sensor noise, such as :class:`data.sensor.SensorNoise`; None leaves it out.
         transform: applied to the views last.
         augment: start at a random view and mirror at random; all the equivalents are valid
             captures (:mod:`data.view_order`).
@@ -126,7 +127,7 @@ class DrapeDataset(Dataset):
     ) -> None:
         """Load what is small: parameters, outcomes and places of the drapes."""
         columns = {name: [] for name in (
-            "index", "fabric", "theta", "status", "orientations", "turns")}
+            "index", "fabric", "theta", "status", "orientations", "turns", "intrinsics")}
         places = []
         for name in names:
             with Shard(self.root / name) as shard:
@@ -152,6 +153,7 @@ class DrapeDataset(Dataset):
         self.theta = table["theta"][kept]
         self.orientations = table["orientations"][kept]
         self.turns = table["turns"][kept]
+        self.intrinsics = table["intrinsics"][kept]
 
     @property
     def drapes(self) -> int:
@@ -183,9 +185,12 @@ class DrapeDataset(Dataset):
         if self._augment:
             first, mirror = ORDERS[rng.integers(len(ORDERS))]
         views = self._shard(name).views(row, orientation)
-        views = reorder_views(views, first=first, mirror=mirror)
         if self._noise is not None:
-            views = self._noise(views, rng).astype(np.float32, copy=False)
+            intrinsics = torch.from_numpy(self.intrinsics[drape, orientation])
+            generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+            views = self._noise(torch.from_numpy(views), intrinsics, generator).numpy()
+        # After the noise: the intrinsics are those of the pictures before a mirror.
+        views = reorder_views(views, first=first, mirror=mirror)
         if self._transform is not None:
             views = self._transform(views)
         # The view that becomes the first was off its quarter turn by this much.

@@ -1,13 +1,14 @@
 """Resampling of depth pictures that never mixes cloth with background or with a farther fold."""
 
-import numpy as np
+import torch
+from torch.nn.functional import pad
 
 # Neighbours farther apart in depth than this lie on different folds: about twice the step between
 # neighbouring pixels of the steepest cloth that a picture of the rig still resolves.
 EDGE_STEP = 0.02
 
 
-def remap_depth(depth: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def remap_depth(depth: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     """Depth at the picture coordinates (u, v): bilinear on a surface, nearest at its silhouette.
 
     The pixel nearest to (u, v) decides between cloth and background. Of the four pixels around,
@@ -21,39 +22,38 @@ def remap_depth(depth: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         (..., h, w) float32 metres.
     """
     height, width = depth.shape[-2:]
-    shape = np.broadcast_shapes((*depth.shape[:-2], 1, 1), u.shape, v.shape)
+    pictures = depth.shape[:-2]
+    shape = torch.broadcast_shapes((*pictures, 1, 1), u.shape, v.shape)
     # One ring of background around each picture stands for everything outside it.
-    padded = np.zeros((*depth.shape[:-2], height + 2, width + 2), dtype=np.float32)
-    padded[..., 1:-1, 1:-1] = depth
-    u = np.clip(u, -1, width).astype(np.float32) + np.float32(1)
-    v = np.clip(v, -1, height).astype(np.float32) + np.float32(1)
+    flat = pad(depth, (1, 1, 1, 1)).flatten()
+    stride = width + 2
+    u = u.float().clamp(-1, width) + 1
+    v = v.float().clamp(-1, height) + 1
     # Pictures lie one after the other in memory; start is where each begins.
-    start = np.arange(int(np.prod(depth.shape[:-2])), dtype=np.int32) * np.int32(
-        (height + 2) * (width + 2)
-    )
-    start = start.reshape(*depth.shape[:-2], 1, 1)
-    flat = padded.ravel()
-    nearest = np.rint(v).astype(np.int32) * np.int32(width + 2) + np.rint(u).astype(np.int32)
-    centre = np.broadcast_to(flat[start + nearest], shape)
-    cloth = centre > 0
+    start = torch.arange(pictures.numel(), device=depth.device, dtype=torch.int32)
+    start = start.view(*pictures, 1, 1) * ((height + 2) * stride)
+    nearest = (start + v.round().int() * stride + u.round().int()).expand(shape)
+    centre = flat.index_select(0, nearest.flatten())
+    # Most of a picture is background: go on with the cloth alone.
+    cloth = centre.nonzero()[:, 0]
 
-    u, v = np.broadcast_to(u, shape)[cloth], np.broadcast_to(v, shape)[cloth]
-    centre, start = centre[cloth], np.broadcast_to(start, shape)[cloth]
-    left, above = np.floor(u), np.floor(v)
+    centre = centre.index_select(0, cloth)
+    u, v, start = (part.expand(shape).flatten().index_select(0, cloth) for part in (u, v, start))
+    left, above = u.floor(), v.floor()
     right_weight, below_weight = u - left, v - above
-    corner = start + above.astype(np.int32) * np.int32(width + 2) + left.astype(np.int32)
-    total, weights = np.zeros_like(centre), np.zeros_like(centre)
+    corner = start + above.int() * stride + left.int()
+    total, weights = torch.zeros_like(centre), torch.zeros_like(centre)
     for step, weight in (
         (0, (1 - right_weight) * (1 - below_weight)),
         (1, right_weight * (1 - below_weight)),
-        (width + 2, (1 - right_weight) * below_weight),
-        (width + 3, right_weight * below_weight),
+        (stride, (1 - right_weight) * below_weight),
+        (stride + 1, right_weight * below_weight),
     ):
         # A weight of zero may point past the last picture's end.
-        value = flat.take(corner + np.int32(step), mode="clip")
-        weight = np.where(np.abs(value - centre) < EDGE_STEP, weight, np.float32(0))
+        value = flat.index_select(0, (corner + step).clamp(max=len(flat) - 1))
+        weight = torch.where((value - centre).abs() < EDGE_STEP, weight, 0)
         total += weight * value
         weights += weight
-    result = np.zeros(shape, dtype=np.float32)
+    result = torch.zeros(shape.numel(), dtype=torch.float32, device=depth.device)
     result[cloth] = total / weights
-    return result
+    return result.view(shape)

@@ -13,11 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from data.cameras import CameraRig
 from data.captures import write_capture
+from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
 from data.sensor import SensorNoise
+from data.structured_light import StructuredLight
 from sim.cli import parse_overrides, run_command
 from sim.drape import drape
 from sim.errors import InputError
@@ -47,8 +50,10 @@ def main(argv: list[str]) -> None:
         raise InputError(f"{out} holds something else than a capture made here; choose another "
                          "out=")
     rig = CameraRig.load()
-    # A 16-bit capture has no 8-bit steps; they belong to the published format.
-    noise = replace(SensorNoise.load(config["sensor"]), eight_bit_probability=0.0)
+    noise = SensorNoise.load(config["sensor"])
+    if isinstance(noise, StructuredLight):
+        # A 16-bit capture has no 8-bit steps; they belong to the published format.
+        noise = replace(noise, eight_bit_probability=0.0)
     fabric = Fabric(alpha=np.array(config["alpha"]) * MICRO, beta=np.array(config["beta"]) * NANO,
                     density=config["density"] * 1e-3)
     result = drape(fabric, rig=Rig.from_name(rig.name), resolution=config["resolution"],
@@ -59,7 +64,10 @@ def main(argv: list[str]) -> None:
     rng = np.random.default_rng(config["seed"])
     camera = rig.sample(rng)
     direction = math.radians(config["warp_direction"])
-    views = noise(render_views(result.positions, result.faces, camera, direction), rng)
+    views = torch.from_numpy(render_views(result.positions, result.faces, camera, direction))
+    intrinsics, _ = camera_tensors([camera])
+    generator = torch.Generator().manual_seed(config["seed"])
+    views = noise(views, intrinsics[0], generator).numpy()
     for file in old:
         file.unlink()
     # Who captures a drape knows the nominal intrinsics only, so these are written.

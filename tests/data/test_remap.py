@@ -1,8 +1,14 @@
 """Resampling keeps surfaces exact and silhouettes unmixed."""
 
 import numpy as np
+import torch
 
-from data.remap import EDGE_STEP, remap_depth
+from data import remap
+from data.remap import EDGE_STEP
+
+
+def remap_depth(*arrays: np.ndarray) -> np.ndarray:
+    return remap.remap_depth(*(torch.from_numpy(array) for array in arrays)).numpy()
 
 
 def grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,18 +1,21 @@
-"""The sensor model: what it changes, how much, and what it leaves alone."""
+"""The structured-light model: what it changes, how much, and what it leaves alone."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from data.configs import group_options
-from data.sensor import EIGHTHS_OF_DISPARITY, SensorNoise
+from data.sensor import SensorNoise, cloth_window
+from data.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight
 from sim.errors import InputError
 
-STILL = SensorNoise(
+STILL = StructuredLight(
     shift_px=0, affine_scale_percent=0, affine_turn_deg=0, affine_shift_px=0,
     eight_bit_probability=0,
 )  # fmt: skip
+INTRINSICS = torch.tensor([305.0, 305.0, 59.5, 44.5])
 
 
 def slanted(height: int = 90, width: int = 120, slope: float = 0.001) -> np.ndarray:
@@ -23,37 +26,43 @@ def slanted(height: int = 90, width: int = 120, slope: float = 0.001) -> np.ndar
     return view
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(7)
+def noisy(noise: SensorNoise, views: np.ndarray, seed: int = 7) -> np.ndarray:
+    """Pictures (..., K, H, W), or one (H, W), with noise."""
+    generator = torch.Generator().manual_seed(seed)
+    result = noise(torch.from_numpy(np.atleast_3d(views.T).T), INTRINSICS, generator)
+    return result.reshape(views.shape).numpy()
 
 
 def test_no_strength_changes_nothing():
-    views = np.stack([slanted()] * 4)
-    noisy = SensorNoise(strength=0, eight_bit_probability=1)(views, rng())
-    assert (noisy == views).all() and noisy is not views
-    assert (SensorNoise.load("none")(views, rng()) == views).all()
+    views = torch.from_numpy(np.stack([slanted()] * 4))
+    for noise in (StructuredLight(strength=0, eight_bit_probability=1), SensorNoise.load("none")):
+        result = noise(views, INTRINSICS, torch.Generator())
+        assert torch.equal(result, views) and result is not views
 
 
-def test_seed_decides():
+@pytest.mark.parametrize("name", ["smooth", "paper", "tof"])
+def test_seed_decides(name):
     views = np.stack([slanted()] * 4)
-    noise = SensorNoise()
-    assert (noise(views, rng()) == noise(views, rng())).all()
-    assert (noise(views, rng()) != noise(views, np.random.default_rng(8))).any()
+    noise = SensorNoise.load(name)
+    assert (noisy(noise, views) == noisy(noise, views)).all()
+    assert (noisy(noise, views) != noisy(noise, views, seed=8)).any()
 
 
 def test_depth_comes_in_steps_of_an_eighth_of_a_pixel():
-    noisy = STILL(slanted(), rng())
-    steps = EIGHTHS_OF_DISPARITY / noisy[noisy > 0].astype(float)
+    result = noisy(STILL, slanted())
+    steps = EIGHTHS_OF_DISPARITY / result[result > 0].astype(float)
     assert np.abs(steps - np.rint(steps)).max() < 1e-3
-    assert ((noisy > 0) == (slanted() > 0)).all()
+    assert ((result > 0) == (slanted() > 0)).all()
 
 
-def test_disparity_noise_has_its_spread_and_no_bias():
-    view = np.full((300, 300), 0.53, dtype=np.float32)
-    noisy = STILL(view, rng()).astype(float)
-    steps = EIGHTHS_OF_DISPARITY / noisy - EIGHTHS_OF_DISPARITY / 0.53
-    spread = replace(STILL, disparity_px=0.25)(view, rng()).astype(float)
-    wide = EIGHTHS_OF_DISPARITY / spread - EIGHTHS_OF_DISPARITY / 0.53
+@pytest.mark.parametrize("depth", [0.4, 0.53, 0.8])
+def test_disparity_noise_has_its_spread_and_no_bias(depth):
+    # So the variance of depth grows as its fourth power.
+    view = np.full((300, 300), depth, dtype=np.float32)
+    result = noisy(STILL, view).astype(float)
+    steps = EIGHTHS_OF_DISPARITY / result - EIGHTHS_OF_DISPARITY / depth
+    spread = noisy(replace(STILL, disparity_px=0.25), view).astype(float)
+    wide = EIGHTHS_OF_DISPARITY / spread - EIGHTHS_OF_DISPARITY / depth
     assert abs(steps).max() < 1.5
     assert wide.std() == pytest.approx(np.hypot(2.0, np.sqrt(1 / 12)), rel=0.02)
     assert abs(wide.mean()) < 0.03
@@ -63,7 +72,7 @@ def test_disparity_noise_has_its_spread_and_no_bias():
 def test_shift_shows_as_slope_times_its_spread(correlation):
     view = slanted(height=200, width=300, slope=0.002)
     noise = replace(STILL, shift_px=0.5, shift_correlation_px=correlation, disparity_px=0)
-    error = (noise(view, rng()) - view)[25:-25, 25:-25].astype(float)
+    error = (noisy(noise, view) - view)[25:-25, 25:-25].astype(float)
     # 1 mm from the shift, 0.8 mm / sqrt(12) or more (deeper) from the steps.
     step = (view[25:-25, 25:-25].astype(float) ** 2 / EIGHTHS_OF_DISPARITY).mean()
     assert error.std() == pytest.approx(np.hypot(0.001, step / np.sqrt(12)), rel=0.12)
@@ -74,37 +83,34 @@ def test_shift_shows_as_slope_times_its_spread(correlation):
 def test_cloth_never_mixes_with_background_or_a_farther_fold():
     view = slanted(slope=0)
     view[20:-20, 60:100] = 0.6
-    noisy = replace(SensorNoise(), strength=2.0, eight_bit_probability=0)(
-        np.stack([view] * 8), rng()
-    )
-    depth = noisy[noisy > 0]
+    noise = StructuredLight(strength=2.0, eight_bit_probability=0)
+    result = noisy(noise, np.stack([view] * 8))
+    depth = result[result > 0]
     assert (np.minimum(abs(depth - 0.5), abs(depth - 0.6)) < 0.004).all()
     # Background stays background but within a few pixels of the cloth.
     far = np.ones_like(view, dtype=bool)
     far[8:-8, 8:-8] = False
-    assert not noisy[:, far].any()
+    assert not result[:, far].any()
 
 
 def test_affine_change_moves_each_picture_by_about_its_shift():
     view = slanted(slope=0)
     noise = replace(STILL, affine_shift_px=1.5, disparity_px=0)
-    noisy = noise(np.stack([view] * 400), rng())
+    result = noisy(noise, np.stack([view] * 400))
     columns = np.arange(120)
-    centres = np.array([(v > 0).sum(axis=0) @ columns / (v > 0).sum() for v in noisy])
+    centres = np.array([(v > 0).sum(axis=0) @ columns / (v > 0).sum() for v in result])
     # Silhouettes follow in whole pixels.
     assert centres.std() == pytest.approx(np.hypot(1.5, np.sqrt(1 / 12)), rel=0.1)
     assert abs(centres.mean() - 59.5) < 0.3
 
 
-def test_part_of_the_captures_have_eight_bit_steps():
-    noise = replace(SensorNoise(), eight_bit_probability=0.5)
-    generator = rng()
-    coarse = []
-    for _ in range(60):
-        noisy = noise(slanted(height=50, width=50), generator)
-        counts = noisy[noisy > 0].astype(float) * 255
-        coarse.append(np.abs(counts - np.rint(counts)).max() < 1e-4)
-    assert 15 < sum(coarse) < 45
+def test_part_of_the_captures_have_eight_bit_steps_in_all_their_views():
+    noise = replace(StructuredLight(), eight_bit_probability=0.25)
+    result = noisy(noise, np.broadcast_to(slanted(50, 50), (200, 2, 50, 50)).copy())
+    counts = result.astype(float) * 255
+    coarse = np.abs(counts - np.rint(counts)).max(axis=(2, 3)) < 1e-4
+    assert (coarse[:, 0] == coarse[:, 1]).all()
+    assert 30 < coarse[:, 0].sum() < 70  # 50, give or take three standard deviations
 
 
 def test_default_is_as_calm_as_the_published_captures():
@@ -112,25 +118,38 @@ def test_default_is_as_calm_as_the_published_captures():
     # pure quantisation is 0.289.
     view = slanted(height=80, width=80, slope=0.0022)
     noise = replace(SensorNoise.load("smooth"), eight_bit_probability=1.0, affine_shift_px=0)
-    error = (noise(np.stack([view] * 20), rng()) - view)[:, 25:-25, 25:-25] * 255
+    error = (noisy(noise, np.stack([view] * 20)) - view)[:, 25:-25, 25:-25] * 255
     error -= error.mean(axis=(1, 2), keepdims=True)
     assert 0.28 < error.std() < 0.36
 
 
-def test_cloth_at_the_border_and_empty_pictures():
+@pytest.mark.parametrize("name", ["smooth", "tof"])
+def test_cloth_at_the_border_and_empty_pictures(name):
     full = np.full((40, 50), 0.5, dtype=np.float32)
-    noisy = SensorNoise()(full, rng())
-    assert noisy.shape == full.shape and (noisy[5:-5, 5:-5] > 0).all()
-    assert not SensorNoise()(np.zeros((4, 40, 50)), rng()).any()
+    noise = replace(SensorNoise.load(name), **({"hole_percent": 0} if name == "tof" else {}))
+    result = noisy(noise, full)
+    assert result.shape == full.shape and (result[5:-5, 5:-5] > 0).all()
+    assert not noisy(noise, np.zeros((4, 40, 50), dtype=np.float32)).any()
+
+
+def test_the_window_holds_all_cloth_and_its_reach():
+    views = torch.zeros(2, 3, 40, 50)
+    views[0, 1, 10:12, 30] = 0.5
+    views[1, 2, 20, 4] = 0.5
+    assert cloth_window(views, 0) == (slice(10, 21), slice(4, 31))
+    assert cloth_window(views, 5.5) == (slice(4, 27), slice(0, 37))
+    assert cloth_window(views[:, :1], 5.5)[0] == slice(0, 0)
 
 
 def test_every_sensor_file_loads_and_bad_settings_are_named():
     for name in group_options("sensor"):
         assert isinstance(SensorNoise.load(name), SensorNoise)
-    assert SensorNoise() == SensorNoise.load("smooth")
-    with pytest.raises(InputError, match="known sensors: none, paper, smooth"):
+    assert StructuredLight() == SensorNoise.load("smooth")
+    with pytest.raises(InputError, match="known sensors: none, paper, smooth, tof"):
         SensorNoise.load("kinect")
     with pytest.raises(InputError, match=r"sensor\.shift_px"):
-        SensorNoise(shift_px=float("nan"))
+        StructuredLight(shift_px=float("nan"))
     with pytest.raises(InputError, match="'shift'"):
         SensorNoise.from_config({"shift": 1})
+    with pytest.raises(InputError, match=r"sensor\.model 'stereo'; known: structured_light"):
+        SensorNoise.from_config({"model": "stereo"})

@@ -1,0 +1,112 @@
+"""Noise of a structured-light sensor.
+
+The model of Feng et al. 2022, section 5.2.2, which refers to Barron & Malik 2013 and
+Bohg et al. 2014: the sensor looks up each pixel a fraction of a pixel beside its place, and
+measures disparity, with noise, in steps of 1/8 pixel. Both references describe the same steps: in
+eighths of a pixel the disparity is d = K/z, K = 8 f b = 351.3 m for the first Kinect (focal length
+f in pixels, baseline b in metres). At 0.53 m a step is 0.8 mm. Depth is never rounded to whole
+centimetres first, as some implementations do: it would destroy a drape.
+
+Added to it: a small affine change of each picture, as in the paper, and the coarse 8-bit steps of
+the published captures on a part of the samples, so that both formats are familiar to the network.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from data.remap import remap_depth
+from data.sensor import SensorNoise, normal, uniform
+from sim.errors import InputError
+
+EIGHTHS_OF_DISPARITY = 351.3  # m, K above
+EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures
+
+
+@dataclass(frozen=True)
+class StructuredLight(SensorNoise):
+    """Random shifts of pixels, and disparity in steps; lengths in pixels are those of the rig.
+
+    Attributes:
+        strength: multiplies all standard deviations below; at 0 nothing is random or rounded.
+        shift_px: standard deviation of a pixel's look-up, in columns and in rows.
+        shift_correlation_px: length over which neighbours share their shift. At 1 each pixel has
+            its own, which frays silhouettes; those of the published captures are not frayed.
+        disparity_px: standard deviation of the disparity; as given, 1/6 of its step of 1/8 px.
+        affine_scale_percent: standard deviation of each picture's stretch and shear.
+        affine_turn_deg: standard deviation of its turn about the middle.
+        affine_shift_px: standard deviation of its shift.
+        eight_bit_probability: part of the captures that get the published captures' 8-bit steps.
+    """
+
+    shift_px: float = 0.25
+    shift_correlation_px: float = 6.0
+    disparity_px: float = 0.0208
+    affine_scale_percent: float = 0.5
+    affine_turn_deg: float = 0.3
+    affine_shift_px: float = 0.5
+    eight_bit_probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.eight_bit_probability > 1:
+            raise InputError("sensor.eight_bit_probability must lie between 0 and 1")
+        if self.shift_correlation_px < 1:
+            raise InputError("sensor.shift_correlation_px must be at least 1 pixel")
+
+    def reach(self, size: int) -> float:
+        """Four standard deviations of all shifts together."""
+        strain = self.affine_scale_percent / 100 + math.radians(self.affine_turn_deg)
+        return 4 * self.strength * (self.shift_px + self.affine_shift_px + size * strain)
+
+    def window(
+        self,
+        views: torch.Tensor,
+        rows: slice,
+        columns: slice,
+        intrinsics: torch.Tensor,
+        generator: torch.Generator,
+    ) -> torch.Tensor:
+        """See :meth:`data.sensor.SensorNoise.window`; the intrinsics are not needed."""
+        coarse = uniform((*views.shape[:-3], 1, 1, 1), views, generator)
+        u, v = self._look_up(views, rows, columns, generator)
+        # Of background, 0, the disparity is infinite and stays so.
+        disparity = EIGHTHS_OF_DISPARITY / remap_depth(views, u, v)
+        sigma = 8 * self.disparity_px * self.strength
+        disparity += sigma * normal(disparity.shape, views, generator)
+        depth = EIGHTHS_OF_DISPARITY / disparity.round()
+        steps = (depth / EIGHT_BIT_STEP).round() * EIGHT_BIT_STEP
+        return torch.where(coarse < self.eight_bit_probability, steps, depth)
+
+    def _look_up(
+        self, views: torch.Tensor, rows: slice, columns: slice, generator: torch.Generator
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Where each pixel of the window looks: u and v, (..., K, h, w)."""
+        height, width = views.shape[-2:]
+        six = normal((6, *views.shape[:-2], 1, 1), views, generator) * self.strength
+        turn, stretch_u, stretch_v, shear, shift_u, shift_v = six
+        turn = turn * math.radians(self.affine_turn_deg)
+        stretch_u, stretch_v, shear = (
+            part * (self.affine_scale_percent / 100) for part in (stretch_u, stretch_v, shear))
+        shift_u, shift_v = shift_u * self.affine_shift_px, shift_v * self.affine_shift_px
+        column = torch.arange(columns.start, columns.stop, device=views.device)
+        row = torch.arange(rows.start, rows.stop, device=views.device)[:, None]
+        x, y = column - (width - 1) / 2, row - (height - 1) / 2
+        along_v = _interpolation(len(row), self.shift_correlation_px).to(views.device)
+        along_u = _interpolation(len(column), self.shift_correlation_px).to(views.device)
+        knots = (2, *views.shape[:-2], along_v.shape[1], along_u.shape[1])
+        wobble = along_v @ normal(knots, views, generator) @ along_u.T
+        wobble *= self.strength * self.shift_px
+        # The small changes first: added to a column's number they would be rounded more often.
+        u = column + (wobble[0] + (x * stretch_u + y * (shear - turn) + shift_u))
+        v = row + (wobble[1] + (y * stretch_v + x * (shear + turn) + shift_v))
+        return u, v
+
+
+def _interpolation(length: int, spacing: float) -> torch.Tensor:
+    """Matrix (length, knots) that makes pixels of unit variance from independent normal knots."""
+    place = torch.arange(length, dtype=torch.float64) / spacing
+    knots = torch.arange(int(place[-1]) + 2)
+    weights = (1 - (place[:, None] - knots).abs()).clamp(min=0)
+    return (weights / weights.norm(dim=1, keepdim=True)).float()
