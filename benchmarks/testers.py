@@ -42,15 +42,7 @@ from sim.cantilever.fabric import (
 from sim.cli import parse_overrides, run_command
 from sim.energies import plate_law
 from sim.errors import InputError
-from sim.material import (
-    DIRECTIONS,
-    MICRO,
-    NANO,
-    SOFTENING_LIMIT,
-    Fabric,
-    plate_constants,
-    softening,
-)
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
 
 SEED = 3  # of the stream of fabrics
@@ -119,8 +111,7 @@ def stable_directions(fabric: Fabric) -> list[bool]:
     Where the law softens much faster along the bias than along the yarns, its tangent stiffness
     against twist turns negative on a cylinder bent along a yarn. Such a strip does not stay one.
     """
-    law = np.array([*plate_constants(fabric.alpha), *softening(fabric.alpha, fabric.beta),
-                    SOFTENING_LIMIT])
+    law = plate_law.constants(fabric)
     stress, tangent = np.empty(3), np.empty((3, 3))
     stable = []
     for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):

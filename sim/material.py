@@ -114,17 +114,6 @@ def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
     return a11, a22, (c - 4 * a66) / 2, a66
 
 
-def softening(alpha: np.ndarray, beta: np.ndarray) -> tuple[float, float, float]:
-    """Softening lengths (rho_warp, rho_weft, rho_twist), m, from moduli (3,) N·m and N·m².
-
-    rho = -beta/alpha in each direction; rho_twist = 2 rho_bias - (rho_warp + rho_weft)/2 makes
-    q(S) = rho_warp Sxx² + rho_weft Syy² + 2 rho_twist Sxy² equal rho_bias kappa² for a cylinder
-    bent along the bias.
-    """
-    rho = -np.asarray(beta, float) / np.asarray(alpha, float)
-    return float(rho[WARP]), float(rho[WEFT]), float(2 * rho[BIAS] - (rho[WARP] + rho[WEFT]) / 2)
-
-
 def torque(curvature: np.ndarray, alpha: float, beta: float) -> np.ndarray:
     """Torque per width (N) at ``curvature`` >= 0 (1/m), any shape, for one direction.
 

@@ -2,24 +2,36 @@
 
 A strip at the angle phi to the warp that bends as a cylinder has the curvature S = kappa n n^T,
 n = (cos phi, sin phi), for which the plate's energy (:mod:`sim.energies.plate_law`) is that of a
-one-dimensional law of the same form: torque alpha kappa + beta kappa² up to the softening limit.
-A narrow strip free at its sides carries no moment but the one along it. It twists and curves
-across until that holds, and is softer.
+torque alpha kappa + beta kappa². In warp, bias and weft that holds up to the softening limit, in
+other directions while none of the law's terms has reached it. A narrow strip free at its sides
+carries no moment but the one along it. It twists and curves across until that holds, and is
+softer.
 """
 
 import numpy as np
 
-from sim.material import Fabric, plate_constants, softening
+from sim.energies import plate_law
+from sim.material import Fabric, plate_constants
 
 
 def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:
     """k(phi): alpha N·m and beta N·m² of a cylinder bent along ``angle`` (rad from warp)."""
-    a11, a22, a12, a66 = plate_constants(fabric.alpha)
-    rho_w, rho_f, rho_t = softening(fabric.alpha, fabric.beta)
+    law = dict(zip(plate_law.CONSTANTS, plate_law.constants(fabric), strict=True))
     c2, s2 = np.cos(angle) ** 2, np.sin(angle) ** 2
-    alpha = a11 * c2**2 + a22 * s2**2 + (2 * a12 + 4 * a66) * c2 * s2
-    rho = rho_w * c2**2 + rho_f * s2**2 + 2 * rho_t * c2 * s2
-    return float(alpha), float(-rho * alpha)
+    warp, weft = law["A11"] * c2**2, law["A22"] * s2**2
+    alpha = warp + weft + (2 * law["A12"] + 4 * law["A66"]) * c2 * s2
+    g = law["g_w"] * c2**2 + law["g_f"] * s2**2 + 2 * law["g_t"] * c2 * s2
+    # What the terms beside the first give back, at d = kappa |cos 2 phi|, 2 Sxy = kappa sin 2 phi
+    back_w = law["A11"] * (law["base_w"] - law["rho_w"])
+    back_f = law["A22"] * (law["base_f"] - law["rho_f"])
+    back_b = law["alpha_bias"] * (law["base_b"] - law["rho_b"])
+    yarns = (warp * back_w + weft * back_f) / (warp + weft)
+    beta = (
+        -g * np.sqrt(alpha)
+        + np.abs(np.cos(2 * angle)) ** 3 * yarns
+        + np.abs(np.sin(2 * angle)) ** 3 * back_b
+    )
+    return float(alpha), float(beta)
 
 
 def free_modulus(fabric: Fabric, angle: float) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sim.energies import dihedral, plate_law
 from sim.energies.clamp import bending_areas
-from sim.material import SOFTENING_LIMIT, Fabric, plate_constants, softening
+from sim.material import Fabric
 from sim.mesh import Mesh
 
 _CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
@@ -48,9 +48,7 @@ class MidEdgeBending:
         )
         self._areas = bending_areas(mesh, active, self._share)
         self._maps = curvature_maps(mesh)[active]
-        a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        self.law = np.array([a11, a22, a12, a66, *softening(fabric.alpha, fabric.beta),
-                             SOFTENING_LIMIT])
+        self.law = plate_law.constants(fabric)
 
     @property
     def _constants(self) -> tuple[np.ndarray, ...]:
@@ -100,13 +98,18 @@ def curvature_maps(mesh: Mesh) -> np.ndarray:
 
 
 @numba.njit(cache=True)
+def _first_rows(i):
+    """Where the coordinates of the corners of the hinge on edge i begin in an element."""
+    return 3 * ((i + 1) % 3), 3 * ((i + 2) % 3), 3 * i, 9 + 3 * i
+
+
+@numba.njit(cache=True)
 def _load_hinge(q, dofs, i, x):
     """Copy the corners of the hinge on edge i of an element to x (4, 3)."""
-    slots = ((i + 1) % 3, (i + 2) % 3, i, 3 + i)
+    first = _first_rows(i)
     for c in range(4):
         for k in range(3):
-            x[c, k] = q[dofs[3 * slots[c] + k]]
-    return slots
+            x[c, k] = q[dofs[first[c] + k]]
 
 
 @numba.njit(cache=True)
@@ -165,6 +168,13 @@ def _convexify(matrix, floor, convexity):
 
     The floor is positive: the rotations of the edges have no other stiffness.
     """
+    # Pivots of what lies above the floor: most matrices need no eigenvectors.
+    first = matrix[0, 0] - floor
+    second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
+    if first > 0.0 and second > 0.0:
+        cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
+        if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
+            return
     value, vector = np.linalg.eigh(matrix)
     for k in range(3):
         if value[k] < floor:
@@ -181,11 +191,23 @@ def _angle_rows(q, dofs, share, sign, x, g, rows):
     for i in range(3):
         rows[i, 18 + i] = sign[i]
         if share[i] != 0.0:
-            slots = _load_hinge(q, dofs, i, x)
+            _load_hinge(q, dofs, i, x)
             dihedral.gradient(x, g)
+            first = _first_rows(i)
             for c in range(4):
                 for k in range(3):
-                    rows[i, 3 * slots[c] + k] = share[i] * g[c, k]
+                    rows[i, first[c] + k] = share[i] * g[c, k]
+
+
+@numba.njit(cache=True)
+def _stiffness(tangent, maps, area, k):
+    """Fill k (3, 3) with area maps^T tangent maps: the tangent by the angles phi."""
+    for i in range(3):
+        for j in range(3):
+            k[i, j] = 0.0
+            for a in range(3):
+                for b in range(3):
+                    k[i, j] += area * maps[a, i] * tangent[a, b] * maps[b, j]
 
 
 @numba.njit(cache=True)
@@ -194,37 +216,30 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
     # turning of the hinges under their torque, indefinite and dropped in full convexity.
     s = _curvatures(q, dofs, share, sign, maps)
     result = np.empty((len(dofs), 21, 21))
-    x, g, h = np.empty((4, 3)), np.empty((4, 3)), np.empty((12, 12))
-    foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
-    stress, tangent = np.empty(3), np.empty((3, 3))
+    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
+    stress, tangent, stiffness = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     floor = _CONVEX_FLOOR * min(law[0], law[1], 4.0 * law[3])
-    rows, curvature, weighted = np.empty((3, 21)), np.empty((3, 21)), np.empty((3, 21))
+    rows, moment = np.empty((3, 21)), np.empty((3, 21))
     for t in range(len(dofs)):
         block = result[t]
         plate_law.derivatives(s[t], law, stress, tangent)
         if convexity > 0.0:
             _convexify(tangent, floor, convexity)
+        _stiffness(tangent, maps[t], areas[t], stiffness)
         _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
-        for a in range(3):
-            for k in range(21):
-                curvature[a, k] = (
-                    maps[t, a, 0] * rows[0, k]
-                    + maps[t, a, 1] * rows[1, k]
-                    + maps[t, a, 2] * rows[2, k]
-                )
-        for a in range(3):
-            for k in range(21):
-                weighted[a, k] = areas[t] * (
-                    tangent[a, 0] * curvature[0, k]
-                    + tangent[a, 1] * curvature[1, k]
-                    + tangent[a, 2] * curvature[2, k]
+        for i in range(3):
+            for j in range(21):
+                moment[i, j] = (
+                    stiffness[i, 0] * rows[0, j]
+                    + stiffness[i, 1] * rows[1, j]
+                    + stiffness[i, 2] * rows[2, j]
                 )
         for i in range(21):
-            a, b, c = curvature[0, i], curvature[1, i], curvature[2, i]
-            for j in range(i + 1):
-                block[i, j] = block[j, i] = (
-                    a * weighted[0, j] + b * weighted[1, j] + c * weighted[2, j]
-                )
+            a, b, c = rows[0, i], rows[1, i], rows[2, i]
+            for j in range(i, 21):
+                block[i, j] = a * moment[0, j] + b * moment[1, j] + c * moment[2, j]
+            for j in range(i):
+                block[i, j] = block[j, i]
         if convexity == 1.0:
             continue
         for i in range(3):
@@ -234,13 +249,6 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
             for a in range(3):
                 m += maps[t, a, i] * stress[a]
             m *= areas[t] * share[t, i] * (1.0 - convexity)
-            slots = _load_hinge(q, dofs[t], i, x)
-            dihedral.hessian(x, h, foot, derivative)
-            for a in range(4):
-                for b in range(4):
-                    for k in range(3):
-                        for n in range(3):
-                            block[3 * slots[a] + k, 3 * slots[b] + n] += (
-                                m * h[3 * a + k, 3 * b + n]
-                            )
+            _load_hinge(q, dofs[t], i, x)
+            dihedral.add_hessian(x, m, _first_rows(i), frame, block)
     return result

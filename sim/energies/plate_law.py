@@ -2,19 +2,55 @@
 
 With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
 
-    psi = 1/2 a(S) H(u),   a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²,
-    u = q(S)/|S|,          q = rho_w Sxx² + rho_f Syy² + 2 rho_t Sxy²,
+    psi = 1/2 a H(g/sqrt(a)) + w F_w(d) + (1 - w) F_f(d) + F_b(2 |Sxy|),
+
+    a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²,     d = |Sxx - Syy|,
+    g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
 H(u) = 2 e(u)/u², e the integral of t, and t(u) = u (1 - u) up to u_c, continued with its slope
-1 - 2 u_c. Cloth bent to a cylinder along warp, bias or weft carries exactly the torque
+1 - 2 u_c. The first term is convex where g is a multiple of a. It softens at least as fast as
+the fabric does in each direction, and the others put back what it takes too much: F_w and F_f
+do nothing to cloth bent along the bias, where Sxx = Syy, and F_b nothing along the yarns, where
+Sxy = 0. Each is the difference of two torque laws of one direction, convex in its argument.
+
+Cloth bent to a cylinder along warp, bias or weft so carries exactly the torque
 alpha kappa + beta kappa² (up to u_c); other directions follow smoothly. psi is positive for
-S != 0, whatever the sign of the quadratic moduli. Constants: :mod:`sim.material`.
+S != 0, whatever the sign of the quadratic moduli.
 """
 
 import numba
 import numpy as np
 
-CONSTANTS = ("A11", "A22", "A12", "A66", "rho_w", "rho_f", "rho_t", "u_c")
+from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants
+
+CONSTANTS = (
+    "A11", "A22", "A12", "A66", "alpha_bias", "g_w", "g_f", "g_t",
+    "base_w", "base_f", "base_b", "rho_w", "rho_f", "rho_b", "u_c",
+)  # fmt: skip
+
+
+def constants(fabric: Fabric) -> np.ndarray:
+    """Constants (15,) of a fabric's law, in the order of :data:`CONSTANTS`, SI units.
+
+    rho = -beta/alpha (m) is the softening of a direction and r = rho/sqrt(alpha) the same against
+    the curvature in units of its energy, sqrt(a). Where r is alike in all directions, the first
+    term alone is the law. If the bias softens faster than warp and weft do on average, the first
+    term softens faster along both yarns by the difference; if slower, along the bias. These are
+    the rates base = sqrt(alpha) r. All is continuous in the moduli.
+    """
+    alpha, root = fabric.alpha, np.sqrt(fabric.alpha)
+    rho = -fabric.beta / alpha
+    rate = rho / root
+    excess = rate[BIAS] - (rate[WARP] + rate[WEFT]) / 2
+    added = np.full(3, max(excess, 0.0))
+    added[BIAS] = max(-excess, 0.0)
+    g = (rate + added) * alpha
+    base = rho + added * root
+    return np.array([
+        *plate_constants(alpha), alpha[BIAS],
+        g[WARP], g[WEFT], 2 * g[BIAS] - (g[WARP] + g[WEFT]) / 2,
+        base[WARP], base[WEFT], base[BIAS], rho[WARP], rho[WEFT], rho[BIAS], SOFTENING_LIMIT,
+    ])  # fmt: skip
 
 
 @numba.njit(inline="always")
@@ -34,51 +70,104 @@ def _shape(u, limit):
     )
 
 
+@numba.njit(inline="always")
+def _returned(k, alpha, base, rho, limit):
+    """F and its two derivatives at k >= 0: energy of the law rho less that of the softer base."""
+    fast, fast1, _ = _shape(base * k, limit)
+    slow, slow1, _ = _shape(rho * k, limit)
+    return (
+        0.5 * alpha * k * k * (slow - fast),
+        alpha * k * (slow - fast + 0.5 * k * (rho * slow1 - base * fast1)),
+        2.0 * alpha * (min(base * k, limit) - min(rho * k, limit)),
+    )
+
+
 @numba.njit(cache=True)
 def energy(s, law):
-    """psi, J/m², at curvature s (3,) for the constants law (8,), see CONSTANTS."""
-    n = np.sqrt(s[0] * s[0] + s[1] * s[1] + 2.0 * s[2] * s[2])
-    if n < 1e-9:
+    """psi, J/m², at curvature s (3,) for the constants law (15,), see CONSTANTS."""
+    x, y, z = s[0], s[1], s[2]
+    limit = law[14]
+    a = law[0] * x * x + law[1] * y * y + 2.0 * law[2] * x * y + 4.0 * law[3] * z * z
+    if a <= 0.0:
         return 0.0
-    a = law[0] * s[0] ** 2 + law[1] * s[1] ** 2 + 2.0 * law[2] * s[0] * s[1]
-    a += 4.0 * law[3] * s[2] ** 2
-    u = (law[4] * s[0] ** 2 + law[5] * s[1] ** 2 + 2.0 * law[6] * s[2] ** 2) / n
-    h, _, _ = _shape(u, law[7])
-    return 0.5 * a * h
+    u = (law[5] * x * x + law[6] * y * y + 2.0 * law[7] * z * z) / np.sqrt(a)
+    h, _, _ = _shape(u, limit)
+    total = 0.5 * a * h
+    if law[10] > law[13]:
+        total += _returned(2.0 * abs(z), law[4], law[10], law[13], limit)[0]
+    d = abs(x - y)
+    if law[8] > law[11] and d > 0.0:
+        warp, weft = law[0] * x * x, law[1] * y * y
+        f_w, _, _ = _returned(d, law[0], law[8], law[11], limit)
+        f_f, _, _ = _returned(d, law[1], law[9], law[12], limit)
+        total += (warp * f_w + weft * f_f) / (warp + weft)
+    return total
 
 
 @numba.njit(cache=True)
 def derivatives(s, law, g, h):
-    """Fill g (3,) and h (3, 3) with the derivatives of psi by s (3,); law (8,) as in energy."""
+    """Fill g (3,) and h (3, 3) with the derivatives of psi by s (3,); law (15,) as in energy."""
     da0 = 2.0 * (law[0] * s[0] + law[2] * s[1])
     da1 = 2.0 * (law[1] * s[1] + law[2] * s[0])
     da2 = 8.0 * law[3] * s[2]
     h[0, 0], h[1, 1], h[2, 2] = law[0], law[1], 4.0 * law[3]
     h[0, 1] = h[1, 0] = law[2]
     h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
-    n = np.sqrt(s[0] * s[0] + s[1] * s[1] + 2.0 * s[2] * s[2])
-    if n < 1e-9:
-        # u is of first order in S: at S = 0 only the quadratic form remains.
-        g[0], g[1], g[2] = 0.5 * da0, 0.5 * da1, 0.5 * da2
-        return
     a = 0.5 * (da0 * s[0] + da1 * s[1] + da2 * s[2])
-    u = (law[4] * s[0] ** 2 + law[5] * s[1] ** 2 + 2.0 * law[6] * s[2] ** 2) / n
-    shape, slope, bend = _shape(u, law[7])
+    if a <= 0.0:
+        # u is of first order in S: at S = 0 only the quadratic form remains.
+        g[0], g[1], g[2] = 0.0, 0.0, 0.0
+        return
+    n = np.sqrt(a)
+    u = (law[5] * s[0] ** 2 + law[6] * s[1] ** 2 + 2.0 * law[7] * s[2] ** 2) / n
+    shape, slope, bend = _shape(u, law[14])
     da = (da0, da1, da2)
-    metric = (1.0, 1.0, 2.0)
-    weight = (2.0 * law[4], 2.0 * law[5], 4.0 * law[6])
+    weight = (2.0 * law[5], 2.0 * law[6], 4.0 * law[7])
     du, dn = np.empty(3), np.empty(3)
     for i in range(3):
-        dn[i] = metric[i] * s[i] / n
+        dn[i] = 0.5 * da[i] / n
         du[i] = (weight[i] * s[i] - u * dn[i]) / n
     for i in range(3):
         g[i] = 0.5 * (shape * da[i] + a * slope * du[i])
         for j in range(3):
-            ddu = -(du[i] * dn[j] + dn[i] * du[j]) + u * dn[i] * dn[j] / n
+            ddu = -(du[i] * dn[j] + dn[i] * du[j]) + u * (dn[i] * dn[j] - h[i, j]) / n
             if i == j:
-                ddu += weight[i] - u * metric[i] / n
+                ddu += weight[i]
             ddu /= n
             h[i, j] = shape * h[i, j] + 0.5 * (
                 slope * (da[i] * du[j] + du[i] * da[j])
                 + a * (bend * du[i] * du[j] + slope * ddu)
             )
+    if law[10] > law[13]:
+        _, force, stiffness = _returned(2.0 * abs(s[2]), law[4], law[10], law[13], law[14])
+        g[2] += 2.0 * force * np.sign(s[2])
+        h[2, 2] += 4.0 * stiffness
+    if law[8] > law[11] and s[0] != s[1]:
+        _add_yarns(s, law, g, h)
+
+
+@numba.njit(cache=True)
+def _add_yarns(s, law, g, h):
+    """Add the derivatives of w F_w + (1 - w) F_f = F_f + w (F_w - F_f)."""
+    d = abs(s[0] - s[1])
+    side = np.sign(s[0] - s[1])
+    f_w, force_w, stiff_w = _returned(d, law[0], law[8], law[11], law[14])
+    f_f, force_f, stiff_f = _returned(d, law[1], law[9], law[12], law[14])
+    more, pull = f_w - f_f, side * (force_w - force_f)
+    warp, weft = law[0] * s[0] ** 2, law[1] * s[1] ** 2
+    n = warp + weft
+    w = warp / n
+    wx = 2.0 * law[0] * s[0] * weft / n**2
+    wy = -2.0 * law[1] * s[1] * warp / n**2
+    wxx = 2.0 * law[0] * weft / n**2 * (1.0 - 4.0 * w)
+    wyy = -2.0 * law[1] * warp / n**2 * (4.0 * w - 3.0)
+    wxy = 4.0 * law[0] * law[1] * s[0] * s[1] / n**2 * (2.0 * w - 1.0)
+    force = side * force_f + w * pull
+    stiff = stiff_f + w * (stiff_w - stiff_f)
+    g[0] += force + wx * more
+    g[1] += -force + wy * more
+    h[0, 0] += stiff + 2.0 * wx * pull + wxx * more
+    h[1, 1] += stiff - 2.0 * wy * pull + wyy * more
+    mixed = -stiff + (wy - wx) * pull + wxy * more
+    h[0, 1] += mixed
+    h[1, 0] += mixed
