@@ -137,12 +137,13 @@ class _Run:
                 return self._end(Status.NOT_FINITE, "the energy is not a finite number")
             if result.residual < options.residual:
                 # Only the exact Hessian can tell a minimum from a saddle.
-                result.positive_definite = self._factorise(0.0)
+                result.positive_definite = self._factorise(0.0, proof=True)
                 if result.positive_definite:
                     step = self._solve(-gradient)
                     result.step = self.objective.step_length(step)
                     if result.step < options.step:
                         return self._end(Status.CONVERGED, "equilibrium")
+                    self.convexity, self.rest = 0.0, False
                 elif nudges < _NUDGES:
                     nudges += 1
                     result.y = result.y + self._nudge()
@@ -153,7 +154,8 @@ class _Run:
                     continue
                 else:
                     return self._end(Status.SADDLE, "stationary but not a minimum")
-            step = self._direction(gradient)
+            else:
+                step = self._direction(gradient)
             if step is None:
                 return self._end(Status.SINGULAR, "no regularisation makes the Hessian definite")
             with self._timed("search"):
@@ -186,14 +188,14 @@ class _Run:
     def _timed(self, activity: str) -> "_Timer":
         return _Timer(self.result.seconds, activity)
 
-    def _factorise(self, convexity: float, shift: float = 0.0) -> bool:
+    def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         with self._timed("assemble"):
             data = self.objective.hessian(self.result.y, convexity)
             if shift:
                 data[self.objective.pattern.diagonal] += shift * self.objective.regularisation
         with self._timed("factorise"):
             self.result.factorisations += 1
-            return bool(np.isfinite(data).all()) and self.solver.factorise(data)
+            return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray) -> np.ndarray:
         with self._timed("factorise"):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numba
 import numpy as np
 
 from sim.energies.base import Energy
@@ -65,14 +66,10 @@ class Potential:
     def gradient(self, y: np.ndarray) -> np.ndarray:
         """(n,) derivative of the energy."""
         q = self.full(y)
-        total = np.zeros(self.size + 1)  # the last entry collects absent and held unknowns
+        total = np.zeros(self.size)
         for energy, stencil in zip(self.energies, self._stencils, strict=True):
-            total += np.bincount(
-                stencil.ravel() % (self.size + 1),
-                energy.gradient(q).ravel(),
-                minlength=self.size + 1,
-            )
-        return total[:-1]
+            _add_elements(total, stencil, energy.gradient(q))
+        return total
 
     def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray:
         """CSR data (nnz,) in ``pattern``; ``convexity`` as in :meth:`Energy.hessian`.
@@ -88,18 +85,18 @@ class Potential:
             share = min(max(convexity * stages - stage, 0.0), 1.0)
             for end, weight in ((0.0, 1.0 - share), (1.0, share)):
                 if weight > 0.0:
-                    total += weight * self._end(stage, end)
+                    part = self._end(stage, end)
+                    total += part if weight == 1.0 else weight * part
         return total
 
     def _end(self, stage: int, convexity: float) -> np.ndarray:
         """One stage's part of the Hessian at the kept point, exact (0) or convex (1)."""
         if (stage, convexity) not in self._assembled:
             q = self.full(self._assembled_at)
+            # One after the other: blocks are large, and fresh memory is slow.
             self._assembled[stage, convexity] = self.pattern.assemble(
-                [
-                    energy.hessian(q, convexity) if own == stage else None
-                    for energy, own in zip(self.energies, self._stage, strict=True)
-                ]
+                energy.hessian(q, convexity) if own == stage else None
+                for energy, own in zip(self.energies, self._stage, strict=True)
             )
         return self._assembled[stage, convexity]
 
@@ -115,3 +112,12 @@ class Potential:
     def step_length(self, step: np.ndarray) -> float:
         """Largest entry of a step (n,) in units of its length scale."""
         return float(np.abs(step / self.length_scale).max())
+
+
+@numba.njit(cache=True)
+def _add_elements(total, stencil, parts):
+    """Add element gradients (N, K) to total (n,); stencil (N, K) as for the pattern."""
+    for t in range(len(stencil)):
+        for k in range(stencil.shape[1]):
+            if stencil[t, k] >= 0:
+                total[stencil[t, k]] += parts[t, k]

@@ -97,38 +97,43 @@ class ObstacleContact:
         self._obstacle = obstacle
 
     def value(self, q: np.ndarray) -> float:
-        return float(self._scale @ self._depth(self._points(q)) ** 3) / 3
+        touching, _, depth = self._contacts(q)
+        return float(self._scale[touching] @ depth**3) / 3
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        points = self._points(q)
+        touching, points, depth = self._contacts(q)
         normal, _ = self._obstacle.normals(points)
-        force = -(self._share * self._scale * self._depth(points) ** 2)[:, None] * normal
-        return np.tile(force, self.dofs.shape[1] // 3)
+        force = -(self._share * self._scale[touching] * depth**2)[:, None] * normal
+        result = np.zeros(self.dofs.shape)
+        result[touching] = np.tile(force, self.dofs.shape[1] // 3)
+        return result
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        points = self._points(q)
+        touching, points, depth = self._contacts(q)
         normal, radius = self._obstacle.normals(points)
-        scale = self._share**2 * self._scale
-        block = _hessian(self._depth(points), normal, radius, scale, convexity)
+        scale = self._share**2 * self._scale[touching]
         count = self.dofs.shape[1] // 3
-        return np.tile(block, (1, count, count))
+        result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
+        block = _hessian(depth, normal, radius, scale, convexity)
+        result[touching] = np.tile(block, (1, count, count))
+        return result
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         return True
 
-    def _points(self, q: np.ndarray) -> np.ndarray:
-        return q[self.dofs].reshape(len(self.dofs), -1, 3).mean(axis=1)
-
-    def _depth(self, points: np.ndarray) -> np.ndarray:
-        return np.maximum(self._obstacle.depths(points), 0.0)
+    def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
+        corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
+        points = self._share * sum(corners[:, k] for k in range(corners.shape[1]))
+        depth = self._obstacle.depths(points)
+        touching = np.flatnonzero(depth > 0.0)
+        return touching, points[touching], depth[touching]
 
 
 @numba.njit(cache=True)
 def _hessian(depth, normal, radius, scale, convexity):
     result = np.zeros((len(depth), 3, 3))
     for a in range(len(depth)):
-        if depth[a] <= 0.0:
-            continue
         stiffness = 2.0 * scale[a] * depth[a]
         for i in range(3):
             for j in range(3):

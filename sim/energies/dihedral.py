@@ -49,73 +49,63 @@ def gradient(x, g):
 
 
 @numba.njit(cache=True)
-def _side(e, a, sign, foot, rows, h, other):
-    """Add one triangle's part of the second derivatives of the angle to h (12, 12).
+def _add_side(x, corner, sign, weight, first, frame, block):
+    """Add the part of one triangle for :func:`add_hessian`, whose arguments these are.
 
-    The triangle has the edge vector e, the vector a from x0 to its opposite corner ``other`` (2
-    or 3), and the normal N = sign e × a. With g = -|e| N/|N|² the gradient at that corner and t
-    the foot of its height on the edge, the gradients at x1 and x0 get -t g and -(1 - t) g.
-    ``foot`` (3, 3) and ``rows`` (3, 3, 3) are scratch for the derivatives of t and g by
-    x0, x1 and the opposite corner.
+    With n its unit normal, u along the edge of length l, m from the edge to the opposite
+    ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient
+    at the corner is g = -n/d, and those at x1 and x0 are -t g and -(1 - t) g. Only n and d
+    change with g, and t with the edge, which leaves three dyads:
+
+        A = (n m^T + m n^T)/d²,   B = n u^T/(d l),   M = (n m^T + m n^T)/(2 l²).
+
+    M is the symmetric part of n m^T/l²; the other part cancels between the two triangles.
     """
-    nx = sign * (e[1] * a[2] - e[2] * a[1])
-    ny = sign * (e[2] * a[0] - e[0] * a[2])
-    nz = sign * (e[0] * a[1] - e[1] * a[0])
-    n = (nx, ny, nz)
-    ee = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-    nn = nx * nx + ny * ny + nz * nz
-    scale = -np.sqrt(ee) / nn
-    t = (a[0] * e[0] + a[1] * e[1] + a[2] * e[2]) / ee
-    # N changes by sign e × da + sign de × a; N·(e × da) = (N × e)·da, N·(de × a) = (a × N)·de
-    twice = 2.0 * sign / nn
-    by_a = (
-        twice * (ny * e[2] - nz * e[1]),
-        twice * (nz * e[0] - nx * e[2]),
-        twice * (nx * e[1] - ny * e[0]),
-    )
-    by_e = (
-        twice * (a[1] * nz - a[2] * ny) - e[0] / ee,
-        twice * (a[2] * nx - a[0] * nz) - e[1] / ee,
-        twice * (a[0] * ny - a[1] * nx) - e[2] / ee,
-    )
+    n, m, u = frame[0], frame[1], frame[2]
+    ee = ae = 0.0
+    for k in range(3):
+        u[k] = x[1, k] - x[0, k]
+        m[k] = x[corner, k] - x[0, k]
+        ee += u[k] * u[k]
+        ae += u[k] * m[k]
+    n[0] = sign * (u[1] * m[2] - u[2] * m[1])
+    n[1] = sign * (u[2] * m[0] - u[0] * m[2])
+    n[2] = sign * (u[0] * m[1] - u[1] * m[0])
+    double_area = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    length = np.sqrt(ee)
+    height = double_area / length
+    t = ae / ee
+    for k in range(3):
+        n[k] /= double_area
+        m[k] = (m[k] - t * u[k]) / height
+        u[k] /= length
+    r = 1.0 - t
+    by_height = weight / (height * height)
+    by_both = weight / (height * length)
+    by_length = 0.5 * weight / ee
+    p0, p1, c = first[0], first[1], first[corner]
     for i in range(3):
-        foot[2, i] = e[i] / ee
-        foot[1, i] = (a[i] - 2.0 * t * e[i]) / ee
-        foot[0, i] = -foot[1, i] - foot[2, i]
-        for k in range(3):
-            rows[2, i, k] = -scale * n[i] * by_a[k]
-            rows[1, i, k] = -scale * n[i] * by_e[k]
-        j, k = (i + 1) % 3, (i + 2) % 3
-        # the cross products themselves: (e × da)_i = e_j da_k - e_k da_j
-        rows[2, i, k] += scale * sign * e[j]
-        rows[2, i, j] -= scale * sign * e[k]
-        rows[1, i, j] += scale * sign * a[k]
-        rows[1, i, k] -= scale * sign * a[j]
-    for i in range(3):
-        for k in range(3):
-            rows[0, i, k] = -rows[1, i, k] - rows[2, i, k]
-    for c in range(3):
-        column = 3 * other if c == 2 else 3 * c
-        for i in range(3):
-            for k in range(3):
-                first = rows[c, i, k]
-                second = t * first + scale * n[i] * foot[c, k]
-                h[3 * other + i, column + k] += first
-                h[3 + i, column + k] -= second
-                h[i, column + k] -= first - second
+        for j in range(3):
+            dyad = n[i] * m[j] + m[i] * n[j]
+            a, mixed = by_height * dyad, by_length * dyad
+            b, transposed = by_both * n[i] * u[j], by_both * u[i] * n[j]
+            block[c + i, c + j] += a
+            block[p1 + i, c + j] += b - t * a
+            block[c + i, p1 + j] += transposed - t * a
+            block[p0 + i, c + j] -= r * a + b
+            block[c + i, p0 + j] -= r * a + transposed
+            block[p1 + i, p1 + j] += t * t * a - t * (b + transposed) + mixed
+            block[p1 + i, p0 + j] += t * r * a - r * b + t * transposed - mixed
+            block[p0 + i, p1 + j] += t * r * a - r * transposed + t * b - mixed
+            block[p0 + i, p0 + j] += r * r * a + r * (b + transposed) + mixed
 
 
 @numba.njit(cache=True)
-def hessian(x, h, foot, rows):
-    """Fill h (12, 12) with the second derivatives of the angle by x (4, 3) flattened.
+def add_hessian(x, weight, first, frame, block):
+    """Add ``weight`` times the second derivatives of the angle by the corners x (4, 3).
 
-    ``foot`` (3, 3) and ``rows`` (3, 3, 3) are scratch.
+    Corner c has the three rows and columns of ``block`` from first[c] on; ``frame`` (3, 3) is
+    scratch.
     """
-    e, a, b = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(3):
-        e[k] = x[1, k] - x[0, k]
-        a[k] = x[2, k] - x[0, k]
-        b[k] = x[3, k] - x[0, k]
-    h[:, :] = 0.0
-    _side(e, a, 1.0, foot, rows, h, 2)
-    _side(e, b, -1.0, foot, rows, h, 3)
+    _add_side(x, 2, 1.0, weight, first, frame, block)
+    _add_side(x, 3, -1.0, weight, first, frame, block)

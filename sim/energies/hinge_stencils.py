@@ -106,18 +106,17 @@ def chain_hessian(q, dofs, slope, bend):
     The part of ``slope`` is indefinite, that of ``bend`` has the sign of ``bend``.
     """
     result = np.zeros((len(dofs), 12, 12))
-    x, g, h = np.empty((4, 3)), np.empty((4, 3)), np.zeros((12, 12))
-    foot, derivative = np.empty((3, 3)), np.empty((3, 3, 3))
+    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
     for t in range(len(dofs)):
         if slope[t] == 0.0 and bend[t] == 0.0:
             continue
         _load(q, dofs[t], x)
         dihedral.gradient(x, g)
-        if slope[t] != 0.0:
-            dihedral.hessian(x, h, foot, derivative)
         for a in range(12):
             for b in range(12):
-                result[t, a, b] = slope[t] * h[a, b] + bend[t] * g[a // 3, a % 3] * g[b // 3, b % 3]
+                result[t, a, b] = bend[t] * g[a // 3, a % 3] * g[b // 3, b % 3]
+        if slope[t] != 0.0:
+            dihedral.add_hessian(x, slope[t], (0, 3, 6, 9), frame, result[t])
     return result
 
 

@@ -48,56 +48,74 @@ class CorotationalMembrane:
 
 
 @numba.njit(cache=True)
-def _svd(q, dofs, shape):
-    """Frame (3, 3) with rows u1, u2, n, right vectors (2, 2) as rows, s1 >= s2 of one F."""
-    f = np.zeros((3, 2))
-    for a in range(3):
-        for i in range(3):
-            x = q[dofs[3 * a + i]]
-            f[i, 0] += x * shape[a, 0]
-            f[i, 1] += x * shape[a, 1]
-    c00 = c01 = c11 = 0.0
+def _deform(q, dofs, shape, f):
+    """Fill f (2, 3) with the columns of one F.
+
+    Returns half the difference of their squares, their product, and half the sum of the squares.
+    """
+    square = cross = other = 0.0
     for i in range(3):
-        c00 += f[i, 0] * f[i, 0]
-        c01 += f[i, 0] * f[i, 1]
-        c11 += f[i, 1] * f[i, 1]
-    half = 0.5 * (c00 - c11)
-    root = np.hypot(half, c01)
-    mean = 0.5 * (c00 + c11)
-    angle = 0.5 * np.arctan2(c01, half)
-    v = np.empty((2, 2))
-    v[0, 0] = np.cos(angle)
+        x0, x1, x2 = q[dofs[i]], q[dofs[3 + i]], q[dofs[6 + i]]
+        f[0, i] = x0 * shape[0, 0] + x1 * shape[1, 0] + x2 * shape[2, 0]
+        f[1, i] = x0 * shape[0, 1] + x1 * shape[1, 1] + x2 * shape[2, 1]
+        square += f[0, i] * f[0, i]
+        cross += f[0, i] * f[1, i]
+        other += f[1, i] * f[1, i]
+    return 0.5 * (square - other), cross, 0.5 * (square + other)
+
+
+@numba.njit(cache=True)
+def _svd(q, dofs, shape, f, v, frame):
+    """Singular values s1 >= s2 of one F; frame (3, 3) gets u1, u2, n, v (2, 2) the right vectors.
+
+    f (2, 3) is scratch.
+    """
+    half, cross, mean = _deform(q, dofs, shape, f)
+    angle = 0.5 * np.arctan2(cross, half)
+    v[0, 0] = v[1, 1] = np.cos(angle)
     v[0, 1] = np.sin(angle)
     v[1, 0] = -v[0, 1]
-    v[1, 1] = v[0, 0]
-    s1 = np.sqrt(mean + root)
-    frame = np.empty((3, 3))
-    w = np.empty(3)
+    s1 = np.sqrt(mean + np.hypot(half, cross))
+    square = 0.0
     for i in range(3):
-        frame[0, i] = (f[i, 0] * v[0, 0] + f[i, 1] * v[0, 1]) / s1
-        w[i] = f[i, 0] * v[1, 0] + f[i, 1] * v[1, 1]
-    s2 = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+        frame[0, i] = (f[0, i] * v[0, 0] + f[1, i] * v[0, 1]) / s1
+        frame[1, i] = f[0, i] * v[1, 0] + f[1, i] * v[1, 1]
+        square += frame[1, i] * frame[1, i]
+    s2 = np.sqrt(square)
     for i in range(3):
-        frame[1, i] = w[i] / max(s2, 1e-12)
+        frame[1, i] /= max(s2, 1e-12)
     frame[2, 0] = frame[0, 1] * frame[1, 2] - frame[0, 2] * frame[1, 1]
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[0, 0] * frame[1, 2]
     frame[2, 2] = frame[0, 0] * frame[1, 1] - frame[0, 1] * frame[1, 0]
-    return frame, v, s1, s2
+    return s1, s2
+
+
+@numba.njit(cache=True)
+def _singular_values(q, dofs, shape, f):
+    """Singular values s1 >= s2 of one F; f (2, 3) is scratch."""
+    half, cross, mean = _deform(q, dofs, shape, f)
+    s1 = np.sqrt(mean + np.hypot(half, cross))
+    a = f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1]
+    b = f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2]
+    c = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
+    return s1, np.sqrt(a * a + b * b + c * c) / s1
 
 
 @numba.njit(cache=True)
 def _stretches(q, dofs, shape):
     result = np.empty((len(dofs), 2))
+    f = np.empty((2, 3))
     for t in range(len(dofs)):
-        _, _, result[t, 0], result[t, 1] = _svd(q, dofs[t], shape[t])
+        result[t, 0], result[t, 1] = _singular_values(q, dofs[t], shape[t], f)
     return result
 
 
 @numba.njit(cache=True)
 def _value(q, dofs, shape, areas, mu, lam):
     total = 0.0
+    f = np.empty((2, 3))
     for t in range(len(dofs)):
-        _, _, s1, s2 = _svd(q, dofs[t], shape[t])
+        s1, s2 = _singular_values(q, dofs[t], shape[t], f)
         trace = s1 + s2 - 2.0
         total += areas[t] * (mu * ((s1 - 1.0) ** 2 + (s2 - 1.0) ** 2) + 0.5 * lam * trace**2)
     return total
@@ -106,8 +124,9 @@ def _value(q, dofs, shape, areas, mu, lam):
 @numba.njit(cache=True)
 def _gradient(q, dofs, shape, areas, mu, lam):
     result = np.empty((len(dofs), 9))
+    f, v, frame = np.empty((2, 3)), np.empty((2, 2)), np.empty((3, 3))
     for t in range(len(dofs)):
-        frame, v, s1, s2 = _svd(q, dofs[t], shape[t])
+        s1, s2 = _svd(q, dofs[t], shape[t], f, v, frame)
         trace = s1 + s2 - 2.0
         p1 = areas[t] * (2.0 * mu * (s1 - 1.0) + lam * trace)
         p2 = areas[t] * (2.0 * mu * (s2 - 1.0) + lam * trace)
@@ -127,8 +146,9 @@ def _hessian(q, dofs, shape, areas, mu, lam, convexity):
     mode = np.empty((6, 9))
     value = np.empty(6)
     root = np.sqrt(0.5)
+    f, v, frame = np.empty((2, 3)), np.empty((2, 2)), np.empty((3, 3))
     for t in range(len(dofs)):
-        frame, v, s1, s2 = _svd(q, dofs[t], shape[t])
+        s1, s2 = _svd(q, dofs[t], shape[t], f, v, frame)
         trace = s1 + s2 - 2.0
         p1 = 2.0 * mu * (s1 - 1.0) + lam * trace
         p2 = 2.0 * mu * (s2 - 1.0) + lam * trace

@@ -1,9 +1,6 @@
 """Direct solvers for sparse symmetric matrices that say whether the matrix is positive definite."""
 
 import functools
-import importlib.metadata
-import os
-import sys
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +8,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from sim.errors import InputError
+from sim.linear.pardiso import PardisoSolver, find_mkl
 from sim.linear.pattern import SparsePattern
 
 
@@ -19,54 +17,15 @@ class CholeskySolver(Protocol):
 
     name: str
 
-    def factorise(self, data: np.ndarray) -> bool:
-        """Factor the matrix with CSR data (nnz,); False when it is not positive definite."""
+    def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
+        """Factor the matrix with CSR data (nnz,); False when it is not positive definite.
+
+        ``rough`` allows a cheaper factor: its verdict is no proof, and solutions have a relative
+        error of about 1e-4 in the matrix's norm.
+        """
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the last factor, which must exist; rhs (n,) or (n, k)."""
-
-
-class PardisoSolver:
-    """Cholesky factorisation by Intel MKL PARDISO, on one thread, reproducible to the bit."""
-
-    name = "pardiso"
-    _positive_definite = 2  # PARDISO's matrix type
-    _analyse, _factorise, _solve = 11, 22, 33  # PARDISO's phases
-    _reproducible = 2  # MKL_CBWR_AUTO: results do not depend on memory alignment
-
-    def __init__(self, pattern: SparsePattern) -> None:
-        self._pardiso = _pardiso(self._positive_definite)
-        self._pardiso.set_iparm(1, 1)  # the settings below are ours, the others zero:
-        self._pardiso.set_iparm(2, 2)  # nested dissection; no iterative refinement
-        self._pardiso.libmkl.MKL_CBWR_Set(self._reproducible)
-        self._pardiso.libmkl.MKL_Set_Num_Threads_Local(1)
-        self._empty = np.zeros((pattern.size, 1))
-        self._matrix = pattern.upper(np.zeros(len(pattern.indices)))
-        self._matrix.data[pattern.diagonal] = 1.0
-        self._call(self._analyse, self._empty)
-
-    def factorise(self, data: np.ndarray) -> bool:
-        from pypardiso.pardiso_wrapper import PyPardisoError
-
-        self._matrix.data[:] = data
-        try:
-            self._call(self._factorise, self._empty)
-        except PyPardisoError as error:
-            if error.value == -4:  # a pivot was not positive
-                return False
-            raise
-        return True
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        return self._call(self._solve, np.asfortranarray(rhs))
-
-    def _call(self, phase: int, rhs: np.ndarray) -> np.ndarray:
-        self._pardiso.set_phase(phase)
-        return self._pardiso._call_pardiso(self._matrix, rhs)
-
-    def __del__(self) -> None:
-        if hasattr(self, "_pardiso") and not sys.is_finalizing():
-            self._pardiso.free_memory(everything=True)
+        """Solve with the last factor, which must exist; rhs (n,)."""
 
 
 class SuperLUSolver:
@@ -78,7 +37,7 @@ class SuperLUSolver:
         self._pattern = pattern
         self._factor = None
 
-    def factorise(self, data: np.ndarray) -> bool:
+    def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
         matrix = sparse.csc_matrix(self._pattern.symmetric(data))
         try:
             self._factor = splu(
@@ -100,27 +59,11 @@ class SuperLUSolver:
 _SOLVERS = {solver.name: solver for solver in (PardisoSolver, SuperLUSolver)}
 
 
-def _pardiso(matrix_type: int):
-    """A new pypardiso solver, whose slow search of the disk for MKL we spare ourselves."""
-    if "PYPARDISO_MKL_RT" not in os.environ:
-        try:
-            files = importlib.metadata.files("mkl") or []
-        except importlib.metadata.PackageNotFoundError:
-            files = []
-        for file in files:
-            if "mkl_rt" in file.name and not file.name.endswith(".lib"):
-                os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
-                break
-    from pypardiso import PyPardisoSolver
-
-    return PyPardisoSolver(mtype=matrix_type)
-
-
 @functools.cache
 def available_solvers() -> tuple[str, ...]:
     """Names of the solvers that work here, fastest first."""
     try:
-        _pardiso(PardisoSolver._positive_definite)
+        find_mkl()
     except (ImportError, OSError):
         return (SuperLUSolver.name,)
     return tuple(_SOLVERS)

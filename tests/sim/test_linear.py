@@ -1,5 +1,9 @@
 """Sparse assembly and direct solvers against dense linear algebra."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -52,6 +56,105 @@ def test_solvers_solve_and_tell_definiteness(name):
     definite = data.copy()
     definite[pattern.diagonal] -= 0.99 * lowest
     assert solver.factorise(definite)  # and a failure leaves the solver usable
+
+
+def stiff_chain(contrast: float, count: int = 300):
+    """Springs whose stiffness grows by ``contrast`` along a chain: pattern and CSR data."""
+    stencil = np.arange(count - 1)[:, None] + np.arange(2)
+    pattern = SparsePattern([stencil], count)
+    stiffness = contrast ** np.linspace(0, 1, count - 1)
+    data = pattern.assemble([stiffness[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])])
+    data[pattern.diagonal[0]] += 1.0
+    return pattern, data
+
+
+def error_in_norm(pattern, data, solver) -> float:
+    """Relative error of a solution, in the norm of the matrix."""
+    matrix = pattern.symmetric(data)
+    exact = np.random.default_rng(0).standard_normal(pattern.size)
+    wrong = solver.solve(matrix @ exact) - exact
+    return float(np.sqrt((wrong @ (matrix @ wrong)) / (exact @ (matrix @ exact))))
+
+
+@pytest.mark.parametrize("name", available_solvers())
+@pytest.mark.parametrize("contrast", [1e2, 1e6])
+def test_rough_factors_serve_refined_solutions(name, contrast):
+    pattern, data = stiff_chain(contrast)
+    solver = make_solver(pattern, name)
+    assert solver.factorise(data, rough=True)
+    assert error_in_norm(pattern, data, solver) < 1e-4
+    assert solver.factorise(data)  # after a rough factor, an exact one is exact
+    assert error_in_norm(pattern, data, solver) < 1e-10
+
+
+@pytest.mark.parametrize("name", available_solvers())
+def test_rough_verdicts_on_matrices_that_single_precision_cannot_tell(name):
+    """Hilbert's matrix of order 10: definite in double precision, not in single."""
+    hilbert = 1.0 / (1.0 + np.arange(10)[:, None] + np.arange(10))
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(hilbert.astype(np.float32))
+    pattern = SparsePattern([np.arange(10)[None]], 10)
+    data = pattern.assemble([hilbert[None]])
+    solver = make_solver(pattern, name)
+    for _ in range(5):
+        assert solver.factorise(data, rough=True)
+        assert error_in_norm(pattern, data, solver) < 1e-4
+    data[pattern.diagonal] -= 2 * np.linalg.eigvalsh(hilbert)[0]
+    assert not solver.factorise(data, rough=True)
+
+
+def test_rough_verdicts_on_indefinite_matrices_stay_right():
+    pattern, data = stiff_chain(10.0)
+    solver = make_solver(pattern)
+    indefinite = data.copy()
+    indefinite[pattern.diagonal[150]] *= -1
+    for _ in range(5):  # more often than failures are checked
+        assert not solver.factorise(indefinite, rough=True)
+        assert solver.factorise(data, rough=True)
+        assert error_in_norm(pattern, data, solver) < 1e-4
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_solutions_do_not_depend_on_where_the_numbers_lie(rough):
+    pattern, data = stiff_chain(1e4, count=2000)
+    rhs = np.random.default_rng(3).standard_normal(pattern.size)
+    results = set()
+    for offset in range(8):  # of 8 bytes
+        aligned = np.empty(len(data) + 8)[offset : offset + len(data)]
+        right = np.empty(len(rhs) + 8)[7 - offset : 7 - offset + len(rhs)]
+        aligned[:], right[:] = data, rhs
+        solver = make_solver(pattern)
+        assert solver.factorise(aligned, rough=rough)
+        results.add(solver.solve(right).tobytes())
+    assert len(results) == 1
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_solutions_do_not_depend_on_libraries_loaded_before(rough):
+    """PyTorch brings an MKL of its own, which may change the paths that this one takes."""
+    script = """
+import hashlib, sys
+{first}
+import numpy as np
+from sim.linear import SparsePattern, make_solver
+grid = np.arange(900).reshape(30, 30)
+cells = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]], -1).reshape(-1, 4)
+stencil = (3 * cells[:, :, None] + np.arange(3)).reshape(-1, 12)
+half = np.random.default_rng(0).standard_normal((len(stencil), 12, 12))
+pattern = SparsePattern([stencil], 2700)
+data = pattern.assemble([half @ np.swapaxes(half, 1, 2)])
+solver = make_solver(pattern)
+assert solver.factorise(data, rough={rough})
+print(hashlib.sha1(solver.solve(np.ones(2700)).tobytes()).hexdigest())
+"""
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", script.format(first=first, rough=rough)],
+            capture_output=True, text=True, check=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
+        ).stdout
+        for first in ("", "import torch")
+    }
+    assert len(found) == 1
 
 
 def test_unknown_solver_is_refused():

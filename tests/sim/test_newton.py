@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sim.linear import SparsePattern
+from sim.linear import SparsePattern, make_solver
 from sim.newton import NewtonOptions, Status, minimise
 
 
@@ -78,6 +78,23 @@ def test_saddle_is_left():
     result = minimise(double_well(), np.zeros(2))
     assert result.status is Status.CONVERGED
     assert abs(result.y[0]) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_minimum_is_proved_in_full_precision(monkeypatch):
+    calls = []
+
+    def recording(pattern, name=None):
+        solver = make_solver(pattern, name)
+        factorise = solver.factorise
+        solver.factorise = lambda data, *, rough=False: calls.append(rough) or factorise(
+            data, rough=rough)
+        return solver
+
+    monkeypatch.setattr("sim.newton.make_solver", recording)
+    result = minimise(rosenbrock(), np.array([-1.2, 1.0]))
+    assert result.positive_definite
+    assert not calls[-1] and all(calls[:3])  # proved exactly, found roughly
+    assert len(calls) == result.factorisations
 
 
 def test_hopeless_saddle_is_reported():
