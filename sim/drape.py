@@ -24,7 +24,7 @@ COARSE_MEMBRANE = 0.1
 matters for the shape but limits the length of Newton's steps: soft fabrics take half the time."""
 LENGTHS_PER_SPACING = 0.5
 """Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
-_CHOSEN = (51, 101)  # vertices a side: fewest, for folds and rim; most, for the time
+_CHOSEN = (41, 101)  # vertices a side: fewest, for folds and rim; most, for the time
 _COARSE = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 _FINE = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
