@@ -42,7 +42,7 @@ def train(config: TrainConfig) -> Path:
     """Train, or go on training, and return the checkpoint with the least validation loss."""
     config.check()
     device = choose_device(config)
-    training, validation, scale = open_splits(config)
+    training, validation, scale = open_splits(config, device=device)
     out = Path(config.out)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -218,6 +218,16 @@ class CameraRig:
                 f"see configs/rig/{DEFAULT_RIG}.yaml"
             ) from None
 
+    @classmethod
+    def from_dict(cls, content: Mapping) -> "CameraRig":
+        """The inverse of :func:`dataclasses.asdict`, as in a dataset's ``dataset.json``."""
+        return cls(
+            name=content["name"],
+            intrinsics=Intrinsics(**content["intrinsics"]),
+            pose=Pose(**content["pose"]),
+            jitter=Jitter(**content["jitter"]),
+        )
+
     def nominal(self) -> Camera:
         """The camera without jitter."""
         return self._camera(np.zeros(len(fields(Jitter)) + 1))

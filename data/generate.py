@@ -170,7 +170,7 @@ def _fill(
     with bar:
         for record in make_records(indices, config, workers=workers, solver=solver,
                                    renderer=renderer):
-            failed += not record["rendered"]
+            failed += record["status"] != b"converged"
             bar.set_postfix_str(f"{failed} failed", refresh=False)
             bar.update()
             shard = int(record["index"]) // config.drapes_per_shard
@@ -209,9 +209,10 @@ HELP = """\
 usage: python -m data.generate [KEY=VALUE ...]
 
 Simulates drapes of random fabrics and renders four depth views of each in several random
-orientations. Writes OUT/shard_*.h5 and OUT/dataset.json (docs/data_format.md). Run again after
-an interruption, it continues; asked for more drapes, it extends the dataset. The files depend
-on neither the number of workers nor interruptions.
+orientations, or, with dataset=fresh, leaves the views to training. Writes OUT/shard_*.h5 and
+OUT/dataset.json (docs/data_format.md). Run again after an interruption, it continues; asked for
+more drapes, it extends the dataset. The files depend on neither the number of workers nor
+interruptions.
 
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
     python -m data.generate out=outputs/small drapes=16 resolution=31 dataset.orientations=2
@@ -238,7 +239,7 @@ def main(argv: list[str]) -> None:
     size = sum((Path(options.out) / name).stat().st_size for name in manifest["shards"])
     outcomes = ", ".join(f"{count} {name}" for name, count in manifest["outcomes"].items())
     print(f"{manifest['drapes']} drapes of {manifest['fabrics']} fabrics in {options.out} "
-          f"({size / 1e6:.1f} MB): {outcomes}")
+          f"({size / 1e6:.1f} MB, {size / 1e3 / manifest['drapes']:.1f} kB a drape): {outcomes}")
     print(f"impossible fabrics drawn and rejected: {manifest['rejection_rate']:.2%}")
 
 

@@ -192,6 +192,8 @@ def make_record(
 
     record["drape_coefficient"] = drape_coefficient(result.positions, result.faces, config.rig)
     record["folds"] = fold_count(result.positions, result.rest, config.rig)
+    if not len(plan.orientations):
+        return record
     rng = stream(config.sampling.seed, Stream.VIEWS, index)
     cameras = [config.cameras.sample(rng) for _ in plan.orientations]
     scene = renderer(result.positions, result.faces)

@@ -34,8 +34,8 @@ class SamplingConfig:
         starts: initial states, used in turn (Feng et al. 2022, section 5.2.1).
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
-        orientations: sets of four views of each drape, stratified over the full turn
-            (section 5.2.2; 12 there).
+        orientations: sets of four stored views of each drape, stratified over the full turn
+            (section 5.2.2; 12 there); 0 stores drapes only.
         turn: standard deviation of the turntable's angle from a whole number of quarter turns,
             in each view after the first, radians.
     """
@@ -51,8 +51,8 @@ class SamplingConfig:
         object.__setattr__(self, "starts", tuple(self.starts))
         if self.seed < 0:
             raise InputError(f"seed={self.seed} must not be negative")
-        if self.starts_per_fabric < 1 or self.orientations < 1:
-            raise InputError("starts_per_fabric and orientations must be at least 1")
+        if self.starts_per_fabric < 1 or self.orientations < 0:
+            raise InputError("starts_per_fabric must be at least 1, orientations not negative")
         if not self.starts or not set(self.starts) <= set(STARTS):
             raise InputError(f"starts must be some of {', '.join(STARTS)}")
         if not 0 <= self.drift <= 0.02:
@@ -110,7 +110,7 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
     sectors = np.arange(config.orientations) + rng.random(config.orientations)
-    orientations = sectors * (2 * np.pi / config.orientations)
+    orientations = sectors * (2 * np.pi / max(1, config.orientations))
     turns = rng.normal(0.0, config.turn, (config.orientations, VIEWS))
     turns[:, 0] = 0.0
     return DrapePlan(index, fabric, theta, rejected, start, seed, offset, orientations, turns)

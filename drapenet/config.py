@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from drapenet.preprocess import InputFormat
 from sim.errors import InputError
 
+VIEWS = ("stored", "cached", "fresh")
 
 @dataclass
 class ModelConfig:
@@ -58,8 +59,8 @@ class TrainConfig:
     seed: int = 0
     epochs: int = 300
     validation_fraction: float = 0.2
+    views: str = "stored"
     orientations_per_epoch: int = 1
-    cache: bool = False
     device: str = "auto"
     workers: int = 2
     threads: int = 0
@@ -72,6 +73,8 @@ class TrainConfig:
         """Raise InputError for settings that make no sense."""
         if self.epochs < 1 or self.optim.batch_size < 2:
             raise InputError("training needs epochs >= 1 and optim.batch_size >= 2")
+        if self.views not in VIEWS:
+            raise InputError(f"unknown views '{self.views}'; use {', '.join(VIEWS)}")
         if not 0 < self.validation_fraction < 1:
             raise InputError("validation_fraction must lie between 0 and 1")
         if self.optim.schedule not in ("exponential", "one_cycle"):

@@ -1,11 +1,12 @@
 """How good is a checkpoint on fabrics and drapes that nobody has seen?
 
-    python -m drapenet.evaluate [checkpoint=FILE] [drapes=N] [out=DIR]
+    python -m drapenet.evaluate [checkpoint=FILE] [drapes=N] [data=DIR] [out=DIR]
 
 Draws new fabrics from the prior, drapes and renders them (``outputs/evaluate/dataset``, which is
-completed if it exists), adds the sensor's noise, estimates every capture as ``infer.py`` does, and
-writes ``evaluation.json``. Errors are in units of the training set's standard deviation, beside
-those of always predicting the training set's mean.
+completed if it exists), or takes the dataset ``data``, rendered now if it has no views. Adds the
+sensor's noise, estimates every capture as ``infer.py`` does, and writes ``evaluation.json``. Errors
+are in units of the training set's standard deviation, beside those of always predicting the
+training set's mean.
 """
 
 import json
@@ -16,10 +17,11 @@ import torch
 from tqdm import tqdm
 
 from data.configs import compose_config, read_config
-from data.dataset import DrapeDataset
+from data.fresh import open_views
 from data.generate import generate_dataset
 from data.options import Options, config_from_options
 from data.sensor import SensorNoise
+from data.splits import SplitDataset, finished_manifest
 from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.metrics import regression_metrics
 from drapenet.predict import average_orders
@@ -29,7 +31,7 @@ from sim.errors import InputError
 from sim.files import replace_file
 
 
-def evaluate(header: Header, drapes: DrapeDataset) -> dict:
+def evaluate(header: Header, drapes: SplitDataset) -> dict:
     """Errors of a checkpoint on all converged drapes of a dataset, and of the mean's.
 
     Raises:
@@ -82,20 +84,33 @@ def require_unseen(header: Header, generation: dict) -> None:
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/evaluate.yaml``."""
     config = parse_overrides(read_config("evaluate"), argv)
+    if config["orientations"] < 1:
+        raise InputError(f"orientations={config['orientations']} must be at least 1")
     header = read_header(config["checkpoint"] or BUNDLED)
-    out = Path(config["out"])
+    out, data = Path(config["out"]), config["data"]
+    if data:
+        require_unseen(header, finished_manifest(data)["config"])
+    else:
+        data = out / "dataset"
+        make_dataset(header, data, config)
+    drapes = open_views(data, noise=SensorNoise.load(config["sensor"]),
+                        orientations_per_epoch=config["orientations"], seed=config["seed"])
+    result = evaluate(header, drapes)
+    replace_file(out / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())
+    print(format_result(result))
+    print(f"written to {out / 'evaluation.json'}")
+
+
+def make_dataset(header: Header, root: Path, config: dict) -> None:
+    """Make or complete the dataset that the command line asks for; InputError if a fabric of it may
+    have been seen.
+    """
     words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution")]
     words += ["dataset.starts_per_fabric=1", f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
     generation = config_from_options(options)
     require_unseen(header, generation.as_dict())  # now, because making the drapes takes minutes
-    generate_dataset(generation, out / "dataset", workers=config["workers"])
-    drapes = DrapeDataset(out / "dataset", noise=SensorNoise.load(config["sensor"]),
-                          orientations_per_epoch=config["orientations"], seed=config["seed"])
-    result = evaluate(header, drapes)
-    replace_file(out / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())
-    print(format_result(result))
-    print(f"written to {out / 'evaluation.json'}")
+    generate_dataset(generation, root, workers=config["workers"])
 
 
 def format_result(result: dict) -> str:

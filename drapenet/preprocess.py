@@ -73,20 +73,24 @@ def prepare(views: torch.Tensor, *, form: InputFormat) -> torch.Tensor:
 
 
 def _crop(views: torch.Tensor, form: InputFormat) -> torch.Tensor:
-    """The window of the views (..., V, H, W) in whose middle the cloth is."""
+    """The windows of the views (..., V, H, W) in whose middle each capture's cloth is."""
     if not (form.crop_width or form.crop_height):
         return views
-    if views.ndim > 3:
-        return torch.stack([_crop(capture, form) for capture in views])
-    cloth = (views > 0).any(dim=0)
-    window = []
-    for size, kept, line in (
-        (views.shape[-2], form.crop_height, cloth.any(dim=1)),
-        (views.shape[-1], form.crop_width, cloth.any(dim=0)),
-    ):
-        places = line.nonzero()
-        middle = (places[0] + places[-1] + 1).item() / 2 if len(places) else size / 2
-        kept = min(kept or size, size)
-        first = min(max(round(middle - kept / 2), 0), size - kept)
-        window.append(slice(first, first + kept))
-    return views[..., window[0], window[1]]
+    captures = views.reshape(-1, *views.shape[-3:])
+    cloth = (captures > 0).any(dim=1)
+    size = [min(kept or whole, whole) for kept, whole in
+            zip((form.crop_height, form.crop_width), views.shape[-2:], strict=True)]
+    # One transfer for all captures: on a GPU each would wait for what is under way.
+    corners = torch.stack([_first(cloth.any(dim=2), size[0]), _first(cloth.any(dim=1), size[1])])
+    windows = [capture[:, top : top + size[0], left : left + size[1]]
+               for capture, top, left in zip(captures, *corners.tolist(), strict=True)]
+    return torch.stack(windows).reshape(*views.shape[:-2], *size)
+
+
+def _first(lines: torch.Tensor, kept: int) -> torch.Tensor:
+    """First lines (B,) of windows of ``kept`` lines around the true ones (B, N) in the middle."""
+    size = lines.shape[1]
+    first = lines.to(torch.uint8).argmax(dim=1)
+    last = size - 1 - lines.flip(1).to(torch.uint8).argmax(dim=1)
+    # Without cloth these are the ends of the picture, and its middle is the window's.
+    return ((first + last + 1 - kept) / 2).round().long().clamp(0, size - kept)

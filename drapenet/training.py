@@ -15,8 +15,10 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from data.dataset import DrapeDataset
+from data.fresh import FreshDataset, open_views
 from data.records import code_version
 from data.sensor import SensorNoise
+from data.splits import SplitDataset
 from data.view_order import ORDERS, reorder_axis, reorder_views
 from drapenet.checkpoint import read_header
 from drapenet.config import TrainConfig
@@ -29,6 +31,7 @@ from sim.material import REFERENCE_DENSITY
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """Views (N, 4, h, w), standardised targets (N, 6), stiff axes (N, 2)."""
+CPU = torch.device("cpu")
 
 
 def choose_device(config: TrainConfig) -> torch.device:
@@ -50,11 +53,16 @@ def choose_device(config: TrainConfig) -> torch.device:
     return torch.device(config.device)
 
 
-class DrapeSet(Dataset):
-    """Drapes as the network and the loss want them: an item is one row of a :data:`Batch`."""
+class PreparedViews(Dataset):
+    """A dataset's items as batches: prepared views (N, 4, h, w), theta (N, 6), warps' angles (N,).
 
-    def __init__(self, drapes: DrapeDataset, *, form: InputFormat, scale: TargetScale) -> None:
-        self.drapes, self.form, self.scale = drapes, form, scale
+    A DataLoader asks for a batch at once, and needs ``collate_fn=as_they_are``.
+    """
+
+    def __init__(self, drapes: SplitDataset, *, form: InputFormat) -> None:
+        self.drapes, self.form = drapes, form
+        # Other processes share neither a GPU nor what is ready in memory.
+        self.in_process = isinstance(drapes, FreshDataset) and drapes.device != CPU
 
     def __len__(self) -> int:
         return len(self.drapes)
@@ -63,21 +71,32 @@ class DrapeSet(Dataset):
         """Choose the epoch whose noise, orientations and view orders are drawn."""
         self.drapes.set_epoch(epoch)
 
-    def __getitem__(self, index: int) -> Batch:
-        item = self.drapes[index]
-        views = prepare(torch.from_numpy(item["views"]), form=self.form)
-        return self.row(views, torch.from_numpy(item["theta"]), float(item["orientation"]))
+    def __getitems__(self, items: list[int]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        batch = self.drapes.batch(items)
+        return prepare(batch["views"], form=self.form), batch["theta"], batch["orientation"]
 
-    def row(self, views: torch.Tensor, theta: torch.Tensor, psi: float) -> Batch:
-        """Join prepared views (4, h, w) with the labels of theta (6,) and the warp's angle."""
+
+class DrapeSet(PreparedViews):
+    """Drapes as the network and the loss want them: each batch is a :data:`Batch`."""
+
+    def __init__(self, drapes: SplitDataset, *, form: InputFormat, scale: TargetScale) -> None:
+        super().__init__(drapes, form=form)
+        self.scale = scale
+
+    def __getitems__(self, items: list[int]) -> Batch:
+        return self.labelled(*super().__getitems__(items))
+
+    def labelled(self, views: torch.Tensor, theta: torch.Tensor, psi: torch.Tensor) -> Batch:
+        """Join prepared views (N, 4, h, w) with the labels of theta (N, 6) and the warps' angles.
+        """
         targets = self.scale.encode(to_stiff_soft(theta))
-        return views, targets, direction_vectors(theta, torch.tensor(psi))
+        return views, targets, direction_vectors(theta, psi)
 
 
 class CachedSet(DrapeSet):
     """Drapes read, made noisy and shrunk once, and held in memory in half precision (0.1 mm).
 
-    Doing that anew for every epoch costs a processor about as much as the network does. Each
+    Doing that anew for every epoch costs a processor about half as much as the network does. Each
     item keeps one realisation of the noise here, and gets a new view order every epoch.
 
     Args:
@@ -86,65 +105,62 @@ class CachedSet(DrapeSet):
         workers: processes that prepare.
     """
 
-    def __init__(self, drapes: DrapeDataset, *, form: InputFormat, scale: TargetScale,
+    def __init__(self, drapes: SplitDataset, *, form: InputFormat, scale: TargetScale,
                  augment: bool, seed: int, workers: int) -> None:
         super().__init__(drapes, form=form, scale=scale)
         self.augment, self.seed, self.epoch = augment, seed, 0
-        self.views = torch.empty(len(drapes), 4, form.height, form.width, dtype=torch.float16)
-        self.labels = []
-        loader = DataLoader(_Prepared(drapes, form), batch_size=16, num_workers=workers)
-        filled = 0
-        for views, theta, psi in tqdm(loader, desc="preparing views", unit="batch", leave=False):
+        shape = (len(drapes), 4, form.height, form.width)
+        self.views = torch.empty(shape, dtype=torch.float16)
+        loader = DataLoader(PreparedViews(drapes, form=form), batch_size=16,
+                            num_workers=0 if self.in_process else workers, collate_fn=as_they_are)
+        labels, filled = [], 0
+        for views, *label in tqdm(loader, desc="preparing views", unit="batch", leave=False):
             self.views[filled : filled + len(views)] = views
-            self.labels += zip(theta, psi.tolist(), strict=True)
+            labels.append(label)
             filled += len(views)
+        self.theta, self.psi = (torch.cat(part) for part in zip(*labels, strict=True))
+        self.in_process = True
 
     def set_epoch(self, epoch: int) -> None:
         self.epoch = epoch
 
-    def __getitem__(self, index: int) -> Batch:
-        theta, psi = self.labels[index]
-        views = self.views[index]
+    def __getitems__(self, items: list[int]) -> Batch:
+        views, psi = self.views[items], self.psi[items]
         if self.augment:
-            rng = np.random.default_rng([self.seed, self.epoch, index])
-            first, mirror = ORDERS[rng.integers(len(ORDERS))]
-            views = torch.from_numpy(reorder_views(views.numpy(), first=first, mirror=mirror))
-            psi = reorder_axis(psi, first=first, mirror=mirror)
-        return self.row(views.float(), theta, psi)
+            for k, item in enumerate(items):
+                rng = np.random.default_rng([self.seed, self.epoch, item])
+                first, mirror = ORDERS[rng.integers(len(ORDERS))]
+                order = {"first": first, "mirror": mirror}
+                views[k] = torch.from_numpy(reorder_views(views[k].numpy(), **order))
+                psi[k] = reorder_axis(psi[k].item(), **order)
+        return self.labelled(views.float(), self.theta[items], psi)
 
 
-class _Prepared(Dataset):
-    """Prepared views in half precision, theta and the warp's angle of each item."""
-
-    def __init__(self, drapes: DrapeDataset, form: InputFormat) -> None:
-        self.drapes, self.form = drapes, form
-
-    def __len__(self) -> int:
-        return len(self.drapes)
-
-    def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor, float]:
-        item = self.drapes[index]
-        views = prepare(torch.from_numpy(item["views"]), form=self.form).half()
-        return views, torch.from_numpy(item["theta"]), float(item["orientation"])
+def as_they_are(batch: Batch) -> Batch:
+    """In place of a DataLoader's own collation, where a dataset makes whole batches."""
+    return batch
 
 
-def open_splits(config: TrainConfig) -> tuple[DrapeSet, DrapeSet, TargetScale]:
+def open_splits(
+    config: TrainConfig, *, device: torch.device = CPU
+) -> tuple[DrapeSet, DrapeSet, TargetScale]:
     """Training and validation drapes of different fabrics, and the targets' scale.
 
-    The scale is that of the initial weights, or else of the training set.
+    The scale is that of the initial weights, or else of the training set. Fresh views are rendered
+    on ``device``.
 
     Raises:
         InputError: see :class:`data.dataset.DrapeDataset`; or too few drapes for one batch.
     """
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
-    noise = SensorNoise.from_config(config.sensor)
-
-    def open_split(split: str, **options: object) -> DrapeDataset:
-        return DrapeDataset(config.data, split=split, fractions=shares, noise=noise,
-                            seed=config.seed, **options)
-
-    training = open_split("train", augment=not config.cache,
-                          orientations_per_epoch=config.orientations_per_epoch)
+    options = {"fractions": shares, "noise": SensorNoise.from_config(config.sensor),
+               "seed": config.seed}
+    many = {"orientations_per_epoch": config.orientations_per_epoch,
+            "augment": config.views != "cached"}  # a cache has its own view orders
+    if config.views == "fresh":
+        training = FreshDataset(config.data, split="train", device=device, **many, **options)
+    else:
+        training = DrapeDataset(config.data, split="train", **many, **options)
     if len(training) < config.optim.batch_size:
         raise InputError(f"{config.data} has {len(training)} training samples an epoch, less "
                          f"than one batch of {config.optim.batch_size}; generate more drapes or "
@@ -155,8 +171,9 @@ def open_splits(config: TrainConfig) -> tuple[DrapeSet, DrapeSet, TargetScale]:
     common = {"form": config.model.form, "scale": scale}
     cached = {**common, "seed": config.seed, "workers": config.workers}
     # Validation sees the same pictures every epoch, so they are always worth keeping.
-    validation = CachedSet(open_split("validation"), augment=False, **cached)
-    if config.cache:
+    validation = CachedSet(open_views(config.data, split="validation", device=device, **options),
+                           augment=False, **cached)
+    if config.views == "cached":
         return CachedSet(training, augment=True, **cached), validation, scale
     return DrapeSet(training, **common), validation, scale
 
@@ -173,8 +190,8 @@ def training_batches(drapes: DrapeSet, *, epoch: int, config: TrainConfig) -> Da
         batch_size=config.optim.batch_size,
         sampler=order.tolist(),
         drop_last=True,
-        # What is in memory already is not worth a process.
-        num_workers=0 if isinstance(drapes, CachedSet) else config.workers,
+        num_workers=0 if drapes.in_process else config.workers,
+        collate_fn=as_they_are,
     )
 
 
@@ -185,7 +202,7 @@ def validate(
     """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``."""
     model.eval()
     rows = [(model(views.to(device)).cpu(), targets, axes)
-            for views, targets, axes in DataLoader(drapes, batch_size=128)]
+            for views, targets, axes in DataLoader(drapes, batch_size=128, collate_fn=as_they_are)]
     columns = (torch.cat(column) for column in zip(*rows, strict=True))
     return regression_metrics(*columns, ratio_weight=ratio_weight)
 

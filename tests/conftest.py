@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cloths
 import pytest
 from blobs import write_dataset
 
@@ -10,6 +11,12 @@ from blobs import write_dataset
 def blob_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a dataset of 64 blobs."""
     return write_dataset(tmp_path_factory.mktemp("blobs") / "dataset")
+
+
+@pytest.fixture(scope="session")
+def cloth_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a dataset of 40 pieces of cloth without views."""
+    return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=40, seed=8)
 
 
 @pytest.fixture(scope="session")

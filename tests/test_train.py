@@ -55,13 +55,15 @@ def weights(out: Path) -> dict[str, torch.Tensor]:
     return load_file(out / "state.safetensors")
 
 
-@pytest.mark.parametrize("more", [["cache=false"], ["cache=true", "orientations_per_epoch=2"]],
-                         ids=["fresh", "cached"])
+@pytest.mark.parametrize(("views", "orientations"), [("stored", 1), ("cached", 2), ("fresh", 2)])
 def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
-    blob_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: list[str]
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, views: str,
+    orientations: int,
 ) -> None:
-    settings = ["epochs=3", "optim=cpu_short", *more]
-    train.main(words(blob_dataset, tmp_path / "whole", *settings))
+    dataset = request.getfixturevalue("cloth_dataset" if views == "fresh" else "blob_dataset")
+    settings = ["epochs=3", "optim=cpu_short", f"views={views}",
+                f"orientations_per_epoch={orientations}"]
+    train.main(words(dataset, tmp_path / "whole", *settings))
 
     real, calls = train.drape_loss, []
 
@@ -72,15 +74,15 @@ def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
         return real(*args, **options)
 
     config = OmegaConf.to_object(
-        compose_config("train", words(blob_dataset, tmp_path, *settings), schema=TrainConfig))
+        compose_config("train", words(dataset, tmp_path, *settings), schema=TrainConfig))
     training, _, _ = open_splits(config)
     steps = len(training_batches(training, epoch=0, config=config))
     assert steps >= 2
     monkeypatch.setattr(train, "drape_loss", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        train.main(words(blob_dataset, tmp_path / "broken", *settings))
+        train.main(words(dataset, tmp_path / "broken", *settings))
     monkeypatch.setattr(train, "drape_loss", real)
-    train.main(words(blob_dataset, tmp_path / "broken", *settings))
+    train.main(words(dataset, tmp_path / "broken", *settings, f"workers={orientations - 1}"))
 
     whole, resumed = weights(tmp_path / "whole"), weights(tmp_path / "broken")
     assert whole.keys() == resumed.keys()
@@ -107,7 +109,7 @@ def test_training_starts_from_given_weights(blob_dataset: Path, tmp_path: Path) 
 
 
 def test_training_learns_what_the_pictures_show(blob_dataset: Path, tmp_path: Path) -> None:
-    train.main(words(blob_dataset, tmp_path, "epochs=15", "optim=cpu_short", "cache=true",
+    train.main(words(blob_dataset, tmp_path, "epochs=15", "optim=cpu_short", "views=cached",
                      "orientations_per_epoch=2", "sensor=none", "half_precision=false"))
     header = read_header(tmp_path / "drapenet.safetensors")
     assert header.content["validation"]["rmse"]["log_alpha_bias"] < 0.75  # the mean scores 1
@@ -130,6 +132,8 @@ def test_another_setting_in_the_same_folder_is_refused(blob_dataset: Path, tmp_p
     ("optim.batch_size=1000", "batch"),
     ("data=/nowhere", "no dataset"),
     ("model.backbone=vgg99", "backbone"),
+    ("views=old", "stored, cached, fresh"),
+    ("orientations_per_epoch=3", "2 stored ones"),
     ("colour=red", "colour"),
     ("experiment=cpu_smal", "cpu_smal"),
     ("sensor.strength=much", "strength"),
@@ -143,6 +147,28 @@ def test_bad_settings_are_one_line(
     with pytest.raises(InputError, match=message) as caught:
         train.main(words(blob_dataset, tmp_path / "out", word))
     assert "\n" not in str(caught.value)
+
+
+def test_drapes_without_views_are_trained_on_with_fresh_ones(
+    cloth_dataset: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="views=fresh"):
+        train.main(words(cloth_dataset, tmp_path))
+    train.main(words(cloth_dataset, tmp_path, "views=fresh", "epochs=1"))
+    content = read_header(tmp_path / "drapenet").content
+    assert content["config"]["views"] == "fresh"
+    assert content["dataset"]["training_drapes"] < 40
+
+
+def test_validation_sees_the_same_pictures_every_epoch(cloth_dataset: Path) -> None:
+    config = TrainConfig(data=str(cloth_dataset), views="fresh", workers=0)
+    config.optim.batch_size = 16
+    training, validation, _ = open_splits(config)
+    for drapes, moves in ((training, True), (validation, False)):
+        drapes.set_epoch(0)
+        before = drapes.__getitems__([1])[0]
+        drapes.set_epoch(1)
+        assert torch.equal(drapes.__getitems__([1])[0], before) != moves
 
 
 def test_a_file_in_the_way_is_one_line(blob_dataset: Path, tmp_path: Path) -> None:
@@ -169,7 +195,7 @@ def test_training_sees_noise_as_calm_as_the_published_captures(words: list[str])
 def test_the_bundled_experiment_composes() -> None:
     config = compose_config("train", ["experiment=cpu_small"], schema=TrainConfig)
     assert config.optim.schedule == "one_cycle"
-    assert config.cache and config.model.input_width < 120
+    assert config.views == "cached" and config.model.input_width < 120
     finish = compose_config("train", ["experiment=cpu_small_finish"], schema=TrainConfig)
     assert finish.model == config.model  # or it could not go on from the first part's weights
     assert finish.validation_fraction == config.validation_fraction  # or it would see its fabrics
@@ -191,7 +217,8 @@ def test_one_cycle_rises_falls_and_ends_with_nothing() -> None:
 
 
 def test_mirrored_and_turned_samples_keep_their_labels_in_step(blob_dataset: Path) -> None:
-    config = TrainConfig(data=str(blob_dataset), cache=True, orientations_per_epoch=2, workers=0)
+    config = TrainConfig(data=str(blob_dataset), views="cached", orientations_per_epoch=2,
+                         workers=0)
     config.sensor, config.optim.batch_size = {"strength": 0.0}, 16
     config.model.input_width, config.model.input_height = 80, 60
     training, _, _ = open_splits(config)
@@ -199,12 +226,12 @@ def test_mirrored_and_turned_samples_keep_their_labels_in_step(blob_dataset: Pat
     seen = set()
     for epoch in range(12):
         training.set_epoch(epoch)
-        views, targets, axis = training[0]
+        views, targets, axis = (part[0] for part in training.__getitems__([0]))
         psi = torch.atan2(axis[1], axis[0]).item() / 2
         psi += 0 if theta[0] > theta[2] else torch.pi / 2  # from the stiff axis to the warp
         form = config.model.form
         expected = prepare(torch.from_numpy(blob_views(theta, psi)), form=form)
         assert (views - expected).abs().mean() < 0.01
-        assert torch.equal(targets, training[0][1])
+        assert torch.equal(targets, training.__getitems__([0])[1][0])
         seen.add(round(psi, 2))
     assert len(seen) == 4  # four different first views and mirror images, modulo half a turn

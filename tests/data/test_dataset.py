@@ -6,9 +6,10 @@ import pytest
 import torch
 from test_generate import generate, small_config
 
-from data.dataset import FRACTIONS, DrapeDataset, split_by_fabric
+from data.dataset import DrapeDataset
 from data.sampling import plan_drape
 from data.shards import read_manifest, write_manifest
+from data.splits import FRACTIONS, split_by_fabric
 from data.view_order import ORDERS, reorder_axis, reorder_views
 from sim.errors import InputError
 

@@ -87,6 +87,19 @@ def test_records_hold_the_plan_the_drape_and_the_views(finished):
     assert seen == list(range(10))
 
 
+def test_drapes_without_views_are_those_of_a_dataset_with_views(finished, tmp_path, capsys):
+    generate(tmp_path, small_config(orientations=0), renderer=None)
+    for file in sorted(tmp_path.glob("shard_*.h5")):
+        with Shard(file) as drapes, Shard(finished[0] / file.name) as with_views:
+            for name in ("index", "theta", "status", "folds", "positions", "rest", "diagonals"):
+                np.testing.assert_array_equal(drapes.column(name), with_views.column(name))
+            assert drapes.column("views").shape == (len(drapes), 0, 4, 18, 24)
+            assert not drapes.column("rendered").any()
+    main([f"out={tmp_path / 'real'}", "dataset=fresh", "drapes=1", "resolution=15", "workers=1"])
+    size = (tmp_path / "real" / "shard_00000.h5").stat().st_size
+    assert f"{size / 1e3:.1f} kB a drape" in capsys.readouterr().out
+
+
 def test_views_have_the_recorded_camera_and_angle(finished):
     folder, _ = finished
     with Shard(folder / "shard_00000.h5") as shard:
@@ -285,5 +298,5 @@ def test_help_names_every_key(capsys):
     main(["--help"])
     text = capsys.readouterr().out
     for key in ("out:", "drapes:", "workers:", "seed:", "resolution:", "orientations:",
-                "starts_per_fabric:", "paper, views8"):
+                "starts_per_fabric:", "fresh, one_start, paper, views8"):
         assert key in text

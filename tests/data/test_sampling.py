@@ -40,8 +40,10 @@ def test_starts_are_balanced(per_fabric):
     assert starts.count("sine") == starts.count("fold") == 20
 
 
-def test_the_number_of_orientations_does_not_change_the_fabric_or_start():
-    few, many = plans(3, orientations=2)[2], plans(3, orientations=12)[2]
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_number_of_orientations_does_not_change_the_fabric_or_start(number):
+    few, many = plans(3, orientations=number)[2], plans(3, orientations=12)[2]
+    assert few.orientations.shape == (number,) and few.turns.shape == (number, 4)
     np.testing.assert_array_equal(few.theta, many.theta)
     np.testing.assert_array_equal(few.offset, many.offset)
     assert few.seed == many.seed
@@ -71,7 +73,7 @@ def test_the_table_turns_by_quarters_give_or_take():
 
 @pytest.mark.parametrize(
     "changes",
-    [{"seed": -1}, {"starts_per_fabric": 0}, {"orientations": 0}, {"starts": ("flat",)},
+    [{"seed": -1}, {"starts_per_fabric": 0}, {"orientations": -1}, {"starts": ("flat",)},
      {"starts": ()}, {"drift": -0.001}, {"drift": float("nan")}, {"drift": 0.1}, {"turn": 0.5}],
 )
 def test_nonsense_is_refused(changes):

@@ -69,3 +69,15 @@ def test_the_command_makes_its_data_and_writes_the_figures(
     assert result["network"]["samples"] == 12
     assert result["dataset"]["sha256"] == f"{5:064x}"
     assert f"{result['network']['rmse_log_alpha']:.3f}" in capsys.readouterr().out
+
+
+def test_a_dataset_without_views_is_rendered(
+    untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
+) -> None:
+    drapenet.evaluate.main([f"checkpoint={untrained_checkpoint}", f"data={cloth_dataset}",
+                            f"out={tmp_path / 'out'}", "orientations=2"])
+    result = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert result["network"]["samples"] == 80
+    assert result["dataset"]["sha256"] == f"{8:064x}"
+    with pytest.raises(InputError, match="orientations=0"):
+        drapenet.evaluate.main([f"data={cloth_dataset}", "orientations=0"])

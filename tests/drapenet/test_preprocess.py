@@ -39,7 +39,7 @@ def test_no_value_lies_between_cloth_and_background() -> None:
 
 def test_a_batch_is_prepared_like_its_captures() -> None:
     form = InputFormat(width=40, height=32, crop_width=80, crop_height=64)
-    batch = torch.zeros(3, 4, 90, 120)
+    batch = torch.zeros(4, 4, 90, 120)  # the last without any cloth
     for i in range(3):
         batch[i, :, 20 + 5 * i : 50 + 5 * i, 30 + 10 * i : 70] = 0.5 + 0.01 * i
     single = torch.stack([prepare(capture, form=form) for capture in batch])
