@@ -1,0 +1,55 @@
+"""A dataset of pieces of cloth that hang in folds, none of them symmetric, at little cost."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from data.cameras import CameraRig
+from data.prior import load_prior
+from data.records import DatasetConfig, make_record
+from data.sampling import SamplingConfig
+from data.shards import SCHEMA_VERSION, shard_name, write_manifest, write_shard
+from sim.mesh import draped_square
+from sim.scene import Rig
+
+
+def skirt(fabric, *, rig, resolution, start, seed, offset, jitter):
+    """In place of the solver: five folds, the deeper the softer, which lean to one side."""
+    mesh, _, cells = draped_square(
+        size=rig.specimen_size, plate_radius=rig.plate_radius, resolution=resolution,
+        offset=offset, jitter=jitter, seed=seed,
+    )
+    radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
+    reach = np.maximum(radius - rig.plate_radius, 0)
+    depth = 0.6 / (1 + fabric.alpha.mean() / 20e-6)
+    spread = 0.5 * (1 + depth * np.sin(5 * angle + 1) + 0.3 * np.cos(angle - 0.4))
+    out = np.minimum(radius, rig.plate_radius + spread * reach)
+    positions = np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach])
+    return SimpleNamespace(
+        status="converged", converged=True, message="", positions=positions, rest=mesh.rest,
+        faces=mesh.faces, diagonals=cells, residual=1e-5, iterations=1,
+    )
+
+
+def write_dataset(
+    root: Path, *, drapes: int, orientations: int = 0, rig: CameraRig | None = None,
+    **sampling: object,
+) -> Path:
+    """Drapes of one fabric each, in shards of 16, with ``orientations`` stored sets of views."""
+    config = DatasetConfig(
+        drapes=drapes, prior=load_prior(), rig=Rig(), cameras=rig or CameraRig.load(),
+        sampling=SamplingConfig(orientations=orientations, starts_per_fabric=1, **sampling),
+        resolution=15,
+    )
+    root.mkdir(parents=True)
+    for shard in range(config.shards):
+        records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
+        write_shard(root / shard_name(shard), records, layout=config.layout,
+                    attributes={"schema_version": SCHEMA_VERSION})
+    write_manifest(root, {
+        "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
+        "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
+        "shards": {shard_name(shard): "" for shard in range(config.shards)},
+    })
+    return root
