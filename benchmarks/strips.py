@@ -24,7 +24,8 @@ from benchmarks.common import REPORTS, run_cases, table, write_figure, write_rep
 from benchmarks.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
 from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
-from sim.cantilever.directions import cylinder_moduli, free_modulus
+from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_modulus
+from sim.cantilever.elastica import elastica_of_torque
 from sim.cantilever.fabric import bending_length
 from sim.cantilever.tester import HungStrip
 from sim.cli import parse_overrides, run_command
@@ -41,6 +42,7 @@ NARROW = (0.009, 0.0045)  # m
 keeps a strip from twisting over a length of about its width."""
 NARROW_EDGE = 0.0015  # m
 WEIGHT = REFERENCE_DENSITY * GRAVITY
+LARGEST_CURVATURE = 400.0  # 1/m, beyond that of any strip
 GAMMAS = (1.0, 10.0, 50.0, 200.0)
 RATIOS = (-4.0, -2.0, 2.0, 4.0)  # beta/alpha, mm
 ANGLES = (0.0, 22.5, 45.0, 67.5, 90.0)  # degrees
@@ -111,14 +113,17 @@ def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
 def angled(*, fabric: str, angle: float, cells: int) -> dict:
     """A strip cut at ``angle`` degrees: guided, free, and narrow; moduli in µN·m."""
     cloth, radians = make_fabric(fabric), float(np.radians(angle))
-    alpha, beta = cylinder_moduli(cloth, radians)
+    alpha, _ = cylinder_moduli(cloth, radians)
     edge = edge_for(alpha, cells)
     options = {"angle": radians, "length": LENGTH, "edge": edge}
     shapes = {
         "guided": hang(cloth, **options, width=4 * edge, guided=True),
         "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
     }
-    cylinder = heavy_elastica(alpha, beta, weight=WEIGHT, length=LENGTH)
+    curvature = np.linspace(0, LARGEST_CURVATURE, 4001)
+    cylinder = elastica_of_torque(
+        curvature, cylinder_torque(cloth, radians, curvature), weight=WEIGHT, length=LENGTH
+    )
     result: dict = {
         "fabric": fabric,
         "angle": angle,

@@ -34,6 +34,19 @@ def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:
     return float(alpha), float(beta)
 
 
+def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.ndarray:
+    """(K,) N, torque per width of cylinders of ``curvature`` (K,) 1/m bent along ``angle``."""
+    law = plate_law.constants(fabric)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    direction = np.array([along[0] ** 2, along[1] ** 2, along[0] * along[1]])
+    stress, tangent = np.empty(3), np.empty((3, 3))
+    torques = []
+    for kappa in curvature:
+        plate_law.derivatives(kappa * direction, law, stress, tangent)
+        torques.append(stress @ direction)
+    return np.array(torques)
+
+
 def free_modulus(fabric: Fabric, angle: float) -> float:
     """Linear modulus, N·m, of a narrow free strip along ``angle``, for small deflections.
 

@@ -11,6 +11,7 @@ For a linear law this is theta'' = -gamma (1 - s) cos(theta).
 
 import numba
 import numpy as np
+from scipy.integrate import cumulative_trapezoid, solve_bvp
 from scipy.optimize import brentq
 
 from sim.errors import InputError
@@ -75,6 +76,47 @@ def heavy_elastica(
     gamma = weight * length**3 / alpha
     softening = -beta / (alpha * length)
     return length * elastica(gamma, points, softening=softening, slope=slope, steps=steps)
+
+
+def elastica_of_torque(
+    curvature: np.ndarray, torque: np.ndarray, *, weight: float, length: float, points: int = 2001
+) -> np.ndarray:
+    """Shape (points, 2), m, of a strip with any increasing torque law, by collocation.
+
+    Slower and less exact than :func:`heavy_elastica`, for laws that are no parabola.
+
+    Args:
+        curvature: (K,) 1/m, from 0 beyond the largest of the strip.
+        torque: (K,) N, per width at these curvatures, increasing.
+        weight: rho g, N/m².
+        length: free length, m.
+
+    Raises:
+        InputError: a torque that does not increase, or no solution found.
+    """
+    if not (np.diff(torque) > 0).all():
+        raise InputError("the torque must increase with the curvature")
+    gamma = weight * length**3 * (curvature[1] - curvature[0]) / (torque[1] - torque[0])
+    layer = 1 / np.sqrt(1 + gamma)  # at the clamp, in which the strip turns downwards
+
+    def slope(s: np.ndarray, y: np.ndarray) -> np.ndarray:
+        turn = length * np.interp(y[1], torque, curvature)
+        return np.stack([turn, -weight * length**2 * (1 - s) * np.cos(y[0])])
+
+    s = np.unique(np.r_[np.linspace(0, min(1, 10 * layer), 200), np.linspace(0, 1, 200)])
+    fall = np.exp(-s / layer)
+    drooping = np.pi / 2 * gamma / (gamma + 10)
+    guess = drooping * np.stack([1 - fall, weight * length**2 / gamma * fall / layer])
+    solution = solve_bvp(
+        slope, lambda clamp, tip: np.array([clamp[0], tip[1]]), s, guess,
+        tol=1e-7, max_nodes=100_000,
+    )  # fmt: skip
+    if not solution.success:
+        raise InputError(f"no shape of the strip was found: {solution.message}")
+    at = np.linspace(0, 1, 20 * (points - 1) + 1)
+    angle = solution.sol(at)[0]
+    shape = cumulative_trapezoid(np.stack([np.cos(angle), np.sin(angle)]), at, initial=0)
+    return length * shape.T[::20]
 
 
 def aspect_ratio(end: np.ndarray) -> float:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
 
 from sim.cantilever import (
     aspect_ratio,
@@ -13,8 +12,8 @@ from sim.cantilever import (
     hang_strip,
     heavy_elastica,
 )
-from sim.cantilever.directions import cylinder_moduli, free_modulus
-from sim.cantilever.elastica import curvature_of_torque
+from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_modulus
+from sim.cantilever.elastica import curvature_of_torque, elastica_of_torque
 from sim.cantilever.guide import GuidedSides
 from sim.energies import plate_law
 from sim.errors import InputError
@@ -74,24 +73,16 @@ def test_error_falls_with_the_square_of_the_spacing():
 def test_non_linear_elastica_against_collocation(gamma, soft):
     """The same boundary-value problem by another method, with the law from its table."""
     kappa = np.linspace(0, 200, 200_001)
-    law = torque(kappa, 1.0, -soft)
-
-    def slope(s, y):
-        return np.stack([np.interp(y[1], law, kappa), -gamma * (1 - s) * np.cos(y[0])])
-
-    width = 1 / np.sqrt(1 + gamma)
-    s = np.unique(np.concatenate([np.linspace(0, min(1, 10 * width), 200), np.linspace(0, 1, 200)]))
-    guess = np.pi / 2 * gamma / (gamma + 10) * np.stack([1 - np.exp(-s / width),
-                                                         np.exp(-s / width) / width])
-    solution = solve_bvp(slope, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-7,
-                         max_nodes=100_000)
-    assert solution.success
-    at = np.linspace(0, 1, 20_001)
-    angle = solution.sol(at)[0]
-    end = np.trapezoid(np.stack([np.cos(angle), np.sin(angle)]), at, axis=1)
+    shape = elastica_of_torque(kappa, torque(kappa, 1.0, -soft), weight=gamma, length=1.0)
     assert aspect_ratio(elastica(gamma, softening=soft)[-1]) == pytest.approx(
-        aspect_ratio(end), rel=1e-6
+        aspect_ratio(shape[-1]), rel=1e-6
     )
+
+
+def test_elastica_of_a_torque_that_falls_is_refused():
+    with pytest.raises(InputError, match="must increase"):
+        elastica_of_torque(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 1.0]),
+                           weight=1.0, length=1.0)
 
 
 @pytest.mark.parametrize("soft", [-0.1, 0.0, 1e-9, 0.03, 0.3])
@@ -154,6 +145,9 @@ def test_cylinder_moduli_are_those_of_the_plate_law(angle):
         energies = [plate_law.energy((kappa + sign * h) * direction, law) for sign in (1, -1)]
         assert torque(kappa, alpha, beta) == pytest.approx(
             (energies[0] - energies[1]) / (2 * h), rel=1e-6
+        )
+        assert cylinder_torque(ORTHOTROPIC, phi, np.array([kappa]))[0] == pytest.approx(
+            torque(kappa, alpha, beta), rel=1e-12
         )
 
 
