@@ -12,21 +12,21 @@ from sim.initial import borrowed_positions, initial_positions, interpolate_posit
 from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.newton import NewtonOptions, Status
+from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import GRAVITY, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
-from sim.specimens import make_specimen
+from sim.specimens import Specimen, make_specimen
 
 COARSEST = 16  # fewest vertices a side that a drape is started on
 BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to survive
 COARSE_MEMBRANE = 0.1
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps: soft fabrics take half the time."""
-LENGTHS_PER_SPACING = 0.5
+LENGTHS_PER_SPACING = 0.6
 """Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
 _CHOSEN = (41, 101)  # vertices a side: fewest, for folds and rim; most, for the time
-_COARSE = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
-_FINE = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
+COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
+FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
 
 @dataclass(frozen=True)
@@ -140,46 +140,92 @@ def drape(
             diagonals=diagonals,
             seed=seed,
         )
-        cloth, held = specimen.mesh, specimen.held
-        if coarse is not None:
-            positions = interpolate_positions(*coarse, cloth.rest)
-        elif borrowed is not None:
-            positions = borrowed_positions(cloth.rest, rig=rig, borrowed=borrowed)
-        else:
-            rng = np.random.default_rng([seed, 1])
-            positions = initial_positions(cloth.rest, rig=rig, start=start, rng=rng)
-        positions[held] = rig.place(cloth.rest[held])
-        scene = Scene(mesh=cloth, held=held, obstacles=rig.obstacles)
+        positions = start_positions(
+            specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
+        )
         state, result, _ = find_settled_equilibrium(
-            scene,
+            Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles),
             simulated,
-            State.at(cloth, positions),
+            State.at(specimen.mesh, positions),
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
-            options=(options or _FINE) if last else _COARSE,
+            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
             find=find_free_equilibrium if last else find_equilibrium,
         )
         iterations += result.iterations
         time_spent.update(result.seconds)
-        coarse = (cloth.rest, state.positions)
+        coarse = (specimen.mesh.rest, state.positions)
+    return drape_result(
+        fabric,
+        rig,
+        specimen,
+        state,
+        result,
+        resolution=resolution,
+        iterations=iterations,
+        seconds=time.perf_counter() - began,
+        time_spent=dict(time_spent),
+    )
+
+
+def start_positions(
+    specimen: Specimen,
+    rig: Rig,
+    *,
+    coarse: tuple[np.ndarray, np.ndarray] | None,
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
+    start: str,
+    seed: int,
+) -> np.ndarray:
+    """Positions (V, 3), m, at which the minimisation on one mesh begins.
+
+    Args:
+        coarse: rest points and positions of the coarser drape, None on the first mesh.
+        borrowed, start, seed: as for :func:`drape`, for the first mesh.
+    """
+    rest, held = specimen.mesh.rest, specimen.held
+    if coarse is not None:
+        positions = interpolate_positions(*coarse, rest)
+    elif borrowed is not None:
+        positions = borrowed_positions(rest, rig=rig, borrowed=borrowed)
+    else:
+        rng = np.random.default_rng([seed, 1])
+        positions = initial_positions(rest, rig=rig, start=start, rng=rng)
+    positions[held] = rig.place(rest[held])
+    return positions
+
+
+def drape_result(
+    fabric: Fabric,
+    rig: Rig,
+    specimen: Specimen,
+    state: State,
+    result: NewtonResult,
+    *,
+    resolution: int,
+    iterations: int,
+    seconds: float,
+    time_spent: dict[str, float],
+) -> DrapeResult:
+    """The drape whose last minimisation ended with ``state`` and ``result``."""
     return DrapeResult(
         fabric=fabric,
         rig=rig,
         positions=state.positions,
         rotations=state.rotations,
-        rest=cloth.rest,
-        faces=cloth.faces,
+        rest=specimen.mesh.rest,
+        faces=specimen.mesh.faces,
         diagonals=specimen.diagonals,
-        held=held,
+        held=specimen.held,
         resolution=resolution,
         status=result.status,
         message=result.message,
         residual=result.residual,
         step=result.step,
         positive_definite=result.positive_definite,
-        self_intersections=len(self_intersections(state.positions, cloth.faces)),
+        self_intersections=len(self_intersections(state.positions, specimen.mesh.faces)),
         iterations=iterations,
-        seconds=time.perf_counter() - began,
-        time_spent=dict(time_spent),
+        seconds=seconds,
+        time_spent=time_spent,
     )
 
 

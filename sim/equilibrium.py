@@ -10,7 +10,7 @@ from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.newton import NewtonOptions, NewtonResult, minimise
-from sim.potential import Potential
+from sim.potential import Potential, Terms
 from sim.scene import Scene, State
 
 CONTACT_PRESSURE = 120.0  # carried at a depth of 0.1 mm, as a multiple of the cloth's weight
@@ -25,9 +25,22 @@ def build_potential(
     laws: Laws | None = None,
     extra: Sequence[Energy] = (),
 ) -> Potential:
-    """Energy of ``fabric`` in ``scene`` around ``state``, whose held vertices stay put.
+    """Energy of ``fabric`` in ``scene`` around ``state``; arguments as for :func:`cloth_terms`."""
+    return Potential(**vars(cloth_terms(scene, fabric, state, laws=laws, extra=extra)))
 
-    Unknowns: coordinates of the free vertices and the rotations that an energy depends on.
+
+def cloth_terms(
+    scene: Scene,
+    fabric: Fabric,
+    state: State,
+    *,
+    laws: Laws | None = None,
+    extra: Sequence[Energy] = (),
+) -> Terms:
+    """What the potential of ``fabric`` in ``scene`` consists of.
+
+    Held vertices stay where they are in ``state``. Unknowns: coordinates of the free vertices and
+    the rotations that an energy depends on.
     Residuals are in units of the mean weight of a vertex (for rotations: times the mean edge
     length), steps in mm (for rotations: mm per mean edge length).
 
@@ -55,8 +68,8 @@ def build_potential(
     edge_length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()
     weight = weight_per_area * mesh.vertex_areas.mean()
     # A convex membrane alone nearly always makes the whole Hessian positive definite.
-    return Potential(
-        [[membrane], energies],
+    return Terms(
+        stages=[[membrane], energies],
         template=np.concatenate([state.positions.ravel(), state.rotations]),
         free=used,
         force_scale=np.repeat([weight, weight * edge_length], [coordinates, edges]),

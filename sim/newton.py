@@ -93,12 +93,27 @@ class NewtonResult:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-_CONVEXITY = (0.0, 0.1, 0.5, 1.0)  # what is tried, from the exact Hessian on
-_SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
-_SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
-_SMALLEST_STEP = 2.0**-30
-_NUDGES = 5
-_NUDGE_HALVINGS = 20
+# The algorithm's numbers; sim.batched.newton follows the same.
+CONVEXITY = (0.0, 0.1, 0.5, 1.0)  # what is tried, from the exact Hessian on
+SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
+SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+SMALLEST_STEP = 2.0**-30
+NOISE = 1e-14  # of an energy, relative: smaller differences are rounding
+NUDGES = 5
+NUDGE = 0.1  # size of a nudge, in units of the step length
+NUDGE_HALVINGS = 20
+
+
+def ending(status: Status, residual: float, iterations: int) -> str:
+    """What a minimisation that ended with ``status`` says of itself."""
+    return {
+        Status.CONVERGED: "equilibrium",
+        Status.MAX_ITERATIONS: f"residual {residual:.1e} after {iterations} iterations",
+        Status.LINE_SEARCH: f"no descent at residual {residual:.1e}",
+        Status.SADDLE: "stationary but not a minimum",
+        Status.SINGULAR: "no regularisation makes the Hessian definite",
+        Status.NOT_FINITE: "the energy is not a finite number",
+    }[status]
 
 
 def minimise(
@@ -134,7 +149,7 @@ class _Run:
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
             if not np.isfinite(value) or not np.isfinite(result.residual):
-                return self._end(Status.NOT_FINITE, "the energy is not a finite number")
+                return self._end(Status.NOT_FINITE)
             if result.residual < options.residual:
                 # Only the exact Hessian can tell a minimum from a saddle.
                 result.positive_definite = self._factorise(0.0, proof=True)
@@ -142,9 +157,9 @@ class _Run:
                     step = self._solve(-gradient)
                     result.step = self.objective.step_length(step)
                     if result.step < options.step:
-                        return self._end(Status.CONVERGED, "equilibrium")
+                        return self._end(Status.CONVERGED)
                     self.convexity, self.rest = 0.0, False
-                elif nudges < _NUDGES:
+                elif nudges < NUDGES:
                     nudges += 1
                     result.y = result.y + self._nudge()
                     value = self.objective.value(result.y)
@@ -153,23 +168,21 @@ class _Run:
                     result.iterations += 1
                     continue
                 else:
-                    return self._end(Status.SADDLE, "stationary but not a minimum")
+                    return self._end(Status.SADDLE)
             else:
                 step = self._direction(gradient)
             if step is None:
-                return self._end(Status.SINGULAR, "no regularisation makes the Hessian definite")
+                return self._end(Status.SINGULAR)
             with self._timed("search"):
                 found = self._search(value, gradient, step)
             if found is None:
                 # A nearly singular model points far out of its range: make it stiffer.
                 if self.convexity < 1.0:
                     self.convexity = 1.0
-                elif self.shift < len(_SHIFTS) - 1:
+                elif self.shift < len(SHIFTS) - 1:
                     self.shift += 1
                 else:
-                    return self._end(
-                        Status.LINE_SEARCH, f"no descent at residual {result.residual:.1e}"
-                    )
+                    return self._end(Status.LINE_SEARCH)
                 result.iterations += 1
                 continue
             self.shift = 0
@@ -177,13 +190,12 @@ class _Run:
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
         result.residual = self.objective.residual(gradient)
-        return self._end(
-            Status.MAX_ITERATIONS,
-            f"residual {result.residual:.1e} after {result.iterations} iterations",
-        )
+        return self._end(Status.MAX_ITERATIONS)
 
-    def _end(self, status: Status, message: str) -> None:
-        self.result.status, self.result.message = status, message
+    def _end(self, status: Status) -> None:
+        result = self.result
+        result.status = status
+        result.message = ending(status, result.residual, result.iterations)
 
     def _timed(self, activity: str) -> "_Timer":
         return _Timer(self.result.seconds, activity)
@@ -203,18 +215,18 @@ class _Run:
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
-        now = _CONVEXITY.index(self.convexity)
+        now = CONVEXITY.index(self.convexity)
         lowest = now if self.rest else max(now - 1, 0)
         self.rest = False
-        for trial in () if self.shift else _CONVEXITY[lowest:-1]:
+        for trial in () if self.shift else CONVEXITY[lowest:-1]:
             if self._factorise(trial):
                 # Having tried in vain to need less, try again only after another step.
                 self.rest = trial == self.convexity and lowest < now
                 self.convexity = trial
                 return self._solve(-gradient)
         self.convexity = 1.0
-        while not self._factorise(1.0, _SHIFTS[self.shift]):
-            if self.shift == len(_SHIFTS) - 1:
+        while not self._factorise(1.0, SHIFTS[self.shift]):
+            if self.shift == len(SHIFTS) - 1:
                 return None
             self.shift += 1
         return self._solve(-gradient)
@@ -227,13 +239,13 @@ class _Run:
         slope = float(gradient @ step)
         if not slope < 0:
             return None
-        noise = 1e-14 * abs(value)
+        noise = NOISE * abs(value)
         length, best = 1.0, None
-        while length > _SMALLEST_STEP:
+        while length > SMALLEST_STEP:
             trial = y + length * step
             if objective.allows(y, trial):
                 trial_value = objective.value(trial)
-                if trial_value <= value + _SUFFICIENT * length * slope:
+                if trial_value <= value + SUFFICIENT * length * slope:
                     best = (length, trial, trial_value)
                     break
                 if abs(length * slope) < noise and trial_value < value + noise:
@@ -250,18 +262,18 @@ class _Run:
             if not objective.allows(y, trial):
                 break
             trial_value = objective.value(trial)
-            if not trial_value < min(best[2], value + _SUFFICIENT * length * slope):
+            if not trial_value < min(best[2], value + SUFFICIENT * length * slope):
                 break
             best = (length, trial, trial_value)
         return *best, objective.gradient(best[1])
 
     def _nudge(self) -> np.ndarray:
         """A small move out of a saddle: random, smoothed by the convex Hessian."""
-        if not self._factorise(1.0, _SHIFTS[1]):
+        if not self._factorise(1.0, SHIFTS[1]):
             return np.zeros(self.objective.size)
         move = self._solve(self.rng.standard_normal(self.objective.size))
-        move *= 0.1 / self.objective.step_length(move)
-        for _ in range(_NUDGE_HALVINGS):
+        move *= NUDGE / self.objective.step_length(move)
+        for _ in range(NUDGE_HALVINGS):
             if self.objective.allows(self.result.y, self.result.y + move):
                 return move
             move /= 2

@@ -1,6 +1,7 @@
 """The total energy of a cloth as a function of its free unknowns, for an optimiser."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -9,17 +10,36 @@ from sim.energies.base import Energy
 from sim.linear import SparsePattern
 
 
-class Potential:
-    """A sum of energies over the free entries of the unknowns ``q`` (see :class:`Energy`).
+@dataclass(frozen=True)
+class Terms:
+    """What a potential consists of.
 
-    Args:
-        stages: the terms, in groups that are made convex one after the other: with two of them,
-            a convexity of 1/2 stands for the first group convex and the second exact.
+    Attributes:
+        stages: the energies, in groups that are made convex one after the other: with two of
+            them, a convexity of 1/2 stands for the first group convex and the second exact.
         template: (Q,) unknowns; entries that are not free keep these values.
         free: (Q,) bool.
         force_scale: (Q,) forces (N, or N·m for rotations) that count as 1 in residuals.
         length_scale: (Q,) moves (m or rad) that count as 1 in step lengths and
             regularisation.
+    """
+
+    stages: Sequence[Sequence[Energy]]
+    template: np.ndarray
+    free: np.ndarray
+    force_scale: np.ndarray
+    length_scale: np.ndarray
+
+
+def stage_shares(convexity: float, stages: int) -> list[float]:
+    """How convex each of the ``stages`` groups of :class:`Terms` is, in [0, 1]."""
+    return [min(max(convexity * stages - stage, 0.0), 1.0) for stage in range(stages)]
+
+
+class Potential:
+    """A sum of energies over the free entries of the unknowns ``q`` (see :class:`Energy`).
+
+    The arguments are the attributes of :class:`Terms`.
     """
 
     def __init__(
@@ -81,8 +101,7 @@ class Potential:
             self._assembled.clear()
         stages = self._stage[-1] + 1
         total = np.zeros(len(self.pattern.indices))
-        for stage in range(stages):
-            share = min(max(convexity * stages - stage, 0.0), 1.0)
+        for stage, share in enumerate(stage_shares(convexity, stages)):
             for end, weight in ((0.0, 1.0 - share), (1.0, share)):
                 if weight > 0.0:
                     part = self._end(stage, end)

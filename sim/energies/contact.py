@@ -80,6 +80,10 @@ class ObstacleContact:
         obstacle: what is not entered.
         pressure: p, N/m², a few times the weight of the cloth per area.
         depth: s, m.
+
+    Attributes:
+        scale: (N,) A p/s², N/m².
+        share: one over the number of vertices of a point.
     """
 
     def __init__(
@@ -92,26 +96,26 @@ class ObstacleContact:
         depth: float = 1e-4,
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
-        self._share = 1.0 / vertices.shape[1]
-        self._scale = areas * pressure / depth**2
-        self._obstacle = obstacle
+        self.share = 1.0 / vertices.shape[1]
+        self.scale = areas * pressure / depth**2
+        self.obstacle = obstacle
 
     def value(self, q: np.ndarray) -> float:
         touching, _, depth = self._contacts(q)
-        return float(self._scale[touching] @ depth**3) / 3
+        return float(self.scale[touching] @ depth**3) / 3
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         touching, points, depth = self._contacts(q)
-        normal, _ = self._obstacle.normals(points)
-        force = -(self._share * self._scale[touching] * depth**2)[:, None] * normal
+        normal, _ = self.obstacle.normals(points)
+        force = -(self.share * self.scale[touching] * depth**2)[:, None] * normal
         result = np.zeros(self.dofs.shape)
         result[touching] = np.tile(force, self.dofs.shape[1] // 3)
         return result
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
         touching, points, depth = self._contacts(q)
-        normal, radius = self._obstacle.normals(points)
-        scale = self._share**2 * self._scale[touching]
+        normal, radius = self.obstacle.normals(points)
+        scale = self.share**2 * self.scale[touching]
         count = self.dofs.shape[1] // 3
         result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
         block = _hessian(depth, normal, radius, scale, convexity)
@@ -124,8 +128,8 @@ class ObstacleContact:
     def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
         corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
-        points = self._share * sum(corners[:, k] for k in range(corners.shape[1]))
-        depth = self._obstacle.depths(points)
+        points = self.share * sum(corners[:, k] for k in range(corners.shape[1]))
+        depth = self.obstacle.depths(points)
         touching = np.flatnonzero(depth > 0.0)
         return touching, points[touching], depth[touching]
 

@@ -6,7 +6,7 @@ from sim.energies.hinge_stencils import chain_gradient, chain_hessian, find_hing
 from sim.mesh import Mesh
 
 LIMIT_START = 2.4  # rad; the angle at which the resistance begins
-_LEAST_ROOM = 0.2  # share of the way to pi that a step must leave
+LEAST_ROOM = 0.2  # share of the way to pi that a step must leave
 
 
 class FoldLimit:
@@ -21,12 +21,15 @@ class FoldLimit:
         mesh: the specimen.
         active: (F,) bool, triangles that can move.
         stiffness: k, N·m.
+
+    Attributes:
+        scale: (N,) k e/h, J.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, stiffness: float) -> None:
         hinges = find_hinges(mesh, active)
         self.dofs = hinges.dofs
-        self._scale = stiffness * (hinges.vectors**2).sum(axis=1) / hinges.areas.sum(axis=1)
+        self.scale = stiffness * (hinges.vectors**2).sum(axis=1) / hinges.areas.sum(axis=1)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N,) dihedral angles, rad."""
@@ -35,7 +38,7 @@ class FoldLimit:
     def value(self, q: np.ndarray) -> float:
         angle = np.abs(self.angles(q))
         bent = angle > LIMIT_START
-        return float(self._scale[bent] @ barrier(angle[bent])[0])
+        return float(self.scale[bent] @ barrier(angle[bent])[0])
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         return chain_gradient(q, self.dofs, self._derivatives(q)[0])
@@ -54,7 +57,7 @@ class FoldLimit:
         """
         before, after = self.angles(old), self.angles(new)
         room = np.minimum(np.pi - np.abs(before), np.pi - LIMIT_START)
-        enough = np.pi - np.abs(after) >= _LEAST_ROOM * room
+        enough = np.pi - np.abs(after) >= LEAST_ROOM * room
         return bool(((np.abs(after - before) < np.pi) & enough).all())
 
     def _derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,8 +66,8 @@ class FoldLimit:
         bent = np.flatnonzero(np.abs(angle) > LIMIT_START)
         first, second = np.zeros(len(angle)), np.zeros(len(angle))
         _, slope, bend = barrier(np.abs(angle[bent]))
-        first[bent] = slope * (self._scale[bent] * np.sign(angle[bent]))
-        second[bent] = bend * self._scale[bent]
+        first[bent] = slope * (self.scale[bent] * np.sign(angle[bent]))
+        second[bent] = bend * self.scale[bent]
         return first, second
 
 

@@ -21,30 +21,34 @@ class CorotationalMembrane:
         active: (F,) bool, triangles that store energy.
         stiffness: Young's modulus times thickness, N/m; 200 as in the paper.
         poisson: Poisson's ratio in the plane.
+
+    Attributes:
+        areas, shape: of the N triangles, see :func:`sim.energies.strain.triangle_elements`.
+        mu, lam: N/m.
     """
 
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, stiffness: float = 200.0, poisson: float = 0.3
     ) -> None:
-        self.dofs, self._areas, self._shape = triangle_elements(mesh, active)
-        self._mu = stiffness / (2 * (1 + poisson))
-        self._lam = stiffness * poisson / (1 - poisson**2)
+        self.dofs, self.areas, self.shape = triangle_elements(mesh, active)
+        self.mu = stiffness / (2 * (1 + poisson))
+        self.lam = stiffness * poisson / (1 - poisson**2)
 
     def value(self, q: np.ndarray) -> float:
-        return _value(q, self.dofs, self._shape, self._areas, self._mu, self._lam)
+        return _value(q, self.dofs, self.shape, self.areas, self.mu, self.lam)
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return _gradient(q, self.dofs, self._shape, self._areas, self._mu, self._lam)
+        return _gradient(q, self.dofs, self.shape, self.areas, self.mu, self.lam)
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _hessian(q, self.dofs, self._shape, self._areas, self._mu, self._lam, convexity)
+        return _hessian(q, self.dofs, self.shape, self.areas, self.mu, self.lam, convexity)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         return True
 
     def stretches(self, q: np.ndarray) -> np.ndarray:
         """(N, 2) singular values of the deformation gradients, larger first."""
-        return _stretches(q, self.dofs, self._shape)
+        return _stretches(q, self.dofs, self.shape)
 
 
 @numba.njit(cache=True)

@@ -20,7 +20,7 @@ from sim.energies.clamp import bending_areas
 from sim.material import Fabric
 from sim.mesh import Mesh
 
-_CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
 
 
 class MidEdgeBending:
@@ -33,6 +33,12 @@ class MidEdgeBending:
         mesh: the specimen, material axes warp = x, weft = y.
         active: (F,) bool, triangles that store energy (those not entirely held).
         fabric: moduli; see :mod:`sim.energies.plate_law` for the law they enter.
+
+    Attributes:
+        share, sign: (N, 3), see :func:`split_of_angles`.
+        maps: (N, 3, 3), 1/m, see :func:`curvature_maps`.
+        areas: (N,) m², with the weights next to a clamp.
+        law: (15,) constants, see :func:`sim.energies.plate_law.constants`.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
@@ -42,17 +48,17 @@ class MidEdgeBending:
             corners[:, :, None] >= 0, 3 * corners[:, :, None] + np.arange(3), -1
         ).reshape(-1, 18)
         rotation = 3 * len(mesh.rest) + edges
-        self._share, self._sign = split_of_angles(mesh, active)
+        self.share, self.sign = split_of_angles(mesh, active)
         self.dofs = np.concatenate(
-            [coordinates, np.where(self._sign != 0, rotation, -1)], axis=1
+            [coordinates, np.where(self.sign != 0, rotation, -1)], axis=1
         )
-        self._areas = bending_areas(mesh, active, self._share)
-        self._maps = curvature_maps(mesh)[active]
+        self.areas = bending_areas(mesh, active, self.share)
+        self.maps = curvature_maps(mesh)[active]
         self.law = plate_law.constants(fabric)
 
     @property
     def _constants(self) -> tuple[np.ndarray, ...]:
-        return self.dofs, self._share, self._sign, self._maps, self._areas, self.law
+        return self.dofs, self.share, self.sign, self.maps, self.areas, self.law
 
     def value(self, q: np.ndarray) -> float:
         return _value(q, *self._constants)
@@ -218,7 +224,7 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
     result = np.empty((len(dofs), 21, 21))
     x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
     stress, tangent, stiffness = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    floor = _CONVEX_FLOOR * min(law[0], law[1], 4.0 * law[3])
+    floor = CONVEX_FLOOR * min(law[0], law[1], 4.0 * law[3])
     rows, moment = np.empty((3, 21)), np.empty((3, 21))
     for t in range(len(dofs)):
         block = result[t]
