@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench-sim example validate clean
+.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -58,6 +58,16 @@ evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never s
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m benchmarks.speed
+
+bench: $(STAMP)  ## all timings on this machine, one JSON: docs/validation/bench.json
+	for name in speed linear render batched report; do \
+	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the same JSON
+	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 resolutions=0,101 batches=1,16,64,256 \
+	  out=docs/validation/batched_gpu.json
+	$(BIN)/python -m benchmarks.render out=docs/validation/render_gpu.json
+	$(BIN)/python -m benchmarks.report
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 2 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes convergence; do \

@@ -5,18 +5,16 @@ import json
 import os
 import platform
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from importlib.metadata import version
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data.workers import end_with_parent, worker_environment
 from sim.errors import InputError
 from sim.files import replace_file, replacing
+from sim.workers import worker_pool
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,24 +92,13 @@ def run_cases(
         raise InputError(f"workers={workers}: at least one process is needed")
     print(f"{len(cases) - len(missing)} of {len(cases)} cases are finished; "
           f"{len(missing)} to go", flush=True)
-    with worker_environment():
-        pool = ProcessPoolExecutor(
-            min(workers, len(missing)),
-            mp_context=get_context("spawn"),
-            initializer=end_with_parent,
-        )
-        try:
-            futures = {pool.submit(work, **cases[name]): name for name in missing}
-            for future in as_completed(futures):
-                name = futures[future]
-                results[name] = future.result()
-                _keep(folder / f"{name}.json", stamps[name], results[name])
-                print(f"  {name}", flush=True)
-        except BrokenProcessPool:
-            raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
-                             "run the same command again, with fewer workers") from None
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with worker_pool(min(workers, len(missing))) as pool:
+        futures = {pool.submit(work, **cases[name]): name for name in missing}
+        for future in as_completed(futures):
+            name = futures[future]
+            results[name] = future.result()
+            _keep(folder / f"{name}.json", stamps[name], results[name])
+            print(f"  {name}", flush=True)
     return results
 
 

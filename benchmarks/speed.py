@@ -16,27 +16,24 @@ Keys (``key=value``):
     out          the report, JSON
 """
 
-import os
+import benchmarks.one_thread  # noqa: F401
 
-# One core means one thread, also in libraries that would take more.
-for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ[_name] = "1"
+# isort: split
+import resource
+import time
+from collections import Counter
+from pathlib import Path
 
-import resource  # noqa: E402
-import time  # noqa: E402
-from collections import Counter  # noqa: E402
-from pathlib import Path  # noqa: E402
+import numpy as np
 
-import numpy as np  # noqa: E402
-
-from benchmarks.common import REPORTS, table, write_report  # noqa: E402
-from data.fabrics import fabric_from_theta  # noqa: E402
-from data.prior import load_prior, sample_admissible  # noqa: E402
-from data.sampling import Stream, stream  # noqa: E402
-from sim.cli import parse_overrides, run_command  # noqa: E402
-from sim.drape import drape  # noqa: E402
-from sim.linear import available_solvers  # noqa: E402
-from sim.material import MICRO, Fabric  # noqa: E402
+from benchmarks.common import REPORTS, table, write_report
+from data.fabrics import fabric_from_theta
+from data.prior import load_prior, sample_admissible
+from data.sampling import Stream, stream
+from sim.cli import parse_overrides, run_command
+from sim.drape import drape
+from sim.linear import available_solvers
+from sim.material import MICRO, Fabric
 
 DEFAULTS = {
     "drapes": 32,
@@ -48,6 +45,15 @@ DEFAULTS = {
     "out": str(REPORTS / "speed.json"),
 }
 MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
+
+
+def prior_fabrics(count: int, seed: int) -> list[Fabric]:
+    """Fabrics drawn from the shipped prior."""
+    prior = load_prior()
+    return [
+        fabric_from_theta(sample_admissible(prior, stream(seed, Stream.FABRIC, i))[0])
+        for i in range(count)
+    ]
 
 
 def timed(fabric: Fabric, *, resolution: int | None, seed: int) -> dict:
@@ -86,7 +92,7 @@ def round_of(fabrics: list[Fabric], resolution: int | None) -> dict:
     }
 
 
-def _peak_memory() -> float:
+def peak_memory() -> float:
     """Largest memory of this process so far, GiB."""
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
 
@@ -94,20 +100,16 @@ def _peak_memory() -> float:
 def main(argv: list[str]) -> None:
     """Run, print the lines, and write the report."""
     config = parse_overrides(DEFAULTS, argv)
-    prior = load_prior()
-    fabrics = [
-        fabric_from_theta(sample_admissible(prior, stream(config["seed"], Stream.FABRIC, i))[0])
-        for i in range(config["drapes"])
-    ]
+    fabrics = prior_fabrics(config["drapes"], config["seed"])
     drape(MEDIAN, resolution=16)  # compiles or loads the kernels
     report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1,
               "settings": {k: v for k, v in config.items() if k != "out"}}
     report["default"] = round_of(fabrics, config["resolution"] or None)
     if config["fine"]:
         report["fine"] = round_of(fabrics[: config["fine_drapes"]], config["fine"])
-    report["peak_memory_GiB"] = _peak_memory()
+    report["peak_memory_GiB"] = peak_memory()
     report["growth"] = [timed(MEDIAN, resolution=int(n), seed=0) for n in config["growth"] if n]
-    report["peak_memory_of_growth_GiB"] = _peak_memory()
+    report["peak_memory_of_growth_GiB"] = peak_memory()
 
     print(table(["vertices a side", "CPU-seconds", "Newton steps", "status"],
                 [[r["resolution"], r["cpu_seconds"], r["newton_steps"], r["status"]]

@@ -1,11 +1,13 @@
 """What the benchmarks share: resumed work, and the search for a scan's modulus."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from benchmarks import common
+from benchmarks import batched, common, report
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from sim.errors import InputError
@@ -88,3 +90,36 @@ def test_turning_the_cloth_moves_its_points_along():
     np.testing.assert_allclose(turned[180], [0.0, 1.2], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(turned, axis=1),
                                np.roll(np.linalg.norm(outline, axis=1), 180))
+
+
+def test_batched_drapes_are_timed_and_compared(tmp_path):
+    out = tmp_path / "batched.json"
+    batched.main(["drapes=2", "resolution=16", "repeats=1", "workers=2", "batches=2",
+                  "resolutions=16", "check=1", f"out={out}"])
+    found = json.loads(out.read_text())
+    alone, (row,) = found["each_on_its_own"], found["together"]
+    assert alone["converged"] == row["converged"] == 2
+    assert alone["largest_difference_m"] < 1e-6
+    rates = alone["drapes_per_second_workers"], alone["drapes_per_second_one_core"]
+    assert alone["ratio"] == pytest.approx(rates[0] / rates[1])
+    assert row["batch"] == 2 and row["resolution"] == 16 and row["peak_memory_GiB"] > 0.1
+    assert sum(row["share_by_activity"].values()) == pytest.approx(1.0, abs=0.05)
+    assert found["agreement"]["same_shape"] == 1
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_gpu_figures_need_a_gpu(tmp_path):
+    with pytest.raises(InputError, match="no GPU"):
+        batched.main(["device=cuda", f"out={tmp_path / 'batched.json'}"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_reports_are_collected(tmp_path):
+    settings = [f"folder={tmp_path}", f"out={tmp_path / 'bench.json'}"]
+    with pytest.raises(InputError, match="no report"):
+        report.main(settings)
+    (tmp_path / "render.json").write_text('{"views": 2}')
+    (tmp_path / "speed.json").write_text('{"drapes": 1}')
+    report.main(settings)
+    found = json.loads((tmp_path / "bench.json").read_text())
+    assert found == {"speed": {"drapes": 1}, "render": {"views": 2}}

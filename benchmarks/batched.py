@@ -1,0 +1,221 @@
+"""Many drapes at once: ``python -m benchmarks.batched [key=value ...]``.
+
+First, drapes a second by worker processes that make each on its own, against one core that makes
+one after the other, on the fabrics of ``benchmarks.speed``; in turn, several times, and the
+shortest of each reported. Then drapes minimised together, on a CPU or a GPU: time a drape against
+batch size and resolution, where it goes, memory, and whether the same drapes come out.
+
+Keys (``key=value``):
+
+    device       of the drapes minimised together, cpu or cuda
+    drapes       fabrics of the first part; 0 to leave it out
+    seed         of the fabrics
+    workers      processes
+    repeats      rounds of the first part
+    resolution   vertices a side in the first part; 0: as the simulator chooses by itself
+    batches      drapes minimised together; 0 to leave the second part out
+    resolutions  of the drapes minimised together; 0 as above
+    threads      of the drapes minimised together, on a CPU
+    check        drapes compared with the CPU's: on a GPU those minimised together there, on a
+                 CPU those made each on its own
+    out          the report, JSON
+"""
+
+import benchmarks.one_thread  # noqa: F401
+
+# isort: split
+import resource
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.common import REPORTS, table, write_report
+from benchmarks.speed import peak_memory, prior_fabrics
+from sim.batched.drape import drape_batch
+from sim.cli import parse_overrides, run_command
+from sim.drape import DrapeResult, drape
+from sim.errors import InputError
+from sim.material import Fabric
+from sim.workers import worker_pool
+
+DEFAULTS = {
+    "device": "cpu",
+    "drapes": 32,
+    "seed": 77,
+    "workers": 2,
+    "repeats": 3,
+    "resolution": 0,
+    "batches": [1, 4, 16],
+    "resolutions": [41],
+    "threads": 1,
+    "check": 4,
+    "out": str(REPORTS / "batched.json"),
+}
+SAME = 1e-6  # m, between vertices of the same drape
+
+
+def throughput(
+    fabrics: list[Fabric], *, resolution: int | None, workers: int, repeats: int
+) -> dict:
+    """One core against several, in turn: whole rounds over the fabrics, and their ratio."""
+    drape(fabrics[0], resolution=16)  # compiles or loads the kernels
+    start = start_seconds(fabrics[0], workers)
+    single, several, children = [], [], []
+    for repeat in range(repeats):
+        began, busy = time.perf_counter(), time.process_time()
+        alone = [drape(fabric, resolution=resolution, seed=seed)
+                 for seed, fabric in enumerate(fabrics)]
+        single.append((time.perf_counter() - began, time.process_time() - busy))
+        began, busy = time.perf_counter(), _children_seconds()
+        made = drape_batch(fabrics, resolution=resolution, workers=workers)
+        several.append(time.perf_counter() - began)
+        children.append(_children_seconds() - busy)
+        print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
+              f"{workers} processes {several[-1]:.1f} s", flush=True)
+    wall, busy = (min(times) for times in zip(*single, strict=True))
+    return {
+        "drapes": len(fabrics),
+        "workers": workers,
+        "converged": sum(result.converged for result in made),
+        "largest_difference_m": max(map(apart, alone, made)),
+        "one_core_wall_seconds": wall,
+        "one_core_cpu_seconds": busy,
+        "workers_wall_seconds": min(several),
+        "workers_cpu_seconds": min(children),
+        "longest_drape_seconds": max(result.seconds for result in alone),
+        "drapes_per_second_one_core": len(fabrics) / busy,
+        "drapes_per_second_workers": len(fabrics) / min(several),
+        "ratio": busy / min(several),
+        "start_seconds_of_workers": start,
+        "ratio_once_started": busy / (min(several) - start),
+        "ratios_of_rounds": [one[1] / many for one, many in zip(single, several, strict=True)],
+    }
+
+
+def start_seconds(fabric: Fabric, workers: int) -> float:
+    """Seconds until worker processes are at work."""
+    began = time.perf_counter()
+    made = drape_batch([fabric] * workers, resolution=16, workers=workers)
+    return time.perf_counter() - began - max(result.seconds for result in made)
+
+
+def _children_seconds() -> float:
+    """CPU-seconds of the worker processes that have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def apart(a: DrapeResult, b: DrapeResult) -> float:
+    """Largest distance, m, between the same vertex of two drapes."""
+    return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
+
+
+def together(fabrics: list[Fabric], *, resolution: int | None, device: str, threads: int) -> dict:
+    """Figures of drapes minimised together, all at once, kernels and analysis at hand."""
+    torch.set_num_threads(threads)
+    settings = {"resolution": resolution, "device": device, "together": True}
+    drape_batch(fabrics[:1], **settings)
+    if device != "cpu":
+        torch.cuda.reset_peak_memory_stats()
+    began = time.perf_counter()
+    made = drape_batch(fabrics, **settings, at_a_time=len(fabrics))
+    seconds = time.perf_counter() - began
+    memory = peak_memory() if device == "cpu" else torch.cuda.max_memory_allocated() / 1024**3
+    activities = Counter()
+    for result in made:
+        activities.update(result.time_spent)
+    activities["outside Newton's method"] = max(seconds - activities.pop("total"), 0.0)
+    return {
+        "batch": len(fabrics),
+        "resolution": resolution or "default",
+        "seconds_per_drape": seconds / len(fabrics),
+        # Cloth that meets itself is finished one drape after the other, on the CPU.
+        "of_that_self_contact": finished_alone(made) / len(fabrics),
+        "drapes_per_second": len(fabrics) / seconds,
+        "converged": sum(result.converged for result in made),
+        "mean_newton_steps": float(np.mean([result.iterations for result in made])),
+        "share_by_activity": {k: v / seconds for k, v in activities.items()},
+        "peak_memory_GiB": round(memory, 2),
+    }
+
+
+def finished_alone(made: list[DrapeResult]) -> float:
+    """Seconds of the drapes that the sparse solver finished, beyond their shares of the batch's."""
+    least = {}
+    for result in made:
+        least[result.resolution] = min(result.seconds, least.get(result.resolution, np.inf))
+    return sum(result.seconds - least[result.resolution] for result in made)
+
+
+def agreement(fabrics: list[Fabric], *, resolution: int | None, device: str) -> dict:
+    """Drapes minimised together on ``device``, against the CPU's."""
+    found = drape_batch(fabrics, resolution=resolution, device=device, together=True)
+    # On a CPU both ways differ in rounding from the first step on, and by the rough factors of
+    # single drapes, so that some fabrics may find other folds.
+    expected = drape_batch(fabrics, resolution=resolution, together=device != "cpu", workers=1)
+    distances = [apart(*pair) for pair in zip(found, expected, strict=True)]
+    return {
+        "drapes": len(fabrics),
+        "distances_m": distances,
+        "same_shape": sum(distance <= SAME for distance in distances),
+        "largest_distance_of_same_m": max((d for d in distances if d <= SAME), default=None),
+    }
+
+
+def main(argv: list[str]) -> None:
+    """Run, print the tables, and write the report."""
+    config = parse_overrides(DEFAULTS, argv)
+    for key in ("workers", "repeats", "threads"):
+        if config[key] < 1:
+            raise InputError(f"{key}={config[key]} must be at least 1")
+    device = config["device"]
+    drape_batch([], device=device)  # refuses one that is not there
+    batches = [count for count in config["batches"] if count > 0]
+    fabrics = prior_fabrics(max([config["drapes"], config["check"], *batches]), config["seed"])
+    report = {"dtype": "float64", "settings": {k: v for k, v in config.items() if k != "out"}}
+    if device == "cuda":
+        report["gpu"] = torch.cuda.get_device_name()
+    if config["drapes"]:
+        report["each_on_its_own"] = part = throughput(
+            fabrics[: config["drapes"]], resolution=config["resolution"] or None,
+            workers=config["workers"], repeats=config["repeats"])
+        print(f"each on its own, {part['drapes']} drapes: one core "
+              f"{part['drapes_per_second_one_core']:.3f} a second, {part['workers']} processes "
+              f"{part['drapes_per_second_workers']:.3f}, {part['ratio']:.2f} times as many "
+              f"({part['ratio_once_started']:.2f} once they have started, which takes "
+              f"{part['start_seconds_of_workers']:.1f} s); "
+              f"largest difference {part['largest_difference_m']:.1e} m\n")
+    if batches:
+        report["together"] = rows = []
+        for n in config["resolutions"]:
+            for count in batches:
+                settings = {"resolution": n or None, "device": device,
+                            "threads": config["threads"]}
+                if device == "cpu":  # a fresh process, for its peak memory
+                    with worker_pool(1) as pool:
+                        rows.append(pool.submit(together, fabrics[:count], **settings).result())
+                else:
+                    rows.append(together(fabrics[:count], **settings))
+        print(f"together, device={device}")
+        activities = list(rows[0]["share_by_activity"])
+        print(table(
+            ["vertices a side", "batch", "ms a drape", "of that self-contact", "converged",
+             *(f"{name}, %" for name in activities), "peak memory, GiB"],
+            [[row["resolution"], row["batch"], round(1e3 * row["seconds_per_drape"]),
+              round(1e3 * row["of_that_self_contact"]), row["converged"],
+              *(round(100 * row["share_by_activity"][name]) for name in activities),
+              row["peak_memory_GiB"]] for row in rows]))
+    if config["check"]:
+        report["agreement"] = same = agreement(
+            fabrics[: config["check"]], resolution=config["resolutions"][0] or None,
+            device=device)
+        print(f"\n{same['same_shape']} of {same['drapes']} drapes are the CPU's to {SAME:.0e} m; "
+              "distances, m: " + ", ".join(f"{d:.1e}" for d in same["distances_m"]))
+    write_report(Path(config["out"]), report)
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

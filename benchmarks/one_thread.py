@@ -1,0 +1,7 @@
+"""Import this before everything else to time one core: libraries read it as they are loaded."""
+
+import os
+
+from sim.workers import WORKER_ENVIRONMENT
+
+os.environ.update(WORKER_ENVIRONMENT)

@@ -1,0 +1,1 @@
+"""Many drapes at once, in PyTorch, on a CPU or a GPU."""

@@ -1,0 +1,96 @@
+"""Equilibria of many cloths on meshes of one grid."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from sim.batched.newton import minimise_batch
+from sim.batched.objective import BatchedSolver
+from sim.batched.potential import BatchedPotential
+from sim.batched.solvers import FrontalSolver
+from sim.equilibrium import cloth_terms
+from sim.grid_unknowns import GridUnknowns
+from sim.laws import Laws
+from sim.linear.multifrontal import Analysis, analyse
+from sim.material import Fabric
+from sim.newton import NewtonOptions, NewtonResult
+from sim.scene import Scene, State
+
+_KEPT = 6  # analyses, some 30 MB each for 41 vertices a side and 400 MB for 101
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """What all drapes on a grid share.
+
+    Attributes:
+        unknowns: numbering and pattern.
+        analysis: of the batched linear solver, on the device of the minimisation.
+    """
+
+    unknowns: GridUnknowns
+    analysis: Analysis
+
+
+def analyse_grid(free: np.ndarray, device: torch.device | str = "cpu") -> Analysed:
+    """Prepare for cloths on a grid; the last few grids are remembered.
+
+    Args:
+        free: (nx, ny) bool, vertices that may be free in some sample. Fewer make the solver
+            faster; which ones there are changes drapes by rounding only.
+        device: of the minimisation.
+    """
+    return _analyse(free.shape, free.tobytes(), str(device))
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _analyse(shape: tuple[int, int], free: bytes, device: str) -> Analysed:
+    unknowns = GridUnknowns(shape, np.frombuffer(free, dtype=bool).reshape(shape))
+    return Analysed(unknowns, analyse(unknowns.pattern, unknowns.places, device=device))
+
+
+def find_equilibria(
+    scenes: Sequence[Scene],
+    fabrics: Sequence[Fabric],
+    starts: Sequence[State],
+    analysed: Analysed,
+    *,
+    laws: Laws | None = None,
+    options: NewtonOptions | None = None,
+    solver: BatchedSolver | None = None,
+) -> tuple[list[State], list[NewtonResult]]:
+    """For each sample what :func:`sim.equilibrium.find_equilibrium` finds.
+
+    Args:
+        scenes, fabrics, starts: of the samples, their meshes triangulations of one grid.
+        analysed: of that grid; all vertices that a scene does not hold are among its free ones.
+        laws: of all samples; only those whose energies have batched twins.
+        options: of every minimisation.
+        solver: of the Newton systems, None for the batched one.
+
+    Raises:
+        InputError: laws, meshes or held vertices that do not fit.
+    """
+    terms = [
+        cloth_terms(scene, fabric, start, laws=laws)
+        for scene, fabric, start in zip(scenes, fabrics, starts, strict=True)
+    ]
+    device = analysed.analysis.device
+    meshes = [scene.mesh for scene in scenes]
+    potential = BatchedPotential(terms, meshes, analysed.unknowns, device)
+    results = minimise_batch(
+        potential,
+        potential.start([sample.template for sample in terms]),
+        options,
+        solver=solver or FrontalSolver(analysed.analysis),
+    )
+    y = torch.from_numpy(np.stack([result.y for result in results])).to(device)
+    unknowns = potential.full(y).cpu().numpy()
+    states = []
+    for q, mesh in zip(unknowns, meshes, strict=True):
+        coordinates = 3 * len(mesh.rest)
+        states.append(State(q[:coordinates].reshape(-1, 3), q[coordinates:]))
+    return states, results

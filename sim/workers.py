@@ -1,0 +1,83 @@
+"""Worker processes that make drapes: one thread each, gone when the main process is."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import connection, get_context, parent_process
+
+from sim.errors import InputError
+
+WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    # Without it MKL's rounding depends on where in memory a matrix happens to lie.
+    "MKL_CBWR": "AUTO",
+}
+
+
+@contextmanager
+def worker_pool(
+    workers: int, initializer: Callable[..., None] | None = None, *arguments: object
+) -> Iterator[ProcessPoolExecutor]:
+    """A pool of ``workers`` fresh processes; what is not done when it is left is cancelled.
+
+    Every process first calls ``initializer(*arguments)``; all this, and the work, is sent by name,
+    so it must be importable.
+
+    Raises:
+        InputError: a worker was ended from outside.
+    """
+    with _worker_environment():
+        pool = ProcessPoolExecutor(
+            workers,
+            mp_context=get_context("spawn"),
+            initializer=_start,
+            initargs=(initializer, arguments),
+        )
+        try:
+            yield pool
+        except BrokenProcessPool:
+            raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
+                             "run the same command again, with fewer workers") from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _start(initializer: Callable[..., None] | None, arguments: tuple) -> None:
+    """Prepare a worker process."""
+    _end_with_parent()
+    if initializer is not None:
+        initializer(*arguments)
+
+
+def _end_with_parent() -> None:
+    """End this worker process when the main process is killed, and leave Ctrl-C to that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def follow_parent() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow_parent, daemon=True).start()
+
+
+@contextmanager
+def _worker_environment() -> Iterator[None]:
+    """Limit the threads of processes started within; they read it before numpy is loaded."""
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ.update(WORKER_ENVIRONMENT)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
