@@ -47,7 +47,7 @@ DEFAULTS = {
 
 def one_drape(index: int, seed: int, resolution: int) -> dict:
     """Drape ``index`` of the plan, in people's units."""
-    plan = plan_drape(index, config=SamplingConfig(seed=seed), prior=load_prior())
+    plan = plan_drape(index, config=SamplingConfig(seed=seed), prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
     result = drape(fabric, resolution=resolution, start=plan.start, seed=plan.seed,
                    offset=tuple(plan.offset))

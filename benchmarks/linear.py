@@ -84,7 +84,7 @@ class Sample:
 
 def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnknowns, list[Sample]]:
     """Hessians of ``count`` fabrics of the prior on meshes of their own, stage after stage."""
-    prior, rig = load_prior(), Rig()
+    prior, rig = load_prior("gaussian"), Rig()
     specimens = [make_specimen(rig, resolution=n, seed=seed) for seed in range(count)]
     free = np.any([~specimen.held for specimen in specimens], axis=0)
     unknowns = GridUnknowns((n, n), free.reshape(n, n))

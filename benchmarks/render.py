@@ -91,7 +91,7 @@ class Drapes:
 def load_drapes(config: dict) -> Drapes:
     """The drapes in ``data``, simulated where they are missing."""
     words = [f"drapes={config['drapes']}", f"resolution={config['resolution']}", "seed=4",
-             "dataset=one_start", "dataset.orientations=1"]
+             "prior=gaussian", "dataset=one_start", "dataset.orientations=1"]
     options = compose_config("generate", words, schema=Options)
     generation = config_from_options(options)
     root = Path(config["data"])

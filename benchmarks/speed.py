@@ -49,7 +49,7 @@ MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
 
 def prior_fabrics(count: int, seed: int) -> list[Fabric]:
     """Fabrics drawn from the shipped prior."""
-    prior = load_prior()
+    prior = load_prior("gaussian")
     return [
         fabric_from_theta(sample_admissible(prior, stream(seed, Stream.FABRIC, i))[0])
         for i in range(count)

@@ -66,7 +66,7 @@ DEFAULTS = {
 
 def draw_fabric(index: int, *, stiffening: bool) -> Fabric:
     """Fabric ``index`` of the prior's fixed stream."""
-    theta, _ = sample_admissible(load_prior(), stream(SEED, Stream.FABRIC, index))
+    theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
     if stiffening:
         theta[5] = STIFFENING
     return fabric_from_theta(theta)

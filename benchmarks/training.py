@@ -82,7 +82,8 @@ FIGURES = ("loss", "rmse_log_alpha", "rmse_beta_over_alpha", "axis_error_deg")
 def make_drapes(config: dict) -> Path:
     """The folder of the drapes, which are simulated where they are missing."""
     words = [f"drapes={config['drapes']}", f"resolution={config['resolution']}", "seed=6",
-             "dataset=one_start", f"dataset.orientations={config['orientations']}"]
+             "prior=gaussian", "dataset=one_start",
+             f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
     root = Path(config["data"])
     generate_dataset(config_from_options(options), root, workers=config["workers"])

@@ -106,7 +106,8 @@ def make_dataset(header: Header, root: Path, config: dict) -> None:
     have been seen.
     """
     words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution")]
-    words += ["dataset.starts_per_fabric=1", f"dataset.orientations={config['orientations']}"]
+    words += ["prior=gaussian", "dataset.starts_per_fabric=1",
+              f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
     generation = config_from_options(options)
     require_unseen(header, generation.as_dict())  # now, because making the drapes takes minutes

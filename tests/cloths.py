@@ -38,7 +38,7 @@ def write_dataset(
 ) -> Path:
     """Drapes of one fabric each, in shards of 16, with ``orientations`` stored sets of views."""
     config = DatasetConfig(
-        drapes=drapes, prior=load_prior(), rig=Rig(), cameras=rig or CameraRig.load(),
+        drapes=drapes, prior=load_prior("gaussian"), rig=Rig(), cameras=rig or CameraRig.load(),
         sampling=SamplingConfig(orientations=orientations, starts_per_fabric=1, **sampling),
         resolution=15,
     )

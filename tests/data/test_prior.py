@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from data import prior as prior_module
 from data.fabrics import from_theta, read_fabric_table
-from data.prior import GaussianPrior, load_prior, main, sample_admissible, save_prior
+from data.prior import GaussianPrior, files, load_prior, sample_admissible, save_prior
+from data.prior.__main__ import main
 from sim.errors import InputError
 from sim.material import is_admissible
 
@@ -17,7 +17,7 @@ needs_table = pytest.mark.skipif(not TABLE.exists(), reason="the fabric table is
 
 @pytest.fixture
 def prior():
-    return load_prior()
+    return load_prior("gaussian")
 
 
 def test_bundled_prior_describes_real_fabrics(prior):
@@ -123,14 +123,14 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
     theta, rejected = sample_admissible(Reluctant(3), np.random.default_rng(0))
     assert rejected == 3
     assert is_admissible(*from_theta(theta))
-    monkeypatch.setattr(prior_module, "MAXIMUM_TRIES", 5)
+    monkeypatch.setattr(files, "MAXIMUM_TRIES", 5)
     with pytest.raises(InputError, match="possible fabric"):
         sample_admissible(Reluctant(5), np.random.default_rng(0))
 
 
 @needs_table
 def test_bundled_prior_is_the_fit_of_the_published_table(prior, tmp_path, capsys):
-    main(["fit", f"table={TABLE}", f"out={tmp_path / 'p.json'}"])
+    main(["fit", f"fabrics={TABLE}", f"out={tmp_path / 'p.json'}", "model=gaussian"])
     fitted = load_prior(tmp_path / "p.json")
     np.testing.assert_allclose(fitted.mean, prior.mean, rtol=1e-9)
     np.testing.assert_allclose(fitted.covariance, prior.covariance, rtol=1e-9)
@@ -147,7 +147,8 @@ def test_bundled_prior_covers_the_published_fabrics(prior):
 
 
 @pytest.mark.parametrize(
-    "words", [["learn"], ["fit"], ["fit", "table=nowhere.csv"], ["fit", "speed=1"]])
+    "words", [[], ["learn"], ["fit"], ["fit", "fabrics=nowhere.csv"], ["fit", "speed=1"],
+              ["fit", "fabrics=nowhere.csv", "model=oracle"]])
 def test_command_line_mistakes(words):
     with pytest.raises(InputError):
         main(words)
