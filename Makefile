@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
+.PHONY: help setup demo test test-slow test-slurm lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -34,18 +34,21 @@ test: $(STAMP)  ## fast tests
 test-slow: $(STAMP)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
+test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets installed and started
+	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
+
 lint: $(STAMP)  ## style
 	$(BIN)/ruff check .
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 	$(BIN)/python -m sim
 
-prior: $(STAMP)  ## refit the fabric prior: make prior TABLE=fabrics.csv
-	$(BIN)/python -m data.prior fit table=$(TABLE)
+prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
+	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)
 
 dataset: $(STAMP)  ## simulate and render two datasets of drapes, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET) dataset=one_start drapes=832
-	$(BIN)/python -m data.generate out=$(DATASET)_more dataset=one_start drapes=720 seed=1
+	$(BIN)/python -m data.generate out=$(DATASET) prior=gaussian dataset=one_start drapes=832
+	$(BIN)/python -m data.generate out=$(DATASET)_more prior=gaussian dataset=one_start drapes=720 seed=1
 
 train: $(STAMP)  ## train on these datasets, resumes when interrupted
 	$(BIN)/python train.py experiment=cpu_small data=$(DATASET) out=outputs/train/first

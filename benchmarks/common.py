@@ -6,7 +6,6 @@ import os
 import platform
 from collections.abc import Callable, Iterable
 from concurrent.futures import as_completed
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from sim.errors import InputError
 from sim.files import replace_file, replacing
+from sim.provenance import package_versions, processor
 from sim.workers import worker_pool
 
 if TYPE_CHECKING:
@@ -26,19 +26,11 @@ REPORTS = ROOT / "docs" / "validation"
 def machine() -> dict:
     """Hardware and versions."""
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "numba", "scipy", "torch")},
+        **package_versions("numpy", "numba", "scipy", "torch"),
     }
-
-
-def _processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            return next(line.split(":")[1].strip() for line in file if "model name" in line)
-    except (OSError, StopIteration):
-        return platform.processor()
 
 
 def write_report(path: Path, content: dict) -> None:

@@ -3,6 +3,8 @@
 Hydra composes the configuration only: no folder, log file or change of directory of its own.
 """
 
+import itertools
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,6 +68,37 @@ def _first_lines(message: str) -> str:
 def group_options(group: str) -> list[str]:
     """Names of the alternatives in ``configs/GROUP``."""
     return sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
+
+
+def describe_config(name: str, groups: list[str]) -> str:
+    """For ``--help``: the keys of ``configs/NAME.yaml`` and of its groups, with their comments.
+
+    Of a group's alternatives to the default option only what their files say of themselves.
+    """
+    lines = (CONFIG_DIR / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    parts = ["\n".join(line for line in lines if _is_key(line))]
+    chosen = {}
+    for default in read_config(name)["defaults"]:
+        chosen |= default if isinstance(default, dict) else {}
+    for group in groups:
+        for option in sorted(group_options(group), key=lambda o: (o != chosen[group], o)):
+            text = (CONFIG_DIR / group / f"{option}.yaml").read_text(encoding="utf-8")
+            about = [line[1:].strip() for line in text.splitlines() if line.startswith("#")
+                     and "@package" not in line]
+            about = list(itertools.takewhile(bool, about))  # the first paragraph
+            is_default = option == chosen[group]
+            parts.append(f"\n{group}={option}" + (", the default" if is_default else ""))
+            parts += textwrap.wrap(" ".join(about), 96, initial_indent="    ",
+                                   subsequent_indent="    ")
+            if is_default:
+                parts += [f"  {group}." + line if line[0] != " " else "    " + line
+                          for line in text.splitlines() if line and line[0] not in "#"]
+    return "\n".join(parts)
+
+
+def _is_key(line: str) -> bool:
+    """Whether a line of a primary configuration sets a key of the user's."""
+    return bool(line) and line[0] not in " #" and not line.startswith(("defaults:", "hydra:"))
 
 
 def read_config(name: str) -> dict:

@@ -35,7 +35,7 @@ class SolverOptions:
 class PriorOptions:
     """The group ``prior``; see ``configs/prior``."""
 
-    file: str | None = None
+    file: str = "vae"
 
 
 @dataclass
@@ -45,6 +45,8 @@ class Options:
     out: str = "outputs/dataset"
     drapes: int = 512
     workers: int = 2
+    part: int = 0
+    parts: int = 1
     seed: int = 0
     resolution: int = 41
     dataset: DatasetOptions = field(default_factory=DatasetOptions)

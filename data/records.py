@@ -1,32 +1,35 @@
 """From the index of a drape to its record: plan, equilibrium, views, rows of a shard."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from data.cameras import CameraRig
+from data.effort import Effort
 from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
 from data.render import VIEWS, DepthRenderer
-from data.sampling import DrapePlan, SamplingConfig, Stream, plan_drape, stream
+from data.sampling import (
+    BORROWED,
+    DrapePlan,
+    SamplingConfig,
+    Stream,
+    choose_lender,
+    plan_drape,
+    stream,
+)
 from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
 from sim.errors import InputError
+from sim.provenance import release
 from sim.scene import Rig
 
 Solver = Callable[..., object]
 """Like :func:`sim.drape.drape`."""
 Renderer = Callable[..., object]
 """Like :class:`data.render.DepthRenderer`: of positions and faces, with a method ``view``."""
-
-
-def code_version() -> str:
-    """Version of the project that makes the drapes."""
-    try:
-        return version("drapenet")
-    except PackageNotFoundError:
-        return "unknown"
+Record = Mapping[str, np.ndarray]
+"""One row of each of :func:`data.shards.fields`."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class DatasetConfig:
                 "drapes_per_shard": self.drapes_per_shard,
                 "compression": self.compression,
             },
-            "code_version": code_version(),
+            "code_version": release(),
         }
 
     def rows(self, shard: int) -> range:
@@ -112,11 +115,31 @@ def _plain(value: object) -> object:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def simulate(plan: DrapePlan, config: DatasetConfig, solver: Solver) -> tuple[dict, object]:
+def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record]) -> Record | None:
+    """The record of ``earlier`` ones whose drape the plan's starts from; None where there is none.
+
+    Only converged drapes of other fabrics are lent (Feng et al. 2022, section 5.2.1).
+    """
+    if plan.start != BORROWED:
+        return None
+    able = {int(record["index"]): record for record in earlier
+            if record["status"] == b"converged" and record["fabric"] != plan.fabric}
+    if not able:
+        return None
+    return able[choose_lender(plan.index, seed=config.sampling.seed, candidates=sorted(able))]
+
+
+def simulate(
+    plan: DrapePlan, config: DatasetConfig, solver: Solver, lender: Record | None = None
+) -> tuple[dict, object]:
     """Drape the plan's fabric; return the record without views, and the solver's result.
 
     A drape that fails, even by an arithmetical exception, keeps its record and says why.
     """
+    start: dict = {"start": plan.fallback}
+    if lender is not None:
+        # As stored, so that the shard alone is enough to repeat the drape.
+        start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
     empty = {name: np.zeros(field.shape, field.dtype)
              for name, field in fields(config.layout).items()}
@@ -126,7 +149,9 @@ def simulate(plan: DrapePlan, config: DatasetConfig, solver: Solver) -> tuple[di
         "theta": plan.theta,
         "rejected": plan.rejected,
         "density": fabric.density,
-        "start": plan.start.encode(),
+        "start": (plan.fallback if lender is None else BORROWED).encode(),
+        "planned": plan.start.encode(),
+        "lender": -1 if lender is None else lender["index"],
         "seed": plan.seed,
         "offset": plan.offset,
         "orientations": plan.orientations,
@@ -140,10 +165,10 @@ def simulate(plan: DrapePlan, config: DatasetConfig, solver: Solver) -> tuple[di
             fabric,
             rig=config.rig,
             resolution=config.resolution,
-            start=plan.start,
             seed=plan.seed,
             offset=tuple(plan.offset),
             jitter=config.jitter,
+            **start,
         )
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return record | _outcome("exception", f"{type(error).__name__}: {error}"), None
@@ -167,8 +192,8 @@ def _outcome(status: str, message: str) -> dict:
             "message": message.encode("ascii", "replace")[:160]}
 
 
-def _solver() -> Solver:
-    # Imported late: the main process and --help do without compiled kernels.
+def load_solver() -> Solver:
+    """The simulator; imported late: the main process and --help do without compiled kernels."""
     from sim.drape import drape
 
     return drape
@@ -178,30 +203,47 @@ def make_record(
     index: int,
     config: DatasetConfig,
     *,
+    earlier: Sequence[Record] = (),
     solver: Solver | None = None,
     renderer: Renderer | None = None,
+    effort: Effort | None = None,
 ) -> dict[str, np.ndarray]:
-    """The record of drape ``index``: one row of each of :func:`data.shards.fields`."""
-    solver, renderer = solver or _solver(), renderer or DepthRenderer
+    """The record of drape ``index``: one row of each of :func:`data.shards.fields`.
+
+    Args:
+        earlier: records of the drapes before it in the same shard; a borrowed start is taken
+            from them.
+        effort: where to book the time of the simulation and of the views.
+    """
+    solver, renderer = solver or load_solver(), renderer or DepthRenderer
+    effort = effort or Effort()
     plan = plan_drape(index, config=config.sampling, prior=config.prior)
-    record, result = simulate(plan, config, solver)
+    lender = find_lender(plan, config, earlier)
+    with effort.booked("solver"):
+        record, result = simulate(plan, config, solver, lender)
     if result is None:
         return record
-    # Imported here like the solver, see _solver.
+    # Imported here like the solver, see load_solver.
     from sim.measures import drape_coefficient, fold_count
 
     record["drape_coefficient"] = drape_coefficient(result.positions, result.faces, config.rig)
     record["folds"] = fold_count(result.positions, result.rest, config.rig)
-    if not len(plan.orientations):
-        return record
-    rng = stream(config.sampling.seed, Stream.VIEWS, index)
+    if len(plan.orientations):
+        with effort.booked("views"):
+            record |= _views(plan, config, renderer(result.positions, result.faces))
+    return record
+
+
+def _views(plan: DrapePlan, config: DatasetConfig, scene: object) -> dict:
+    """The part of a record that tells the pictures."""
+    rng = stream(config.sampling.seed, Stream.VIEWS, plan.index)
     cameras = [config.cameras.sample(rng) for _ in plan.orientations]
-    scene = renderer(result.positions, result.faces)
     angles = plan.orientations[:, None] + plan.turns + np.arange(VIEWS) * (np.pi / 2)
     views = [[scene.view(camera, float(angle)) for angle in row]
              for camera, row in zip(cameras, angles, strict=True)]
-    record["views"] = to_counts(np.array(views), unit=DEPTH_UNIT, dtype=np.uint16)
-    record["intrinsics"] = [[c.fx, c.fy, c.cx, c.cy] for c in cameras]
-    record["world_to_camera"] = np.stack([c.world_to_camera for c in cameras])
-    record["rendered"] = 1
-    return record
+    return {
+        "views": to_counts(np.array(views), unit=DEPTH_UNIT, dtype=np.uint16),
+        "intrinsics": [[c.fx, c.fy, c.cx, c.cy] for c in cameras],
+        "world_to_camera": np.stack([c.world_to_camera for c in cameras]),
+        "rendered": 1,
+    }

@@ -1,9 +1,11 @@
 """The plan of a dataset: which fabric, which start and which views each drape has.
 
 Everything here is a pure function of the dataset's seed and the index of a fabric or drape, so
-a drape is the same whichever process makes it, and however often the work was interrupted.
+a drape is the same whichever process makes it, and however often the work was interrupted. What a
+drape borrows depends on the outcomes of earlier drapes of its shard as well.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import IntEnum
 
@@ -14,6 +16,9 @@ from data.render import VIEWS
 from sim.errors import InputError
 
 STARTS = ("sine", "fold")
+"""Initial states that need no other drape."""
+BORROWED = "borrowed"
+"""The initial state that is an earlier drape of another fabric in the same shard."""
 
 
 class Stream(IntEnum):
@@ -22,6 +27,7 @@ class Stream(IntEnum):
     FABRIC = 0
     START = 1
     VIEWS = 2
+    LENDER = 3
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,8 @@ class SamplingConfig:
     Attributes:
         seed: seed of the dataset.
         starts_per_fabric: drapes of each fabric.
-        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1).
+        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1): of
+            :data:`STARTS`, and :data:`BORROWED`.
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
         orientations: sets of four stored views of each drape, stratified over the full turn
@@ -53,8 +60,11 @@ class SamplingConfig:
             raise InputError(f"seed={self.seed} must not be negative")
         if self.starts_per_fabric < 1 or self.orientations < 0:
             raise InputError("starts_per_fabric must be at least 1, orientations not negative")
-        if not self.starts or not set(self.starts) <= set(STARTS):
-            raise InputError(f"starts must be some of {', '.join(STARTS)}")
+        if not set(self.starts) <= {*STARTS, BORROWED}:
+            raise InputError(f"starts must be some of {', '.join(STARTS)}, {BORROWED}")
+        if not set(self.starts) & set(STARTS):
+            raise InputError(f"starts must hold {' or '.join(STARTS)}: the first drapes have "
+                             "nothing to borrow")
         if not 0 <= self.drift <= 0.02:
             raise InputError(f"the drift must lie between 0 and 20 mm, not {self.drift * 1e3:g}")
         if not 0 <= self.turn <= 0.2:
@@ -75,7 +85,8 @@ class DrapePlan:
         fabric: index of the fabric; drapes of one fabric share theta.
         theta: (6,) parameters, see :mod:`data.fabrics`.
         rejected: inadmissible samples drawn before this fabric.
-        start: initial state, one of :data:`STARTS`.
+        start: initial state, one of :data:`STARTS` or :data:`BORROWED`.
+        fallback: one of :data:`STARTS`, for a borrowed start without a lender; else ``start``.
         seed: seed of the mesh and of the initial state.
         offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
         orientations: (K,) angle of the warp in the first view, counter-clockwise seen from
@@ -89,6 +100,7 @@ class DrapePlan:
     theta: np.ndarray
     rejected: int
     start: str
+    fallback: str
     seed: int
     offset: np.ndarray
     orientations: np.ndarray
@@ -107,10 +119,19 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     rng = stream(config.seed, Stream.START, index)
     # With one drape a fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
+    made = [name for name in config.starts if name != BORROWED]
+    fallback = made[(fabric + start_of_fabric) % len(made)] if start == BORROWED else start
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
     sectors = np.arange(config.orientations) + rng.random(config.orientations)
     orientations = sectors * (2 * np.pi / max(1, config.orientations))
     turns = rng.normal(0.0, config.turn, (config.orientations, VIEWS))
     turns[:, 0] = 0.0
-    return DrapePlan(index, fabric, theta, rejected, start, seed, offset, orientations, turns)
+    return DrapePlan(index, fabric, theta, rejected, start, fallback, seed, offset, orientations,
+                     turns)
+
+
+def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:
+    """Which of the drapes ``candidates`` drape ``index`` borrows, each with the same chance."""
+    rng = stream(seed, Stream.LENDER, index)
+    return candidates[rng.integers(len(candidates))]

@@ -1,10 +1,12 @@
 """HDF5 shards: the file format of simulated drapes (``docs/data_format.md``).
 
 A shard holds a fixed block of drapes, one row each in every array of :func:`fields`. A file's
-bytes depend on its content only: no times, no machine, no random identifiers.
+bytes depend on its content only: no times, no machine, no random identifiers. Its first 512 bytes
+hold the checksum of the rest, so that every damage shows, in whichever bit.
 """
 
 import hashlib
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +17,11 @@ import numpy as np
 
 from data.render import VIEWS
 from sim.errors import InputError
-from sim.files import replace_file, replacing
+from sim.files import replace_shared_file
 from sim.mesh import grid_faces
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 DEPTH_UNIT = 1e-4  # m per count of stored depth
 
@@ -62,7 +65,9 @@ def fields(layout: Layout) -> dict[str, Field]:
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics"),
         "rejected": Field("i4", (), "", "impossible samples of the prior before this fabric"),
         "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
-        "start": Field("S8", (), "", "initial state: sine or fold"),
+        "start": Field("S8", (), "", "initial state: sine, fold or borrowed"),
+        "planned": Field("S8", (), "", "the same as planned; borrowing needs an earlier drape"),
+        "lender": Field("i8", (), "", "drape that was borrowed; -1 for another start"),
         "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
         "offset": Field("f8", (2,), "m", "specimen's centre from the plate's axis: warp, weft"),
         "status": Field("S24", (), "", "outcome of the solver; views only of 'converged'"),
@@ -104,6 +109,10 @@ def unpack_diagonals(packed: np.ndarray, resolution: int) -> np.ndarray:
     return np.unpackbits(packed, count=cells * cells).astype(bool).reshape(cells, cells)
 
 
+SHARDS = "shard_*.h5"
+"""Pattern of :func:`shard_name`."""
+
+
 def shard_name(shard: int) -> str:
     """File name of a shard."""
     return f"shard_{shard:05d}.h5"
@@ -118,26 +127,77 @@ def write_shard(
 ) -> None:
     """Write ``records`` (one mapping from each name of :func:`fields` to its row) to ``path``.
 
-    The file appears under its name only when it is complete.
+    The file appears under its name only when it is complete; several processes may write it.
+
+    Raises:
+        InputError: the system refuses to write.
     """
+    replace_shared_file(path, shard_bytes(records, layout=layout, attributes=attributes))
+
+
+def shard_bytes(
+    records: Sequence[Mapping[str, np.ndarray]],
+    *,
+    layout: Layout,
+    attributes: Mapping[str, str | int | float],
+) -> bytes:
+    """The content of a shard's file, see :func:`write_shard`."""
+    # In memory, because HDF5 does not survive a full disk.
+    memory = io.BytesIO()
     libver = ("earliest", "v110")
-    with replacing(path) as temporary, h5py.File(temporary, "w", libver=libver) as file:
+    with h5py.File(memory, "w", libver=libver, userblock_size=SEAL_SIZE) as file:
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
         for name, field in fields(layout).items():
-            rows = np.stack([np.asarray(record[name]).astype(field.dtype) for record in records])
-            if rows.shape[1:] != field.shape:
-                raise ValueError(f"{name} has shape {rows.shape[1:]}, expected {field.shape}")
-            options = {}
-            if rows.ndim > 1 and rows[0].size > 64:
-                # A chunk is what is read at a time: one set of views, one drape's mesh.
-                chunk = (1, 1, *rows.shape[2:]) if name == "views" else (1, *rows.shape[1:])
-                options = {"chunks": chunk, "compression": "gzip", "shuffle": True,
-                           "compression_opts": layout.compression}
-            data = file.create_dataset(name, data=rows, **options)
-            if field.unit:
-                data.attrs["unit"] = np.bytes_(field.unit.encode())
+            _write_field(file, name, field, [record[name] for record in records], layout)
+    content = memory.getbuffer()[SEAL_SIZE:]
+    return _seal(hashlib.sha256(content).hexdigest()) + content
+
+
+def _write_field(
+    file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray], layout: Layout
+) -> None:
+    """Write one array, row by row: all pictures at once would fill the memory."""
+    for row in rows:
+        if np.shape(row) != field.shape:
+            raise ValueError(f"{name} has shape {np.shape(row)}, expected {field.shape}")
+    options = {}
+    if field.shape and np.prod(field.shape) > 64:
+        # A chunk is what is read at a time: one set of views, one drape's mesh.
+        chunk = (1, 1, *field.shape[1:]) if name == "views" else (1, *field.shape)
+        options = {"chunks": chunk, "compression": "gzip", "shuffle": True,
+                   "compression_opts": layout.compression}
+    data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
+    for i, row in enumerate(rows):
+        data[i] = np.asarray(row).astype(field.dtype)
+    if field.unit:
+        data.attrs["unit"] = np.bytes_(field.unit.encode())
+
+
+def _seal(digest: str) -> bytes:
+    """The start of a shard whose rest has the SHA-256 ``digest``; readable by people."""
+    text = f"drapes, schema {SCHEMA_VERSION}, SHA-256 of all after byte {SEAL_SIZE}:\n{digest}\n"
+    return text.encode().ljust(SEAL_SIZE, b"\0")
+
+
+def verified_digest(path: Path) -> str:
+    """SHA-256 of a shard's file, hexadecimal, after a look at its own checksum.
+
+    Raises:
+        InputError: the file is cut short or damaged, of another schema version, or no shard.
+        OSError: it cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        seal = file.read(SEAL_SIZE)
+        whole, content = hashlib.sha256(seal), hashlib.sha256()
+        while block := file.read(1 << 20):
+            whole.update(block)
+            content.update(block)
+    if seal != _seal(content.hexdigest()):
+        raise InputError(f"{path} is damaged or no shard of schema version {SCHEMA_VERSION}; "
+                         "generate it anew")
+    return whole.hexdigest()
 
 
 class Shard:
@@ -155,7 +215,8 @@ class Shard:
             raise InputError(f"{self.path} is not a readable HDF5 file; generate it anew") from None
         if self.attribute("schema_version") != SCHEMA_VERSION:
             self.close()
-            raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}")
+            raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}; "
+                             "generate it anew")
 
     def __enter__(self) -> "Shard":
         return self
@@ -180,6 +241,10 @@ class Shard:
         rows = self._file[name][:]
         return np.char.decode(rows, "utf-8") if rows.dtype.kind == "S" else rows
 
+    def storage(self) -> dict[str, int]:
+        """Bytes on disk of each field's values, compressed."""
+        return {name: rows.id.get_storage_size() for name, rows in self._file.items()}
+
     def views(self, row: int, orientation: int) -> np.ndarray:
         """One set of views (4, H, W) float32, z-depth in m, background 0."""
         return self._file["views"][row, orientation].astype(np.float32) * np.float32(DEPTH_UNIT)
@@ -199,7 +264,7 @@ MANIFEST = "dataset.json"
 def write_manifest(root: Path, content: dict) -> None:
     """Write the dataset's ``dataset.json`` in one step."""
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    replace_file(root / MANIFEST, text.encode())
+    replace_shared_file(root / MANIFEST, text.encode())
 
 
 def read_manifest(root: Path) -> dict | None:
@@ -216,7 +281,8 @@ def read_manifest(root: Path) -> dict | None:
     except (OSError, ValueError):
         raise InputError(f"{path} cannot be read; generate the dataset anew") from None
     if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}")
+        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
+                         "dataset anew, in another folder")
     return content
 
 

@@ -1,50 +1,145 @@
-"""Records of drapes, made by worker processes."""
+"""Worker processes that make whole shards."""
 
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, wait
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing import get_context
 
-import numpy as np
-
-from data.records import DatasetConfig, Renderer, Solver, make_record
+from data.effort import Effort
+from data.folder import DatasetFolder
+from data.records import Renderer, Solver, load_solver, make_record
 from sim.workers import worker_pool
 
-IN_FLIGHT = 4  # drapes handed out per worker, so that none waits and memory stays small
-
-_worker: dict = {}
+REFRESH = 0.3  # s between two looks at what the workers have done
 
 
-def _start_worker(config: DatasetConfig, solver: Solver | None, renderer: Renderer | None) -> None:
+@dataclass(frozen=True)
+class Outcome:
+    """What a run of the workers took.
+
+    Attributes:
+        seconds: sums over the workers, see :meth:`data.effort.Effort.total`, and ``start``.
+        workers: number of processes.
+        wall: s.
+    """
+
+    seconds: Counter[str]
+    workers: int
+    wall: float
+
+
+class _Board:
+    """Numbers that workers write and the main process reads, without locks.
+
+    A lock would stay closed for ever if its holder was killed.
+    """
+
+    def __init__(self, shards: int) -> None:
+        self._cells = get_context("spawn").RawArray("q", 1 + 2 * shards)
+
+    def stop(self) -> None:
+        """Ask the workers to leave their shards unfinished."""
+        self._cells[0] = 1
+
+    @property
+    def stopped(self) -> bool:
+        return bool(self._cells[0])
+
+    def count(self, place: int, *, drapes: int, failed: int) -> None:
+        """Tell how far the ``place``-th shard is."""
+        self._cells[1 + 2 * place : 3 + 2 * place] = [drapes, failed]
+
+    def totals(self) -> tuple[int, int]:
+        """Drapes made, and how many of them failed."""
+        return sum(self._cells[1::2]), sum(self._cells[2::2])
+
+
+@dataclass
+class _Worker:
+    """What a worker process knows."""
+
+    folder: DatasetFolder
+    board: _Board
+    solver: Solver
+    renderer: Renderer | None
+    unreported: Counter[str]
+
+
+_worker: _Worker | None = None
+
+
+def _start(
+    folder: DatasetFolder,
+    board: _Board,
+    solver: Solver | None,
+    renderer: Renderer | None,
+    began: float,
+) -> None:
     """Prepare a worker process."""
-    _worker.update(config=config, solver=solver, renderer=renderer)
+    global _worker
+    import_module("sim.measures")  # not while the first drape is made
+    solver = solver or load_solver()
+    spent = Counter({"start": time.process_time(), "wall": time.time() - began})
+    _worker = _Worker(folder, board, solver, renderer, spent)
 
 
-def _work(index: int) -> dict[str, np.ndarray]:
-    return make_record(index, **_worker)
+def _make(place: int, shard: int) -> Counter[str]:
+    """Make a shard, unless another run has done so; return what it took."""
+    worker, effort = _worker, Effort()
+    config = worker.folder.config
+    records: list[dict] = []
+    failed = 0
+    if worker.folder.content(shard) is None:
+        for index in config.rows(shard):
+            if worker.board.stopped:
+                break
+            records.append(make_record(index, config, earlier=records, solver=worker.solver,
+                                       renderer=worker.renderer, effort=effort))
+            failed += records[-1]["status"] != b"converged"
+            worker.board.count(place, drapes=len(records), failed=failed)
+        else:
+            worker.folder.write(shard, records)
+    worker.board.count(place, drapes=len(config.rows(shard)), failed=failed)
+    seconds, worker.unreported = worker.unreported, Counter()
+    seconds.update(effort.total())
+    return seconds
 
 
-def make_records(
-    indices: list[int],
-    config: DatasetConfig,
+def make_shards(
+    folder: DatasetFolder,
+    shards: list[int],
     *,
     workers: int,
     solver: Solver | None = None,
     renderer: Renderer | None = None,
-) -> Iterator[dict[str, np.ndarray]]:
-    """Records of the drapes ``indices``, as they are finished, from ``workers`` processes.
+    report: Callable[[int, int], None] = lambda drapes, failed: None,
+) -> Outcome:
+    """Make ``shards``, each in one of ``workers`` processes.
 
     ``solver`` and ``renderer`` are sent to the processes by name, so they must be importable.
+    ``report`` is called now and then with the number of drapes made, and of those that failed.
+
+    Raises:
+        InputError: a shard cannot be written; a worker was ended from outside.
     """
-    if not indices:
-        return
-    processes = min(workers, len(indices))
-    with worker_pool(processes, _start_worker, config, solver, renderer) as pool:
-        waiting = iter(indices)
-        running: set[Future] = set()
-        while True:
-            while len(running) < IN_FLIGHT * workers and (i := next(waiting, None)) is not None:
-                running.add(pool.submit(_work, i))
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+    if not shards:
+        return Outcome(Counter(), 0, 0.0)
+    workers = min(workers, len(shards))
+    seconds: Counter[str] = Counter()
+    board, began = _Board(len(shards)), time.time()
+    with worker_pool(workers, _start, folder, board, solver, renderer, began) as pool:
+        try:
+            running = {pool.submit(_make, *place) for place in enumerate(shards)}
+            while running:
+                done, running = wait(running, timeout=REFRESH, return_when=FIRST_COMPLETED)
+                report(*board.totals())
+                for future in done:
+                    seconds.update(future.result())
+            wall = time.time() - began
+        finally:
+            # Else leaving the pool would wait for whole shards after an error or Ctrl-C.
+            board.stop()
+    return Outcome(seconds, workers, wall)

@@ -16,7 +16,6 @@ from tqdm import tqdm
 
 from data.dataset import DrapeDataset
 from data.fresh import FreshDataset, open_views
-from data.records import code_version
 from data.sensor import SensorNoise
 from data.splits import SplitDataset
 from data.view_order import ORDERS, reorder_axis, reorder_views
@@ -28,6 +27,7 @@ from drapenet.preprocess import InputFormat, prepare
 from drapenet.targets import TargetScale, direction_vectors, to_stiff_soft
 from sim.errors import InputError
 from sim.material import REFERENCE_DENSITY
+from sim.provenance import release
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """Views (N, 4, h, w), standardised targets (N, 6), stiff axes (N, 2)."""
@@ -258,5 +258,5 @@ def describe(
         "validation": metrics,
         "epochs": epoch + 1,
         "config": asdict(config),
-        "versions": {"project": code_version(), "torch": torch.__version__},
+        "versions": {"project": release(), "torch": torch.__version__},
     }

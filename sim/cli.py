@@ -1,5 +1,6 @@
 """Shared conduct of the command lines: ``key=value`` words, one-line errors, exit codes."""
 
+import os
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -67,4 +68,8 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
+    except BrokenPipeError:
+        # Whoever read the output, such as `head`, has seen enough; Python's own last flush must
+        # not complain about it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(0)

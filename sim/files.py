@@ -1,6 +1,7 @@
 """Writing files so that each is either complete under its name or not there."""
 
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -41,3 +42,41 @@ def replace_file(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` in one step, see :func:`replacing`."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+def replace_shared_file(path: Path, data: bytes) -> None:
+    """Like :func:`replace_file`, where several processes, on any machines, may write ``path``.
+
+    Each has a temporary name of its own, see :func:`remove_partial`; the last one to finish wins.
+
+    Raises:
+        InputError: the system refuses to write.
+    """
+    for _ in range(10):
+        name = f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}"
+        temporary = path.with_name(name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+            return
+        except (FileExistsError, FileNotFoundError) as error:
+            reason = error.strerror  # another process took the file for a leftover
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror or one_line(error)}") from None
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+    raise InputError(f"cannot write {path}: {reason}")
+
+
+def remove_partial(folder: Path, pattern: str) -> None:
+    """Remove what writers of files named like ``pattern`` have left behind.
+
+    Whoever is writing one with :func:`replace_shared_file` at this moment writes it again.
+    """
+    for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
+        leftover.unlink(missing_ok=True)

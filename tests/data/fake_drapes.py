@@ -31,10 +31,36 @@ def cone(fabric, *, rig, resolution, start, seed, offset, jitter):
     )
 
 
-def slow_cone(fabric, **settings):
-    """The same, slowly enough to be interrupted."""
-    time.sleep(0.15)
+def lending_cone(fabric, *, rig, start=None, borrowed=None, **settings):
+    """The same, that also starts from another drape: its sag is a tenth of the lender's more."""
+    result = cone(fabric, rig=rig, start=start, **settings)
+    if borrowed is not None:
+        rest, positions = borrowed
+        assert np.ptp(rest, axis=0).max() < 1.02 * rig.specimen_size
+        result.positions[:, 2] *= 1 - 0.1 * positions[:, 2].min() / rig.specimen_size
+    return result
+
+
+def slow_lending_cone(fabric, **settings):
+    """That one, slowly enough to be interrupted."""
+    time.sleep(float(os.environ["DRAPE_TEST_PAUSE"]))
+    return lending_cone(fabric, **settings)
+
+
+def busy_cone(fabric, **settings):
+    """The same, after a tenth of a second of work."""
+    end = time.process_time() + 0.1
+    while time.process_time() < end:
+        pass
     return cone(fabric, **settings)
+
+
+def tangled(fabric, **settings):
+    """The same, its first corner pulled through the cloth opposite to it, with every second."""
+    result = cone(fabric, **settings)
+    if settings["start"] == "fold":
+        result.positions[0] = result.positions[-1] + [-0.03, -0.03, 0.05]
+    return result
 
 
 def overflowing(fabric, **settings):

@@ -1,9 +1,9 @@
 import json
 import os
-import signal
+import re
+import shutil
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def small_config(drapes=10, **sampling):
     return DatasetConfig(
         drapes=drapes,
         sampling=SamplingConfig(**({"orientations": 2} | sampling)),
-        prior=load_prior(),
+        prior=load_prior("gaussian"),
         rig=Rig(),
         cameras=small_rig(),
         resolution=9,
@@ -51,6 +51,10 @@ def generate(out, config=None, **options):
 
 def files(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def shards(folder):
+    return sorted(folder.glob("shard_*.h5"))
 
 
 @pytest.fixture(scope="module")
@@ -124,16 +128,32 @@ def test_views_have_the_recorded_camera_and_angle(finished):
 def test_manifest_counts_everything(finished):
     folder, manifest = finished
     assert json.loads((folder / "dataset.json").read_text()) == manifest
-    statuses = [plan_drape(i, config=small_config().sampling, prior=load_prior()).seed
+    statuses = [plan_drape(i, config=small_config().sampling, prior=load_prior("gaussian")).seed
                 % fake_drapes.FAIL_SEED_MODULUS == 0 for i in range(10)]
     assert manifest["outcomes"] == {"converged": 10 - sum(statuses),
                                     "max_iterations": sum(statuses)}
     assert 0 < sum(statuses) < 10  # else this dataset tests nothing
     assert manifest["complete"] and manifest["drapes"] == 10 and manifest["fabrics"] == 5
     assert 0 <= manifest["rejection_rate"] < 0.2
+    assert manifest["starts"] == {"fold": 5, "sine": 5}
     # Machine and command line leave no trace.
     text = json.dumps(manifest)
     assert str(folder) not in text and "workers" not in text
+
+
+def test_bytes_do_not_depend_on_parts_and_their_order(finished, tmp_path):
+    assert not generate(tmp_path / "set", part=1, parts=2)["complete"]
+    assert [path.name for path in shards(tmp_path / "set")] == ["shard_00001.h5"]
+    assert generate(tmp_path / "set", part=0, parts=2)["complete"]
+    assert files(tmp_path / "set") == files(finished[0])
+
+
+def test_a_run_without_parts_completes_what_parts_have_left(finished, tmp_path):
+    manifest = generate(tmp_path / "set", part=2, parts=3)
+    assert manifest["complete"] is False and "hash" not in manifest
+    assert not json.loads((tmp_path / "set" / "dataset.json").read_text())["complete"]
+    generate(tmp_path / "set")
+    assert files(tmp_path / "set") == files(finished[0])
 
 
 def test_bytes_do_not_depend_on_workers(finished, tmp_path):
@@ -147,18 +167,35 @@ def test_another_seed_gives_another_dataset(finished, tmp_path):
     assert manifest["identity"] != finished[1]["identity"]
 
 
-def test_missing_and_damaged_shards_are_made_again(finished, tmp_path):
-    generate(tmp_path)
-    (tmp_path / "shard_00000.h5").unlink()
-    (tmp_path / "shard_00001.h5").write_bytes(b"\x89HDF\r\n\x1a\n cut short")
-    (tmp_path / "shard_00002.h5.part").write_bytes(b"left over")
-    (tmp_path / "film.mkv.part").write_bytes(b"somebody else's")
-    untouched = (tmp_path / "shard_00002.h5").stat().st_mtime_ns
-    generate(tmp_path)
-    assert (tmp_path / "film.mkv.part").read_bytes() == b"somebody else's"
-    (tmp_path / "film.mkv.part").unlink()
-    assert files(tmp_path) == files(finished[0])
-    assert (tmp_path / "shard_00002.h5").stat().st_mtime_ns == untouched
+@pytest.mark.parametrize("damage", ["missing", "cut", "empty", "bit", "seal", "foreign"])
+def test_missing_and_damaged_shards_are_made_again(finished, tmp_path, damage):
+    folder = tmp_path / "set"
+    shutil.copytree(finished[0], folder)
+    victim, whole = folder / "shard_00001.h5", (folder / "shard_00001.h5").read_bytes()
+    untouched = (folder / "shard_00002.h5").stat().st_mtime_ns
+    (folder / "shard_00002.h5.part").write_bytes(b"left over")
+    (folder / "shard_00000.h5.0123abcd.part").write_bytes(b"left over")
+    (folder / "dataset.json.0123abcd.part").write_bytes(b"left over")
+    (folder / "film.mkv.part").write_bytes(b"somebody else's")
+    if damage == "missing":
+        victim.unlink()
+    elif damage == "foreign":
+        victim.write_bytes((folder / "shard_00002.h5").read_bytes())
+    else:
+        position = {"bit": 2 * len(whole) // 3, "seal": 300}.get(damage, 0)
+        flipped = bytearray(whole)
+        flipped[position] ^= 4
+        victim.write_bytes({"cut": whole[:-1], "empty": b""}.get(damage, bytes(flipped)))
+    generate(folder)
+    assert (folder / "film.mkv.part").read_bytes() == b"somebody else's"
+    (folder / "film.mkv.part").unlink()
+    assert files(folder) == files(finished[0])
+    assert (folder / "shard_00002.h5").stat().st_mtime_ns == untouched
+
+
+def test_a_finished_dataset_is_not_made_again(finished, tmp_path):
+    shutil.copytree(finished[0], tmp_path / "set")
+    assert generate(tmp_path / "set", solver=fake_drapes.killed) == finished[1]
 
 
 def test_a_dataset_grows(finished, tmp_path):
@@ -181,9 +218,19 @@ def test_another_configuration_is_refused(tmp_path):
 
 def test_shards_of_unknown_origin_are_not_touched(tmp_path):
     (tmp_path / "shard_00000.h5").write_text("mine")
-    with pytest.raises(InputError, match="holds shards without"):
+    with pytest.raises(InputError, match=r"no dataset\.json, and shard_00000\.h5"):
         generate(tmp_path)
     assert (tmp_path / "shard_00000.h5").read_text() == "mine"
+
+
+def test_shards_without_a_manifest_are_taken_up_if_they_are_the_datasets(finished, tmp_path):
+    folder = tmp_path / "set"
+    shutil.copytree(finished[0], folder)
+    (folder / "dataset.json").unlink()
+    with pytest.raises(InputError, match=r"other settings \(sampling\.seed\)"):
+        generate(folder, small_config(seed=5))
+    # Where they were made is not known any more.
+    assert generate(folder, solver=fake_drapes.killed) == finished[1] | {"provenance": []}
 
 
 def test_accidents_of_the_solver_are_recorded(tmp_path):
@@ -230,36 +277,6 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         generate(tmp_path, solver=fake_drapes.killed)
 
 
-INTERRUPTED = """
-import sys
-sys.path.insert(0, {tests!r})
-if __name__ == "__main__":
-    import fake_drapes, test_generate
-    test_generate.generate({out!r}, workers=2, solver=fake_drapes.slow_cone)
-"""
-
-
-def test_killed_and_continued_is_as_if_uninterrupted(finished, tmp_path):
-    script = tmp_path / "run.py"
-    out = tmp_path / "set"
-    script.write_text(INTERRUPTED.format(tests=str(Path(__file__).parent), out=str(out)))
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
-    process = subprocess.Popen([sys.executable, str(script)], env=environment)
-    deadline = time.monotonic() + 60
-    while not list(out.glob("shard_*.h5")):
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
-    with pytest.raises(InputError, match="another process"):
-        generate(out)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    interrupted = files(out)
-    assert not json.loads(interrupted["dataset.json"])["complete"]
-    assert len(list(out.glob("shard_*.h5"))) < 3
-    generate(out)
-    assert files(out) == files(finished[0])
-
-
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
@@ -271,6 +288,9 @@ def test_killed_and_continued_is_as_if_uninterrupted(finished, tmp_path):
         (["dataset.starts=[flat]"], "starts"),
         (["resolution=4"], "resolution=4"),
         (["workers=0"], "workers=0"),
+        (["part=2", "parts=2"], "part=2 of parts=2"),
+        (["parts=0"], "parts=0"),
+        (["launcher=slurm", "parts=4"], "--multirun"),
         (["seed=-1"], "seed=-1"),
         (["solver.jitter=2"], "jitter=2"),
         (["prior.file=nowhere.json"], "nowhere.json"),
@@ -298,5 +318,18 @@ def test_help_names_every_key(capsys):
     main(["--help"])
     text = capsys.readouterr().out
     for key in ("out:", "drapes:", "workers:", "seed:", "resolution:", "orientations:",
-                "starts_per_fabric:", "fresh, one_start, paper, views8"):
+                "starts_per_fabric:", "parts:", "rig.camera:", "dataset=views8, the default",
+                "dataset=fresh\n    Drapes only", "launcher=slurm\n    Jobs of a Slurm"):
         assert key in text
+    assert "# of all that is random" in text and "hydra" not in text.split("launcher=")[0]
+    assert "@package" not in text
+
+
+def test_the_run_tells_what_its_time_was_spent_on(tmp_path, capsys):
+    generate(tmp_path, workers=2, solver=fake_drapes.busy_cone, progress=True)
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    shares = {name: float(share) for name, share in re.findall(r"([a-z ]+) ([\d.]+)%", line)}
+    assert list(shares) == [" solver", " views", " checks and files", " start of the processes",
+                            " idle"]
+    assert sum(shares.values()) == pytest.approx(100, abs=0.3)
+    assert shares[" solver"] > 10 and shares[" views"] < 10  # 0.1 s of CPU a drape

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from data.prior import load_prior
-from data.sampling import SamplingConfig, plan_drape
+from data.sampling import SamplingConfig, choose_lender, plan_drape
 from sim.errors import InputError
 
-PRIOR = load_prior()
+PRIOR = load_prior("gaussian")
 
 
 def plans(count, **changes):
@@ -38,6 +38,33 @@ def test_drapes_of_a_fabric_share_the_parameters_and_nothing_else():
 def test_starts_are_balanced(per_fabric):
     starts = [p.start for p in plans(40, starts_per_fabric=per_fabric)]
     assert starts.count("sine") == starts.count("fold") == 20
+
+
+def test_a_third_of_eight_starts_each_is_borrowed():
+    kinds = ("sine", "fold", "borrowed")
+    drapes = plans(48, starts_per_fabric=8, starts=kinds)
+    assert [[p.start for p in drapes].count(kind) for kind in kinds] == [16, 16, 16]
+    for fabric in range(6):
+        of_fabric = [p.start for p in drapes if p.fabric == fabric]
+        assert sorted(of_fabric.count(kind) for kind in kinds) == [2, 3, 3]
+    fallbacks = [p.fallback for p in drapes if p.start == "borrowed"]
+    assert fallbacks.count("sine") == fallbacks.count("fold") == 8
+    assert all(p.fallback == p.start for p in drapes if p.start != "borrowed")
+
+
+def test_borrowing_changes_neither_fabrics_nor_seeds():
+    for plain, other in zip(plans(6), plans(6, starts=("borrowed", "sine")), strict=True):
+        np.testing.assert_array_equal(plain.theta, other.theta)
+        np.testing.assert_array_equal(plain.offset, other.offset)
+        assert plain.seed == other.seed
+
+
+def test_lenders_are_equally_likely_and_depend_on_seed_and_drape():
+    chosen = [choose_lender(i, seed=1, candidates=[4, 7, 9]) for i in range(3000)]
+    counts = [chosen.count(candidate) for candidate in (4, 7, 9)]
+    assert sum(counts) == 3000 and max(abs(count - 1000) for count in counts) < 110
+    assert chosen[:50] == [choose_lender(i, seed=1, candidates=[4, 7, 9]) for i in range(50)]
+    assert chosen[:50] != [choose_lender(i, seed=2, candidates=[4, 7, 9]) for i in range(50)]
 
 
 @pytest.mark.parametrize("number", [0, 2])
@@ -74,7 +101,8 @@ def test_the_table_turns_by_quarters_give_or_take():
 @pytest.mark.parametrize(
     "changes",
     [{"seed": -1}, {"starts_per_fabric": 0}, {"orientations": -1}, {"starts": ("flat",)},
-     {"starts": ()}, {"drift": -0.001}, {"drift": float("nan")}, {"drift": 0.1}, {"turn": 0.5}],
+     {"starts": ()}, {"starts": ("borrowed",)}, {"drift": -0.001},
+     {"drift": float("nan")}, {"drift": 0.1}, {"turn": 0.5}],
 )
 def test_nonsense_is_refused(changes):
     with pytest.raises(InputError):

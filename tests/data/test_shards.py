@@ -1,3 +1,4 @@
+import hashlib
 import re
 import time
 from pathlib import Path
@@ -7,13 +8,17 @@ import numpy as np
 import pytest
 
 from data.shards import (
+    SCHEMA_VERSION,
+    SEAL_SIZE,
     Layout,
     Shard,
     fields,
+    file_digest,
     pack_diagonals,
     read_manifest,
     to_counts,
     unpack_diagonals,
+    verified_digest,
     write_manifest,
     write_shard,
 )
@@ -21,7 +26,7 @@ from sim.errors import InputError
 from sim.mesh import grid_faces
 
 LAYOUT = Layout(resolution=9, orientations=3, height=6, width=8)
-ATTRIBUTES = {"schema_version": 1, "identity": "abc", "config": "{}"}
+ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
 
 
 def random_record(seed):
@@ -59,7 +64,7 @@ def test_every_field_comes_back(shard):
 
 def test_attributes_and_units(shard):
     assert shard.attribute("identity") == "abc"
-    assert shard.attribute("schema_version") == 1
+    assert shard.attribute("schema_version") == SCHEMA_VERSION
     assert shard.attribute("absent") is None
     with h5py.File(shard.path) as file:
         assert file["offset"].attrs["unit"] == b"m"
@@ -112,6 +117,32 @@ def test_bytes_depend_on_the_content_alone(tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
+    whole = shard.path.read_bytes()
+    assert verified_digest(shard.path) == file_digest(shard.path)
+    damaged = tmp_path / "damaged.h5"
+    rng = np.random.default_rng(0)
+    positions = [0, 511, 512, len(whole) - 1, *rng.integers(len(whole), size=40)]
+    for position in positions:
+        content = bytearray(whole)
+        content[position] ^= 1 << int(rng.integers(8))
+        damaged.write_bytes(content)
+        with pytest.raises(InputError, match="damaged"):
+            verified_digest(damaged)
+    for content in (b"", whole[:100], whole[:SEAL_SIZE], whole[:-1], whole + b"\0"):
+        damaged.write_bytes(content)
+        with pytest.raises(InputError, match="damaged"):
+            verified_digest(damaged)
+
+
+def test_the_seal_is_that_of_the_documentation(shard):
+    whole = shard.path.read_bytes()
+    first, second, rest = whole[:SEAL_SIZE].split(b"\n")
+    assert first == b"drapes, schema 2, SHA-256 of all after byte 512:"
+    assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
+    assert not rest.strip(b"\0")
+
+
 def test_a_record_of_another_layout_is_refused_and_leaves_no_file(tmp_path):
     with pytest.raises(ValueError, match="positions has shape"):
         write_shard(tmp_path / "s.h5", [random_record(0) | {"positions": np.zeros((4, 3))}],
@@ -130,9 +161,9 @@ def test_other_files_are_no_shard(tmp_path):
 
 def test_manifest(tmp_path):
     assert read_manifest(tmp_path) is None
-    write_manifest(tmp_path, {"schema_version": 1, "drapes": 3})
+    write_manifest(tmp_path, {"schema_version": SCHEMA_VERSION, "drapes": 3})
     assert read_manifest(tmp_path)["drapes"] == 3
-    for text in ("{", "[]", '{"schema_version": 7}'):
+    for text in ("{", "[]", '{"schema_version": 1}', '{"schema_version": 7}'):
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError):
             read_manifest(tmp_path)

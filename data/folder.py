@@ -1,0 +1,217 @@
+"""The folder of a dataset: whose it is, which of its shards are whole, what is in them.
+
+There is no lock, since locks cannot be trusted on the shared file systems of clusters. Any number
+of processes may work in a folder: a file appears under its name by being renamed, complete, and
+whoever writes a shard writes the same bytes.
+"""
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from data.prior import prior_content
+from data.records import DatasetConfig, Record
+from data.shards import (
+    MANIFEST,
+    SCHEMA_VERSION,
+    SHARDS,
+    Shard,
+    json_digest,
+    json_text,
+    read_manifest,
+    shard_name,
+    verified_digest,
+    write_manifest,
+    write_shard,
+)
+from sim.errors import InputError
+from sim.files import remove_partial
+from sim.provenance import environment
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is in a shard: SHA-256 of the file, and columns of its drapes."""
+
+    digest: str
+    statuses: list[str]
+    starts: list[str]
+    fabrics: list[int]
+    rejected: list[int]
+
+
+@dataclass(frozen=True)
+class DatasetFolder:
+    """The folder ``root`` of the dataset ``config``."""
+
+    root: Path
+    config: DatasetConfig
+
+    @cached_property
+    def identity(self) -> str:
+        """SHA-256 of the configuration."""
+        return json_digest(self.config.as_dict())
+
+    @property
+    def _described(self) -> dict:
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "identity": self.identity,
+            "drapes": self.config.drapes,
+            "config": self.config.as_dict(),
+            "prior": self._prior,
+        }
+
+    @cached_property
+    def _prior(self) -> dict:
+        prior = self.config.prior
+        return {"kind": prior.kind, "sha256": json_digest(prior_content(prior))}
+
+    @cached_property
+    def _settings(self) -> dict:
+        """The configuration as shards state it: of the prior, which may be large, its digest."""
+        return self.config.as_dict() | {"prior": self._prior}
+
+    def claim(self) -> None:
+        """Create the folder, or see that it holds this dataset, or part of it.
+
+        Raises:
+            InputError: the folder cannot be made, holds another dataset, or more drapes.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot create the folder {self.root}: {error.strerror}") from None
+        manifest = read_manifest(self.root)
+        if manifest is not None:
+            settings = manifest.get("config", {}) | {"prior": manifest.get("prior")}
+            self._require_same(manifest.get("identity"), settings)
+            if manifest["drapes"] > self.config.drapes:
+                raise InputError(f"{self.root} holds {manifest['drapes']} drapes already; ask for "
+                                 "as many or more")
+        else:
+            for path in self.root.glob(SHARDS):
+                self._adopt(path)
+
+    def _adopt(self, path: Path) -> None:
+        """Accept a shard without a manifest beside it, if it is this dataset's."""
+        try:
+            verified_digest(path)
+        except (InputError, OSError):
+            raise InputError(f"{self.root} has no {MANIFEST}, and {path.name} in it is damaged or "
+                             "something else; remove it, or choose another folder") from None
+        with Shard(path) as file:
+            self._require_same(file.attribute("identity"), json.loads(file.attribute("config")))
+
+    def _require_same(self, identity: object, settings: dict) -> None:
+        if identity != self.identity:
+            changed = ", ".join(_differences(settings, self._settings)) or "unknown settings"
+            raise InputError(f"{self.root} holds a dataset with other settings ({changed}); choose "
+                             "another folder, or remove it")
+
+    def content(self, shard: int) -> Content | None:
+        """What is in a shard; None where it has yet to be made, or made anew.
+
+        The last one grows when a dataset is extended.
+        """
+        path = self.root / shard_name(shard)
+        if not path.exists():
+            return None
+        try:
+            digest = verified_digest(path)
+            with Shard(path) as file:
+                if (file.attribute("identity") != self.identity
+                        or file.column("index").tolist() != list(self.config.rows(shard))):
+                    return None
+                columns = (file.column(n).tolist() for n in ("status", "start", "fabric",
+                                                             "rejected"))
+                return Content(digest, *columns)
+        except (InputError, KeyError, OSError):
+            return None
+
+    def write(self, shard: int, records: list[Record]) -> None:
+        """Write a shard; InputError where the system refuses."""
+        name = shard_name(shard)
+        try:
+            remove_partial(self.root, name)
+            write_shard(self.root / name, records, layout=self.config.layout, attributes={
+                "schema_version": SCHEMA_VERSION,
+                "identity": self.identity,
+                "config": json_text(self._settings),
+            })
+        except InputError as error:
+            raise InputError(f"{error}; make room or choose another folder, and run the same "
+                             "command again: nothing that was finished is lost") from None
+
+    def begin(self) -> None:
+        """Say in the manifest that there is work to do."""
+        found = read_manifest(self.root) or {}
+        begun = self._described | {"complete": False, "provenance": _provenance(found, made=True)}
+        if found != begun:
+            write_manifest(self.root, begun)
+
+    def finish(self, *, made: bool = True) -> dict:
+        """Write the manifest if all shards are whole; return it, finished or not.
+
+        ``made`` says whether this process has made shards.
+        """
+        self.claim()  # it may have been extended meanwhile
+        names = [shard_name(shard) for shard in range(self.config.shards)]
+        contents: dict[str, Content | None] = {}
+        # All are looked for before the first is read: most parts of a dataset end before others.
+        if all((self.root / name).exists() for name in names):
+            contents = {name: self.content(shard) for shard, name in enumerate(names)}
+        if not contents or None in contents.values():
+            return self._described | {"complete": False}
+        found = read_manifest(self.root) or {}
+        manifest = (self._described | {"complete": True} | _summary(contents)
+                    | {"provenance": _provenance(found, made=made)})
+        if found != manifest:
+            write_manifest(self.root, manifest)
+        for pattern in (SHARDS, MANIFEST):
+            remove_partial(self.root, pattern)
+        return manifest
+
+
+def _provenance(found: dict, *, made: bool) -> list[dict]:
+    """The environments in which shards were made, after those that the manifest names already.
+
+    They stand in the manifest alone, and no digest covers them.
+    """
+    earlier = found.get("provenance", [])
+    if not made:
+        return earlier
+    here = environment()
+    return earlier if here in earlier else [*earlier, here]
+
+
+def _summary(contents: dict[str, Content]) -> dict:
+    """Counts over all shards, and the digest that identifies the dataset's content."""
+    outcomes: Counter[str] = Counter()
+    starts: Counter[str] = Counter()
+    rejected: dict[int, int] = {}
+    for content in contents.values():
+        outcomes.update(content.statuses)
+        starts.update(content.starts)
+        rejected.update(zip(content.fabrics, content.rejected, strict=True))
+    samples = len(rejected) + sum(rejected.values())
+    digests = {name: content.digest for name, content in contents.items()}
+    return {
+        "fabrics": len(rejected),
+        "outcomes": dict(sorted(outcomes.items())),
+        "starts": dict(sorted(starts.items())),
+        "rejection_rate": sum(rejected.values()) / samples,
+        "hash": json_digest(digests),
+        "shards": digests,
+    }
+
+
+def _differences(old: object, new: object, prefix: str = "") -> list[str]:
+    """Dotted names of the settings that differ."""
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return [] if old == new else [prefix]
+    names = sorted(old.keys() | new.keys())
+    return [difference for name in names for difference in
+            _differences(old.get(name), new.get(name), f"{prefix}.{name}" if prefix else name)]

@@ -1,0 +1,1 @@
+"""Looking at a dataset of drapes: is it whole, and does it look as it should?"""

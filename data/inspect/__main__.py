@@ -1,0 +1,123 @@
+"""Looks at a dataset of drapes: ``python -m data.inspect --help``."""
+
+import json
+from pathlib import Path
+
+from data.inspect.check import check_dataset
+from data.inspect.figures import RANGE, prior_samples, read_drapes, report
+from data.inspect.pictures import contact_sheet, histograms, take_shots, views_report
+from sim.cli import parse_overrides, run_command
+from sim.errors import InputError
+from sim.files import replace_file
+
+DEFAULTS = {"out": "outputs/inspect", "intersections": 500, "sheet": 48}
+
+LABEL = 22  # width of a table's first column
+
+USAGE = """\
+usage: python -m data.inspect DIR [KEY=VALUE ...]
+
+Checks that the shards of the dataset in DIR are those that its dataset.json lists, then says what
+is in it: outcomes, parameters against the prior, drapes, disk use. Writes OUT/report.json,
+OUT/histograms.png and OUT/contact_sheet.png (docs/data_format.md). Does not change DIR.
+
+out=outputs/inspect  folder of the report
+intersections=500    drapes looked at for self-intersections, evenly spread; takes longest
+sheet=48             drapes on the contact sheet, from the limpest to the stiffest"""
+
+
+def main(argv: list[str]) -> None:
+    """The command line: DIR and :data:`DEFAULTS`."""
+    # A folder may have "=" in its name, as those of sweeps do.
+    if not argv or any(argv[0].startswith(f"{key}=") for key in DEFAULTS):
+        raise InputError("the folder of a dataset is needed: python -m data.inspect DIR")
+    options = parse_overrides(DEFAULTS, argv[1:])
+    if options["intersections"] < 0 or options["sheet"] < 1:
+        raise InputError("intersections must not be negative, sheet must be at least 1")
+    root, out = Path(argv[0]), Path(options["out"])
+    manifest = check_dataset(root)
+    drapes = read_drapes(root, manifest, intersections=options["intersections"])
+    prior = prior_samples(manifest)
+    shots = take_shots(root, manifest, drapes, count=options["sheet"])
+    content = report(manifest, drapes, prior) | {"views": views_report(shots)}
+    print("\n".join(describe(content)))
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    replace_file(out / "report.json", text.encode())
+    replace_file(out / "histograms.png", histograms(drapes, prior[0]))
+    if shots:
+        replace_file(out / "contact_sheet.png", contact_sheet(shots))
+    print(f"\nwritten to {out}: report.json, histograms.png"
+          + (", contact_sheet.png" if shots else ""))
+
+
+def describe(content: dict) -> list[str]:
+    """Lines for people of what :func:`data.inspect.figures.report` says."""
+    n, disk = content["drapes"], content["disk"]
+    rate = content["rejection_rate"]
+    lines = [
+        f"{n} drapes of {content['fabrics']} fabrics, {content['converged']} converged "
+        f"({content['converged'] / n:.1%}); {content['fabrics_with_a_drape']} fabrics have one",
+        f"content {content['dataset']['hash'][:16]}, settings "
+        f"{content['dataset']['identity'][:16]}; shards agree with dataset.json",
+        f"impossible fabrics rejected: {rate['dataset']:.2%}, by the prior itself "
+        f"{rate['prior']:.2%}",
+        "",
+        f"{'initial state':<{LABEL}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
+        *(f"{name:<{LABEL}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
+          for name, row in content["starts"].items()),
+        "",
+    ]
+    if content["failures"]:
+        lines += [f"{'failure':<{LABEL}}{'drapes':>8}  first", *(
+            f"{row['status']:<{LABEL}}{row['drapes']:>8}  {row['first']}: {row['message']}"
+            for row in content["failures"]), ""]
+    low, high = RANGE
+    lines.append(f"{'at 300 g/m²':<{LABEL}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
+                 f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
+    for name, row in content["parameters"].items():
+        label = f"{name.replace('_over_', '/').replace('_', ' ')} [{row['unit']}]"
+        outside = "" if row["outside"] is None else f"   {row['outside']:.1%}"
+        lines += [_range(label, row["dataset"]) + outside, _range("  prior", row["prior"])]
+    lines += [
+        "",
+        _range("drape coefficient", content["drape_coefficient"]),
+        _range("largest strain", content["stretch"]),
+        _range("iterations", content["iterations"]),
+        "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
+        _self_intersections(content["self_intersections"], content["converged"]),
+        *_views(content["views"]),
+        "",
+        f"{'disk':<{LABEL}}{'MB':>8}{'kB a drape':>12}",
+        *(f"{part:<{LABEL}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
+          for part, size in disk.items()),
+    ]
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _range(label: str, quantiles: dict[str, float] | None) -> str:
+    columns = ("0.01", "0.1", "0.5", "0.9", "0.99")
+    values = [_number(None if quantiles is None else quantiles[q]) for q in columns]
+    return f"{label:<{LABEL}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
+
+
+def _self_intersections(figures: dict, converged: int) -> str:
+    of = "all" if figures["looked_at"] == converged else f"{figures['looked_at']} of"
+    line = f"self-intersections: {figures['intersecting']} of {of} {converged} converged drapes"
+    if figures["drapes"]:
+        line += f" (first: {', '.join(map(str, figures['drapes'][:8]))})"
+    return line
+
+
+def _views(figures: dict) -> list[str]:
+    if not figures["looked_at"]:
+        return []
+    return [f"stored views: {figures['different']:.2%} of the cloth's pixels differ from the mesh "
+            f"by over 1 mm, {figures['worst']:.2%} at worst, in {figures['looked_at']} views"]
+
+
+if __name__ == "__main__":
+    run_command(main, usage=USAGE)

@@ -1,0 +1,72 @@
+"""Whether a dataset's shards are those that its manifest lists."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from data.shards import MANIFEST, SHARDS, Shard, json_digest, verified_digest
+from data.splits import finished_manifest
+from sim.errors import InputError, one_line
+
+
+def check_dataset(root: str | Path) -> dict:
+    """The manifest of the finished dataset in ``root``, once all its shards agree with it.
+
+    Raises:
+        InputError: no dataset, an unfinished one, a manifest that contradicts itself, a shard
+            that is missing, unlisted, damaged, changed or of another dataset, a drape too few
+            or too many, or other outcomes.
+    """
+    root = Path(root)
+    try:
+        manifest = finished_manifest(root)
+        digests = manifest["shards"]
+        consistent = (json_digest(manifest["config"]) == manifest["identity"]
+                      and json_digest(digests) == manifest["hash"])
+    except (KeyError, TypeError):
+        consistent = False
+    if not consistent:
+        raise InputError(f"{root / MANIFEST} contradicts itself: its digests are not those of its "
+                         "content")
+    try:
+        _check_shards(root, manifest)
+    except OSError as error:
+        raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
+    return manifest
+
+
+def _check_shards(root: Path, manifest: dict) -> None:
+    """Compare the shards in ``root`` with what the manifest says of them."""
+    digests = manifest["shards"]
+    there = {path.name for path in root.glob(SHARDS)}
+    if missing := sorted(digests.keys() - there):
+        raise InputError(f"{root} lacks {_some(missing)}; make what is missing with "
+                         f"python -m data.generate out={root} and the dataset's settings")
+    if extra := sorted(there - digests.keys()):
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_some(extra)}; "
+                         "move them elsewhere")
+    if changed := [name for name, digest in digests.items()
+                   if verified_digest(root / name) != digest]:
+        raise InputError(f"{root} holds other content than {MANIFEST} says in {_some(changed)}; "
+                         "remove it and generate it again")
+    indices: list[int] = []
+    outcomes: Counter[str] = Counter()
+    for name in digests:
+        with Shard(root / name) as shard:
+            if shard.attribute("identity") != manifest["identity"]:
+                raise InputError(f"{root / name} belongs to another dataset (identity "
+                                 f"{str(shard.attribute('identity'))[:12]} instead of "
+                                 f"{manifest['identity'][:12]})")
+            indices.extend(shard.column("index").tolist())
+            outcomes.update(shard.column("status").tolist())
+    if indices != list(range(manifest["drapes"])):
+        raise InputError(f"{root} should hold the drapes 0 to {manifest['drapes'] - 1} once each, "
+                         f"but its shards hold {len(set(indices))} different ones in "
+                         f"{len(indices)} rows")
+    if dict(outcomes) != manifest["outcomes"]:
+        raise InputError(f"{root / MANIFEST} counts other outcomes than its shards hold")
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names of many."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

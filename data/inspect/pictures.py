@@ -1,0 +1,225 @@
+"""Pictures of a dataset: drapes side by side, and histograms."""
+
+import io
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from data.cameras import Camera, CameraRig
+from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, for_people, spread
+from data.rasterise import camera_tensors, render_batch
+from data.shards import Shard
+
+ACROSS = 8  # drapes in a row of the contact sheet
+WIDTH = 1.75  # inches of one
+ARROW = 0.09  # m, the warp's arrow from the plate's centre
+VISIBLE = 1e-3  # m; stored views that differ from the mesh by more count as different
+DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
+STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A drape on the contact sheet.
+
+    Attributes:
+        caption: what stands above it.
+        failed: whether its solver gave up.
+        view: (H, W) z-depth, m, background 0.
+        arrow: (2, 2) pixels of the plate's centre and of a point along the warp.
+        difference: (H, W) m, by how much a stored view differs from the mesh; None of others.
+    """
+
+    caption: str
+    failed: bool
+    view: np.ndarray
+    arrow: np.ndarray
+    difference: np.ndarray | None
+
+
+def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> list[Shot]:
+    """One view of each of ``count`` converged drapes, from the limpest to the stiffest, and of up
+    to a row of failed ones.
+
+    The first stored view where there is one, otherwise one rendered here with the nominal camera,
+    the warp to the right.
+    """
+    converged = np.flatnonzero(drapes.converged)
+    by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
+                                          kind="stable")]
+    failed = np.flatnonzero(~drapes.converged)
+    shots = [_shoot(root, manifest, drapes, int(drape)) for drape
+             in [*spread(by_coefficient, count), *spread(failed, ACROSS)]]
+    return [shot for shot in shots if shot is not None]
+
+
+def _shoot(root: Path, manifest: dict, drapes: Drapes, drape: int) -> Shot | None:
+    """One drape; None of a failed one whose coordinates could not be stored."""
+    camera = CameraRig.from_dict(manifest["config"]["cameras"]).nominal()
+    name, row = drapes.places[drape]
+    columns = {key: values[drape] for key, values in drapes.columns.items()}
+    failed = columns["status"] != "converged"
+    angle, stored = 0.0, None
+    with Shard(root / name) as shard:
+        positions, rest, faces = shard.mesh(row)
+        if shard.column("rendered")[row]:
+            stored = shard.views(row, 0)[0]
+            angle = float(shard.column("orientations")[row, 0] + shard.column("turns")[row, 0, 0])
+            fx, fy, cx, cy = shard.column("intrinsics")[row, 0].tolist()
+            camera = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy,
+                             world_to_camera=shard.column("world_to_camera")[row, 0])
+    if not rest.any():
+        return None
+    rendered = _render(positions, faces, camera, angle)
+    tip = ARROW * np.array([math.cos(angle), math.sin(angle), 0.0])
+    words = columns["status"] if failed else (
+        f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
+    return Shot(
+        caption=f"{columns['index']}: {words}",
+        failed=failed,
+        view=rendered if stored is None else stored,
+        arrow=camera.project(np.stack([np.zeros(3), tip]))[0],
+        difference=None if stored is None else np.abs(stored - rendered),
+    )
+
+
+def _render(positions: np.ndarray, faces: np.ndarray, camera: Camera, angle: float) -> np.ndarray:
+    intrinsics, pose = camera_tensors([camera])
+    return render_batch(
+        torch.from_numpy(positions)[None], torch.from_numpy(faces), angles=torch.tensor([[angle]]),
+        intrinsics=intrinsics, world_to_camera=pose, height=camera.height, width=camera.width,
+    )[0, 0].numpy()
+
+
+def views_report(shots: list[Shot]) -> dict:
+    """How far stored views are from their meshes, in JSON's types.
+
+    ``different`` is the share of pixels that show cloth in either and differ by over 1 mm.
+    Where outlines and folds end, a few always do: the stored mesh is rounded.
+    """
+    checked = [shot for shot in shots if shot.difference is not None]
+    cloth = [max(1, np.count_nonzero(shot.view + shot.difference)) for shot in checked]
+    shares = [np.count_nonzero(shot.difference > VISIBLE) / pixels
+              for shot, pixels in zip(checked, cloth, strict=True)]
+    return {"looked_at": len(checked),
+            "different": float(np.mean(shares)) if shares else None,
+            "worst": float(np.max(shares)) if shares else None}
+
+
+def mosaic(views: list[np.ndarray], *, across: int = ACROSS) -> np.ndarray:
+    """Pictures (H, W) side by side, row by row; NaN where there is nothing."""
+    height, width = views[0].shape
+    rows = -(-len(views) // across)
+    sheet = np.full((rows * height, min(across, len(views)) * width), np.nan)
+    for k, view in enumerate(views):
+        top, left = k // across * height, k % across * width
+        sheet[top : top + height, left : left + width] = np.where(view > 0, view, np.nan)
+    return sheet
+
+
+def contact_sheet(shots: list[Shot]) -> bytes:
+    """PNG of all shots: nearer is brighter, the arrow points along the warp."""
+    left, top, right, bottom = _window([shot.view for shot in shots])
+    width, height = right - left, bottom - top
+    sheet = mosaic([shot.view[top:bottom, left:right] for shot in shots])
+    rows, across = sheet.shape[0] // height, sheet.shape[1] // width
+    figure = Figure(figsize=(across * WIDTH, rows * WIDTH * height / width), dpi=110)
+    axes = figure.add_axes((0, 0, 1, 1))
+    low, high = np.nanquantile(sheet, (0.01, 0.99)) if np.isfinite(sheet).any() else (0, 1)
+    axes.imshow(sheet, cmap="viridis_r", vmin=low, vmax=high, aspect="auto",
+                interpolation="nearest")
+    axes.set_axis_off()
+    for k, shot in enumerate(shots):
+        x, y = k % across * width, k // across * height
+        axes.text(x + 0.02 * width, y + 0.02 * height, shot.caption, fontsize=7, va="top",
+                  color=MARK if shot.failed else "black")
+        start, tip = shot.arrow + np.array([x - left, y - top])
+        axes.annotate("", xy=tip, xytext=start, annotation_clip=True,
+                      arrowprops={"arrowstyle": "->", "color": MARK, "lw": 1.0})
+    return _png(figure)
+
+
+def _window(views: list[np.ndarray]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of what shows all cloth, with room for a line above it."""
+    cloth = np.any([view > 0 for view in views], axis=0)
+    height, width = cloth.shape
+    rows, columns = np.flatnonzero(cloth.any(axis=1)), np.flatnonzero(cloth.any(axis=0))
+    if not len(rows):
+        return 0, 0, width, height
+    margin = max(1, height // 40)
+    return (max(0, int(columns[0]) - margin), max(0, int(rows[0]) - 4 * margin),
+            min(width, int(columns[-1]) + 1 + margin), min(height, int(rows[-1]) + 1 + margin))
+
+
+def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
+    """PNG: parameters against the prior, and what the drapes are like, by initial state."""
+    figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
+    panels = figure.subplots(3, 4)
+    fabrics = for_people(draped_fabrics(drapes))
+    for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
+        _parameter(panels[k // 3, k % 3], fabrics[:, k], for_people(prior)[:, k],
+                   f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
+    panels[0, 0].legend(frameon=False)
+    columns, converged = drapes.columns, drapes.converged
+    groups = {start: converged & (columns["start"] == start)
+              for start in np.unique(columns["start"]).tolist()}
+    folds = columns["folds"][converged]
+    whole = np.arange(*((folds.min(), folds.max() + 2) if len(folds) else (0, 2))) - 0.5
+    _by_start(panels[2, 0], groups, 100 * columns["drape_coefficient"], "drape coefficient [%]", 20)
+    _by_start(panels[2, 1], groups, columns["folds"], "folds", whole)
+    _by_start(panels[2, 2], groups, 100 * drapes.stretch, "largest strain [%]", 20)
+    _by_start(panels[2, 3], groups, columns["iterations"], "Newton iterations", 20)
+    panels[2, 0].legend(frameon=False, title="initial state")
+    _plane(panels[0, 3], fabrics, for_people(prior))
+    _outcomes(panels[1, 3], columns["status"])
+    return _png(figure)
+
+
+def _parameter(axes: Axes, dataset: np.ndarray, prior: np.ndarray, label: str, *,
+               logarithmic: bool) -> None:
+    low, high = np.quantile(prior, (0.002, 0.998))
+    if logarithmic:
+        axes.set_xscale("log")
+        edges = np.geomspace(low, high, 25)
+    else:
+        edges = np.linspace(low, high, 25)
+    # What lies beyond is counted in the outermost bars.
+    for values, style in ((dataset, {"color": DATASET, "alpha": 0.75, "label": "dataset"}),
+                          (prior, {"histtype": "step", "color": PRIOR, "lw": 1.5,
+                                   "label": "prior"})):
+        share = np.full(len(values), 1 / max(1, len(values)))
+        axes.hist(np.clip(values, edges[0], edges[-1]), edges, weights=share, **style)
+    axes.set(xlabel=label, ylabel="share of fabrics")
+
+
+def _by_start(axes: Axes, groups: dict[str, np.ndarray], values: np.ndarray, label: str,
+              bins: int | np.ndarray) -> None:
+    axes.hist([values[group] for group in groups.values()], bins, stacked=True,
+              color=[STARTS[k % len(STARTS)] for k in range(len(groups))], label=list(groups))
+    axes.set(xlabel=label, ylabel="drapes")
+
+
+def _plane(axes: Axes, fabrics: np.ndarray, prior: np.ndarray) -> None:
+    axes.loglog(prior[:, 0], prior[:, 2], ".", color=PRIOR, ms=2, alpha=0.3)
+    axes.loglog(fabrics[:, 0], fabrics[:, 2], ".", color=DATASET, ms=4)
+    axes.set(xlabel="alpha warp [µN·m]", ylabel="alpha weft [µN·m]")
+
+
+def _outcomes(axes: Axes, statuses: np.ndarray) -> None:
+    names, counts = np.unique(statuses, return_counts=True)
+    colours = [DATASET if name == "converged" else MARK for name in names]
+    bars = axes.barh(names, counts, 0.5, color=colours)
+    axes.bar_label(bars, padding=2)
+    axes.margins(x=0.2, y=0.3)
+    axes.set(xlabel="drapes")
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", metadata={"Software": None})
+    return picture.getvalue()

@@ -1,0 +1,321 @@
+"""The report on a dataset: figures against the shards, refusals, pictures."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import cloths
+import cv2
+import fake_drapes
+import numpy as np
+import pytest
+from test_generate import generate, small_config
+
+from data.fabrics import fabric_from_theta, from_theta
+from data.inspect.__main__ import describe, main
+from data.inspect.check import check_dataset
+from data.inspect.figures import prior_samples, read_drapes, report, spread
+from data.inspect.pictures import contact_sheet, mosaic, take_shots, views_report
+from data.sampling import plan_drape
+from data.shards import Shard, file_digest, json_digest, read_manifest, write_manifest
+from sim.errors import InputError
+from sim.measures import maximum_stretch
+from sim.specimens import make_specimen
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """A dataset of drapes alone, a few of them failed."""
+    folder = tmp_path_factory.mktemp("bare") / "set"
+    generate(folder, small_config(drapes=24, orientations=0), renderer=None)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tangled(tmp_path_factory):
+    """A dataset with stored views; every drape that starts from folds intersects itself."""
+    folder = tmp_path_factory.mktemp("tangled") / "set"
+    generate(folder, small_config(drapes=10), solver=fake_drapes.tangled)
+    return folder
+
+
+def column(folder, name):
+    parts = []
+    for path in sorted(folder.glob("shard_*.h5")):
+        with Shard(path) as shard:
+            parts.append(shard.column(name))
+    return np.concatenate(parts)
+
+
+def figures(folder, intersections=100):
+    manifest = check_dataset(folder)
+    drapes = read_drapes(folder, manifest, intersections=intersections)
+    return report(manifest, drapes, prior_samples(manifest)), drapes, manifest
+
+
+def test_counts_are_those_of_the_shards(bare):
+    content, _, manifest = figures(bare)
+    status, start = column(bare, "status"), column(bare, "start")
+    converged = status == "converged"
+    assert 0 < converged.sum() < 24  # else this dataset tests little
+    assert content["drapes"] == 24 and content["converged"] == converged.sum()
+    assert content["fabrics"] == manifest["fabrics"] == 12
+    assert content["fabrics_with_a_drape"] == len(set(column(bare, "fabric")[converged]))
+    assert content["rejection_rate"]["dataset"] == pytest.approx(manifest["rejection_rate"])
+    failed = np.flatnonzero(~converged)
+    assert content["failures"] == [{"status": "max_iterations", "drapes": len(failed),
+                                    "first": failed[0], "message": "the fake gave up"}]
+    assert {name: row["drapes"] for name, row in content["starts"].items()} == Counter(start)
+    assert content["starts"]["fold"]["converged"] == (converged & (start == "fold")).sum()
+    folds = Counter(column(bare, "folds")[converged].tolist())
+    assert content["folds"] == {str(n): folds[n] for n in sorted(folds)}
+    coefficient = column(bare, "drape_coefficient")[converged]
+    assert content["drape_coefficient"]["0.5"] == pytest.approx(np.median(coefficient))
+
+
+def test_parameters_are_those_of_the_fabrics_with_a_drape(bare):
+    _, drapes, manifest = figures(bare)
+    prior, rate = prior_samples(manifest)
+    theta = column(bare, "theta")[column(bare, "status") == "converged"]
+    theta = np.unique(theta, axis=0)
+    rows = report(manifest, drapes, (prior, rate))["parameters"]
+    alpha, _ = from_theta(theta)
+    assert rows["alpha_bias"]["unit"] == "µN·m" and rows["beta_over_alpha_weft"]["unit"] == "mm"
+    assert rows["alpha_bias"]["dataset"]["0.5"] == pytest.approx(np.median(alpha[:, 1]) * 1e6)
+    assert rows["beta_over_alpha_weft"]["dataset"]["1"] == pytest.approx(theta[:, 5].max() * 1e3)
+    # The prior is the dataset's own: twelve fabrics of it seldom lie outside of 98 % of it.
+    assert max(row["outside"] for row in rows.values()) < 0.4
+    shifted = report(manifest, drapes, (prior + 20 * np.eye(6)[1], rate))["parameters"]
+    assert shifted["alpha_bias"]["outside"] == 1.0
+    assert shifted["alpha_weft"] == rows["alpha_weft"]
+
+
+def test_strain_is_that_of_the_solvers_mesh(bare):
+    _, drapes, _ = figures(bare)
+    converged = column(bare, "status") == "converged"
+    np.testing.assert_array_equal(np.isfinite(drapes.stretch), converged)
+    config = small_config(orientations=0)
+    for index in np.flatnonzero(converged)[:5].tolist():
+        plan = plan_drape(index, config=config.sampling, prior=config.prior)
+        settings = {"rig": config.rig, "resolution": config.resolution, "seed": plan.seed,
+                    "offset": tuple(plan.offset), "jitter": config.jitter}
+        drape = fake_drapes.cone(fabric_from_theta(plan.theta), start=plan.start, **settings)
+        specimen = make_specimen(**settings)
+        exact = maximum_stretch(drape.positions, drape.rest, drape.faces, specimen.held)
+        assert exact > 0.02
+        assert drapes.stretch[index] == pytest.approx(exact, abs=1e-3)
+
+
+def test_self_intersections_are_found_where_somebody_looks(tangled):
+    content, drapes, _ = figures(tangled)
+    converged = column(tangled, "status") == "converged"
+    folded = converged & (column(tangled, "start") == "fold")
+    assert 0 < folded.sum() < converged.sum()
+    assert content["self_intersections"] == {
+        "looked_at": converged.sum(), "intersecting": folded.sum(),
+        "drapes": np.flatnonzero(folded).tolist()}
+    assert (drapes.crossings[~converged] == -1).all()
+    content, drapes, _ = figures(tangled, intersections=3)
+    assert content["self_intersections"]["looked_at"] == 3
+    looked_at = np.flatnonzero(drapes.crossings >= 0)
+    assert {looked_at[0], looked_at[-1]} == set(np.flatnonzero(converged)[[0, -1]])
+
+
+def test_spread_takes_both_ends_and_never_one_twice():
+    items = np.arange(100, 150)
+    for count in (2, 7, 49, 50, 80):
+        chosen = spread(items, count)
+        assert len(set(chosen)) == min(count, 50) and {chosen[0], chosen[-1]} == {100, 149}
+    assert len(spread(items, 0)) == len(spread(items[:0], 5)) == 0
+
+
+def test_disk_use_adds_up(bare, tangled):
+    for folder in (bare, tangled):
+        disk = figures(folder)[0]["disk"]
+        assert disk["all"] == sum(path.stat().st_size for path in folder.glob("shard_*.h5"))
+        assert disk["all"] == sum(size for part, size in disk.items() if part != "all")
+        assert min(disk["meshes"], disk["records"], disk["file structure"]) > 0
+        assert (disk["views"] > 0) == (folder == tangled)
+
+
+def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
+    _, drapes, manifest = figures(bare)
+    shots = take_shots(bare, manifest, drapes, count=9)
+    failed = [shot for shot in shots if shot.failed]
+    assert len(shots) == 9 + len(failed) and failed[0].caption.endswith("max_iterations")
+    drawn = [int(shot.caption.split(":")[0]) for shot in shots if not shot.failed]
+    coefficients = column(bare, "drape_coefficient")[drawn]
+    assert (np.diff(coefficients) >= 0).all()
+    assert coefficients[[0, -1]] == pytest.approx(
+        [np.nanmin(column(bare, "drape_coefficient")),
+         np.nanmax(column(bare, "drape_coefficient"))])
+    for shot in shots:
+        assert 0.05 < (shot.view > 0).mean() < 0.6
+        # The nominal camera sees the plate's centre in the middle, and the warp to the right.
+        (u, v), (tip_u, tip_v) = shot.arrow
+        assert tip_u > u + 2 and tip_v == pytest.approx(v, abs=1e-6)
+        assert 0.4 < shot.view[round(v), round(u)] < 0.6
+    picture = cv2.imdecode(np.frombuffer(contact_sheet(shots), np.uint8), cv2.IMREAD_COLOR)
+    empty = contact_sheet([type(shot)("", False, shot.view * 0, shot.arrow * 0, None)
+                           for shot in shots[:1]])
+    blank = cv2.imdecode(np.frombuffer(empty, np.uint8), cv2.IMREAD_COLOR)
+    assert (picture.min(axis=2) < 200).mean() > 0.2 > (blank.min(axis=2) < 200).mean()
+
+
+def test_a_mosaic_places_pictures_row_by_row():
+    views = [np.full((2, 3), k, dtype=np.float32) for k in range(1, 6)]
+    sheet = mosaic(views, across=3)
+    assert sheet.shape == (4, 9)
+    assert sheet[0, ::3].tolist() == [1, 2, 3] and sheet[2, :6:3].tolist() == [4, 5]
+    assert np.isnan(sheet[2:, 6:]).all()
+    assert np.isnan(mosaic([np.zeros((2, 3))])).all()
+
+
+def test_stored_views_are_compared_with_the_meshes(tangled, tmp_path):
+    root = cloths.write_dataset(tmp_path / "set", drapes=3, orientations=2)
+    for folder, agree in ((root, True), (tangled, False)):
+        manifest = read_manifest(folder)
+        drapes = read_drapes(folder, manifest, intersections=0)
+        shots = take_shots(folder, manifest, drapes, count=3)
+        content = views_report(shots)
+        assert content["looked_at"] == 3
+        # The stripes of the fake pictures know no silhouette.
+        assert content["worst"] < 0.01 if agree else content["different"] > 0.5
+    assert views_report([])["different"] is None
+
+
+def test_a_dataset_without_a_drape_has_a_report_too(tmp_path, capsys):
+    generate(tmp_path / "set", small_config(drapes=3), solver=fake_drapes.overflowing)
+    main([str(tmp_path / "set"), f"out={tmp_path / 'report'}"])
+    content = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    assert content["converged"] == 0 and content["drape_coefficient"] is None
+    assert content["failures"][0]["status"] == "exception"
+    assert "FloatingPointError: overflow" in capsys.readouterr().out
+    assert not (tmp_path / "report" / "contact_sheet.png").exists()
+
+
+def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
+    before = {path: path.stat().st_mtime_ns for path in bare.iterdir()}
+    shutil.copytree(bare, tmp_path / "elsewhere=1")
+    for root, out in ((bare, "a"), (tmp_path / "elsewhere=1", "b")):
+        main([str(root), f"out={tmp_path / out}", "sheet=3", "intersections=2"])
+    for name in ("report.json", "histograms.png", "contact_sheet.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert {path: path.stat().st_mtime_ns for path in bare.iterdir()} == before
+    content = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
+    text = capsys.readouterr().out
+    assert all(line in text for line in describe(content))
+    assert "max_iterations" in text
+    picture = cv2.imread(str(tmp_path / "a" / "histograms.png"))
+    blue, _, red = (picture[..., k].astype(int) for k in range(3))
+    assert (blue - red > 80).mean() > 0.02  # bars of the dataset
+    assert (red - blue > 120).mean() > 0.002  # lines of the prior
+
+
+def rewrite(folder, **changes):
+    write_manifest(folder, read_manifest(folder) | changes)
+
+
+def relist(folder):
+    """Let the manifest say of its shards what they are."""
+    digests = {name: file_digest(folder / name) for name in read_manifest(folder)["shards"]}
+    rewrite(folder, shards=digests, hash=json_digest(digests))
+
+
+def missing(folder):
+    (folder / "shard_00002.h5").unlink()
+
+
+def extra(folder):
+    shutil.copy(folder / "shard_00001.h5", folder / "shard_00006.h5")
+
+
+def flipped(folder):
+    content = bytearray((folder / "shard_00001.h5").read_bytes())
+    content[len(content) // 2] ^= 1
+    (folder / "shard_00001.h5").write_bytes(content)
+
+
+def empty(folder):
+    (folder / "shard_00001.h5").write_bytes(b"")
+
+
+def exchanged(folder):
+    shutil.copy(folder / "shard_00001.h5", folder / "shard_00002.h5")
+
+
+def repeated(folder):
+    exchanged(folder)
+    relist(folder)
+
+
+def settings(folder):
+    manifest = read_manifest(folder)
+    manifest["config"]["sampling"]["drift"] = 0.004
+    write_manifest(folder, manifest)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (missing, r"lacks shard_00002\.h5"),
+        (extra, r"does not list: shard_00006\.h5"),
+        (flipped, r"shard_00001\.h5 is damaged"),
+        (empty, r"shard_00001\.h5 is damaged"),
+        (exchanged, r"other content .* in shard_00002\.h5"),
+        (repeated, "20 different ones in 24 rows"),
+        (settings, "contradicts itself"),
+        (lambda folder: rewrite(folder, drapes=25), "drapes 0 to 24"),
+        (lambda folder: rewrite(folder, outcomes={"converged": 24}), "counts other outcomes"),
+        (lambda folder: rewrite(folder, hash="0" * 64), "contradicts itself"),
+        (lambda folder: rewrite(folder, complete=False), "unfinished"),
+        (lambda folder: write_manifest(folder, {"schema_version": 2}), "contradicts itself"),
+        (lambda folder: rewrite(folder, schema_version=99), "schema version"),
+        (lambda folder: (folder / "dataset.json").unlink(), "no dataset"),
+    ],
+)
+def test_a_manifest_that_does_not_match_its_shards_is_refused(bare, tmp_path, spoil, complaint):
+    folder = tmp_path / "set"
+    shutil.copytree(bare, folder)
+    spoil(folder)
+    with pytest.raises(InputError, match=complaint) as refusal:
+        main([str(folder), f"out={tmp_path / 'report'}"])
+    assert "\n" not in str(refusal.value)
+    assert not (tmp_path / "report").exists()
+
+
+def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
+    folder = tmp_path / "set"
+    shutil.copytree(bare, folder)
+    shutil.copy(tangled / "shard_00001.h5", folder / "shard_00001.h5")
+    relist(folder)
+    with pytest.raises(InputError, match=r"shard_00001\.h5 belongs to another dataset"):
+        check_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ([], "folder of a dataset is needed"),
+        (["out=somewhere"], "folder of a dataset is needed"),
+        (["nowhere"], "nowhere is no dataset"),
+        (["set", "size=3"], "unknown key 'size'"),
+        (["set", "sheet=0"], "sheet must be at least 1"),
+        (["set", "intersections=-1"], "must not be negative"),
+    ],
+)
+def test_mistakes_on_the_command_line(words, complaint):
+    with pytest.raises(InputError, match=complaint):
+        main(words)
+
+
+def test_command_line_ends_with_code_2_and_one_line(tmp_path):
+    run = subprocess.run([sys.executable, "-m", "data.inspect", str(tmp_path)], cwd=ROOT,
+                         capture_output=True, text=True)
+    assert run.returncode == 2
+    assert run.stderr == f"error: {tmp_path} is no dataset: dataset.json is missing\n"
