@@ -22,6 +22,8 @@ WORKER_ENVIRONMENT = {
     # and fetching it anew takes 8 % of the time of drapes with 101 x 101 vertices.
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 31),
+    # In large pages: 2 to 3 % less time at 41 x 41.
+    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
 
 
