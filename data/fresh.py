@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch.nn.utils.rnn import pad_sequence
 
 from data.cameras import Camera, CameraRig
 from data.dataset import DrapeDataset
@@ -69,16 +70,7 @@ class FreshDataset(SplitDataset):
         config = self.manifest["config"]
         self._cameras = CameraRig.from_dict(config["cameras"])
         self._turn = config["sampling"]["turn"]
-        table = self.columns("positions", "diagonals")
-        resolution = config["solver"]["resolution"]
-        diagonals = np.stack([unpack_diagonals(row, resolution).ravel()
-                              for row in table["diagonals"]])
-        self._positions = torch.from_numpy(table["positions"]).to(self.device)
-        self._diagonals = torch.from_numpy(diagonals).to(self.device)
-        # The two ways to cut each cell: (1, cells, 6).
-        whole = np.ones((resolution - 1, resolution - 1), dtype=bool)
-        self._cuts = [torch.from_numpy(grid_faces(cells).reshape(1, -1, 6)).to(self.device)
-                      for cells in (whole, ~whole)]
+        self._load()
         if self.device.type == "cpu":
             self.batch([0])  # compiled here, or each worker of a loader would do it anew
 
@@ -133,17 +125,36 @@ class FreshDataset(SplitDataset):
         generator = torch.Generator(self.device).manual_seed(shots[0].seed)
         return self._noise(views, intrinsics, generator)
 
+    def _load(self) -> None:
+        """Keep of each drape its counts (V, 3) int16 and its diagonals (cells,) bool."""
+        self._counts, self._diagonals = [], []
+        columns = self._read("resolution", "positions", "diagonals").values()
+        for resolution, positions, diagonals in (row for part in zip(*columns, strict=True)
+                                                 for row in zip(*part, strict=True)):
+            cells = unpack_diagonals(diagonals, resolution).ravel()
+            # A copy: a part of the array would keep all of it.
+            counts = positions[: resolution**2].copy()
+            self._counts.append(torch.from_numpy(counts).to(self.device))
+            self._diagonals.append(torch.from_numpy(cells).to(self.device))
+        # The two ways to cut each cell of a mesh, by its number of cells: (cells, 6).
+        self._cuts = {}
+        for cells in {len(row) for row in self._diagonals}:
+            whole = np.ones((round(cells**0.5),) * 2, dtype=bool)
+            self._cuts[cells] = [torch.from_numpy(grid_faces(cut).reshape(-1, 6)).to(self.device)
+                                 for cut in (whole, ~whole)]
+
     def _drapes(self, drapes: Sequence[int], mirror: Sequence[bool]) -> torch.Tensor:
-        """Vertices (B, V, 3), m, of drapes or their mirror images."""
-        positions = self._positions[drapes].float() * LENGTH_UNIT
+        """Vertices (B, V, 3), m, of drapes or their mirror images; zeros follow short rows."""
+        counts = pad_sequence([self._counts[drape] for drape in drapes], batch_first=True)
         signs = torch.ones(len(drapes), 1, 3)
         signs[mirror, :, 1] = -1.0
-        return positions * signs.to(self.device)
+        return counts.float() * LENGTH_UNIT * signs.to(self.device)
 
     def _faces(self, drapes: Sequence[int]) -> torch.Tensor:
-        """Triangles (B, F, 3) of drapes."""
-        faces = torch.where(self._diagonals[drapes][..., None], *self._cuts)
-        return faces.reshape(len(drapes), -1, 3)
+        """Triangles (B, F, 3) of drapes; after short rows such as are a single point."""
+        faces = [torch.where(row[:, None], *self._cuts[len(row)]).reshape(-1, 3)
+                 for row in (self._diagonals[drape] for drape in drapes)]
+        return pad_sequence(faces, batch_first=True)
 
 
 def open_views(

@@ -48,7 +48,7 @@ class Options:
     part: int = 0
     parts: int = 1
     seed: int = 0
-    resolution: int = 41
+    resolution: int = 0
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     prior: PriorOptions = field(default_factory=PriorOptions)

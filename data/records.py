@@ -21,6 +21,7 @@ from data.sampling import (
 )
 from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
 from sim.errors import InputError
+from sim.material import Fabric
 from sim.provenance import release
 from sim.scene import Rig
 
@@ -42,7 +43,8 @@ class DatasetConfig:
         prior: distribution of the fabrics.
         rig: specimen and plate.
         cameras: camera, with its jitter.
-        resolution: vertices along a side of the specimen.
+        resolution: vertices along a side of the specimen; 0: chosen for each fabric, see
+            :func:`sim.drape.default_resolution`.
         jitter: perturbation of the rest triangulation, in edges.
         drapes_per_shard: drapes in a file.
         compression: gzip level, 1 to 9.
@@ -53,7 +55,7 @@ class DatasetConfig:
     prior: Prior
     rig: Rig
     cameras: CameraRig
-    resolution: int = 41
+    resolution: int = 0
     jitter: float = 0.15
     drapes_per_shard: int = 16
     compression: int = 4
@@ -62,18 +64,18 @@ class DatasetConfig:
         for name in ("drapes", "drapes_per_shard"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}={getattr(self, name)} must be at least 1")
-        if not 8 <= self.resolution <= 401:
-            raise InputError(f"resolution={self.resolution} must lie between 8 and 401 vertices")
+        if self.resolution != 0 and not 8 <= self.resolution <= 401:
+            raise InputError(f"resolution={self.resolution} must lie between 8 and 401 vertices, "
+                             "or be 0: chosen for each fabric")
         if not 0 <= self.jitter <= 0.3:
             raise InputError(f"jitter={self.jitter} must lie between 0 and 0.3 edges")
         if not 1 <= self.compression <= 9:
             raise InputError(f"compression={self.compression} must lie between 1 and 9")
 
-    @property
-    def layout(self) -> Layout:
-        """Sizes of the arrays in a shard."""
+    def layout(self, resolution: int) -> Layout:
+        """Sizes of the arrays in a shard whose finest mesh has ``resolution`` vertices a side."""
         return Layout(
-            resolution=self.resolution,
+            resolution=resolution,
             orientations=self.sampling.orientations,
             height=self.cameras.intrinsics.height,
             width=self.cameras.intrinsics.width,
@@ -141,8 +143,9 @@ def simulate(
         # As stored, so that the shard alone is enough to repeat the drape.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
+    resolution = config.resolution or _own_resolution(fabric, config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
-             for name, field in fields(config.layout).items()}
+             for name, field in fields(config.layout(resolution)).items()}
     record = empty | {
         "index": plan.index,
         "fabric": plan.fabric,
@@ -154,6 +157,7 @@ def simulate(
         "lender": -1 if lender is None else lender["index"],
         "seed": plan.seed,
         "offset": plan.offset,
+        "resolution": resolution,
         "orientations": plan.orientations,
         "turns": plan.turns,
         "residual": np.nan,
@@ -164,7 +168,7 @@ def simulate(
         result = solver(
             fabric,
             rig=config.rig,
-            resolution=config.resolution,
+            resolution=resolution,
             seed=plan.seed,
             offset=tuple(plan.offset),
             jitter=config.jitter,
@@ -190,6 +194,14 @@ def simulate(
 def _outcome(status: str, message: str) -> dict:
     return {"status": status.encode("ascii", "replace")[:24],
             "message": message.encode("ascii", "replace")[:160]}
+
+
+def _own_resolution(fabric: Fabric, rig: Rig) -> int:
+    """The mesh that the simulator chooses for a fabric."""
+    # Imported here like the solver, see load_solver.
+    from sim.drape import default_resolution
+
+    return default_resolution(fabric, rig)
 
 
 def load_solver() -> Solver:

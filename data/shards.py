@@ -9,7 +9,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -20,7 +20,7 @@ from sim.errors import InputError
 from sim.files import replace_shared_file
 from sim.mesh import grid_faces
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 DEPTH_UNIT = 1e-4  # m per count of stored depth
@@ -31,7 +31,7 @@ class Layout:
     """Sizes of a dataset's arrays.
 
     Attributes:
-        resolution: vertices along a side of the specimen, n.
+        resolution: vertices along a side of the finest specimen, n.
         orientations: sets of four views of a drape, K.
         height, width: pixels of a view, H and W.
         compression: gzip level, 1 to 9.
@@ -52,6 +52,10 @@ class Field:
     shape: tuple[int, ...]
     unit: str
     meaning: str
+
+
+MESH = ("positions", "rest", "diagonals")
+"""Arrays whose row is as long as a drape's own mesh asks; in a file, zeros follow."""
 
 
 def fields(layout: Layout) -> dict[str, Field]:
@@ -76,6 +80,7 @@ def fields(layout: Layout) -> dict[str, Field]:
         "iterations": Field("i4", (), "", "Newton iterations"),
         "drape_coefficient": Field("f8", (), "1", "of the drape; NaN unless converged"),
         "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
+        "resolution": Field("i4", (), "", "vertices along a side of the drape's own mesh"),
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
         "diagonals": Field("u1", (-(-cells // 8),), "bits", "diagonal of each cell, packbits"),
@@ -127,7 +132,8 @@ def write_shard(
 ) -> None:
     """Write ``records`` (one mapping from each name of :func:`fields` to its row) to ``path``.
 
-    The file appears under its name only when it is complete; several processes may write it.
+    The mesh of a record has the record's own resolution, at most the layout's. The file appears
+    under its name only when it is complete; several processes may write it.
 
     Raises:
         InputError: the system refuses to write.
@@ -149,7 +155,12 @@ def shard_bytes(
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+        own = [fields(replace(layout, resolution=int(record["resolution"]))) for record in records]
         for name, field in fields(layout).items():
+            for record, expected in zip(records, own, strict=True):
+                if np.shape(record[name]) != expected[name].shape:
+                    raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
+                                     f"{expected[name].shape}")
             _write_field(file, name, field, [record[name] for record in records], layout)
     content = memory.getbuffer()[SEAL_SIZE:]
     return _seal(hashlib.sha256(content).hexdigest()) + content
@@ -159,9 +170,6 @@ def _write_field(
     file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray], layout: Layout
 ) -> None:
     """Write one array, row by row: all pictures at once would fill the memory."""
-    for row in rows:
-        if np.shape(row) != field.shape:
-            raise ValueError(f"{name} has shape {np.shape(row)}, expected {field.shape}")
     options = {}
     if field.shape and np.prod(field.shape) > 64:
         # A chunk is what is read at a time: one set of views, one drape's mesh.
@@ -170,7 +178,8 @@ def _write_field(
                    "compression_opts": layout.compression}
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
-        data[i] = np.asarray(row).astype(field.dtype)
+        row = np.asarray(row).astype(field.dtype)
+        data[(i, slice(len(row))) if name in MESH else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
@@ -251,9 +260,10 @@ class Shard:
 
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) of a drape."""
-        positions = self._file["positions"][row] * LENGTH_UNIT
-        rest = self._file["rest"][row] * LENGTH_UNIT
-        resolution = round(len(rest) ** 0.5)
+        resolution = int(self._file["resolution"][row])
+        vertices = slice(resolution**2)
+        positions = self._file["positions"][row, vertices] * LENGTH_UNIT
+        rest = self._file["rest"][row, vertices] * LENGTH_UNIT
         diagonals = unpack_diagonals(self._file["diagonals"][row], resolution)
         return positions, rest, grid_faces(diagonals)
 

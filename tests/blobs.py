@@ -41,7 +41,7 @@ def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0) -> Path:
         psi = rng.uniform(0, 2 * np.pi, ORIENTATIONS)
         views = np.stack([blob_views(theta, angle) for angle in psi])
         row |= {"index": index, "fabric": index, "theta": theta, "status": b"converged",
-                "start": b"sine", "rendered": 1, "orientations": psi,
+                "start": b"sine", "rendered": 1, "resolution": 3, "orientations": psi,
                 "views": np.rint(views / DEPTH_UNIT)}
         rows.append(row)
     half = drapes // 2

@@ -34,18 +34,20 @@ def skirt(fabric, *, rig, resolution, start, seed, offset, jitter):
 
 def write_dataset(
     root: Path, *, drapes: int, orientations: int = 0, rig: CameraRig | None = None,
+    resolution: int = 15,
     **sampling: object,
 ) -> Path:
     """Drapes of one fabric each, in shards of 16, with ``orientations`` stored sets of views."""
     config = DatasetConfig(
         drapes=drapes, prior=load_prior("gaussian"), rig=Rig(), cameras=rig or CameraRig.load(),
         sampling=SamplingConfig(orientations=orientations, starts_per_fabric=1, **sampling),
-        resolution=15,
+        resolution=resolution,
     )
     root.mkdir(parents=True)
     for shard in range(config.shards):
         records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
-        write_shard(root / shard_name(shard), records, layout=config.layout,
+        finest = max(record["resolution"] for record in records)
+        write_shard(root / shard_name(shard), records, layout=config.layout(finest),
                     attributes={"schema_version": SCHEMA_VERSION})
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,

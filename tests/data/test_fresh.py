@@ -10,12 +10,15 @@ from torch.utils.data import DataLoader
 
 from data.cameras import Camera, CameraRig, Jitter
 from data.dataset import DrapeDataset
+from data.fabrics import fabric_from_theta
 from data.fresh import FreshDataset, Shot, open_views
 from data.render import VIEWS, DepthRenderer, render_views
 from data.sensor import SensorNoise
 from data.shards import Shard
 from data.view_order import reorder_axis, reorder_views
+from sim.drape import default_resolution
 from sim.errors import InputError
+from sim.scene import Rig
 
 RIG = CameraRig.load()
 
@@ -90,6 +93,23 @@ def test_labels_are_the_directions_in_the_pictures(tmp_path):
         assert len(matches) == 1
         seen.add(matches[0])
     assert len(seen) == 4
+
+
+def test_drapes_of_different_meshes_make_one_batch(tmp_path):
+    folder = cloths.write_dataset(tmp_path / "own", drapes=12, resolution=0, seed=3)
+    dataset = FreshDataset(folder)
+    sizes = dataset.columns("resolution")["resolution"]
+    assert len(set(sizes.tolist())) > 2 and sizes.min() == 41
+    for (name, row), size, theta in zip(dataset.places, sizes, dataset.theta, strict=True):
+        assert size == default_resolution(fabric_from_theta(theta), Rig())
+        with Shard(folder / name) as shard:
+            positions, rest, faces = shard.mesh(row)
+        assert len(positions) == len(rest) == size**2 and len(faces) == 2 * (size - 1) ** 2
+        # The specimen reaches from edge to edge: no row of the mesh is missing or of zeros.
+        np.testing.assert_allclose(np.ptp(rest, axis=0), 0.3, atol=2e-5)
+    views = dataset.batch(range(12))["views"]
+    for item in range(12):
+        assert np.array_equal(views[item], dataset[item]["views"])
 
 
 def noisy(root, **options):

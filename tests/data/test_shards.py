@@ -39,7 +39,7 @@ def random_record(seed):
             record[name] = rng.normal(size=field.shape)
         else:
             record[name] = rng.integers(0, 100, field.shape)
-    return record
+    return record | {"resolution": LAYOUT.resolution}
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 2, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 3, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -163,7 +163,7 @@ def test_manifest(tmp_path):
     assert read_manifest(tmp_path) is None
     write_manifest(tmp_path, {"schema_version": SCHEMA_VERSION, "drapes": 3})
     assert read_manifest(tmp_path)["drapes"] == 3
-    for text in ("{", "[]", '{"schema_version": 1}', '{"schema_version": 7}'):
+    for text in ("{", "[]", '{"schema_version": 2}', '{"schema_version": 7}'):
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError):
             read_manifest(tmp_path)
