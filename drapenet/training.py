@@ -157,10 +157,11 @@ def open_splits(
                "seed": config.seed}
     many = {"orientations_per_epoch": config.orientations_per_epoch,
             "augment": config.views != "cached"}  # a cache has its own view orders
-    if config.views == "fresh":
-        training = FreshDataset(config.data, split="train", device=device, **many, **options)
-    else:
+    if config.views == "stored":
         training = DrapeDataset(config.data, split="train", **many, **options)
+    else:
+        source = FreshDataset if config.views == "fresh" else open_views
+        training = source(config.data, split="train", device=device, **many, **options)
     if len(training) < config.optim.batch_size:
         raise InputError(f"{config.data} has {len(training)} training samples an epoch, less "
                          f"than one batch of {config.optim.batch_size}; generate more drapes or "

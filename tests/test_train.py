@@ -55,12 +55,13 @@ def weights(out: Path) -> dict[str, torch.Tensor]:
     return load_file(out / "state.safetensors")
 
 
-@pytest.mark.parametrize(("views", "orientations"), [("stored", 1), ("cached", 2), ("fresh", 2)])
+@pytest.mark.parametrize(("views", "dataset", "orientations"), [
+    ("stored", "blob", 1), ("cached", "blob", 2), ("cached", "cloth", 2), ("fresh", "cloth", 2)])
 def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, views: str,
-    orientations: int,
+    dataset: str, orientations: int,
 ) -> None:
-    dataset = request.getfixturevalue("cloth_dataset" if views == "fresh" else "blob_dataset")
+    dataset = request.getfixturevalue(f"{dataset}_dataset")
     settings = ["epochs=3", "optim=cpu_short", f"views={views}",
                 f"orientations_per_epoch={orientations}"]
     train.main(words(dataset, tmp_path / "whole", *settings))
