@@ -45,6 +45,34 @@ def split_by_fabric(
     return np.array(chosen)[position]
 
 
+def thin_out(
+    fabrics: np.ndarray, *, count: int = 0, drapes_each: int = 0, seed: int = 0
+) -> np.ndarray:
+    """Which drapes (N,) bool to keep of fewer fabrics, and of fewer drapes of each.
+
+    Smaller choices are parts of larger ones, so that learning curves compare like with like.
+
+    Args:
+        fabrics: (N,) id of each drape's fabric.
+        count: fabrics to keep; 0 keeps all.
+        drapes_each: drapes of a fabric to keep, the first ones; 0 keeps all.
+        seed: of the order in which fabrics are taken.
+
+    Raises:
+        InputError: there are fewer fabrics than ``count``.
+    """
+    ids, position, held = np.unique(fabrics, return_inverse=True, return_counts=True)
+    if count > len(ids):
+        raise InputError(f"fabrics={count} are asked for, the dataset trains on {len(ids)}")
+    order = np.argsort([_uniform(f"{seed}:{fabric}:order") for fabric in ids])
+    kept = np.isin(position, order[: count or None])
+    if drapes_each:
+        rank = np.empty(len(fabrics), dtype=int)
+        rank[np.argsort(position, kind="stable")] = np.concatenate([np.arange(n) for n in held])
+        kept &= rank < drapes_each
+    return kept
+
+
 def _uniform(key: str) -> float:
     """A number in [0, 1) that is the same for ``key`` everywhere and always."""
     return int.from_bytes(hashlib.sha256(key.encode()).digest()[:6], "big") / 2**48
@@ -79,6 +107,7 @@ class SplitDataset(Dataset, ABC):
         augment: show each drape in one of its equivalents (:mod:`data.view_order`), at random.
         orientations_per_epoch: items of each drape in an epoch, each in another orientation.
         seed: seed of orientations, augmentation and noise.
+        fabrics, drapes_each: keep fewer, see :func:`thin_out`; 0 keeps all.
 
     Attributes:
         manifest, hash: content of dataset.json, and what identifies the dataset's content.
@@ -102,6 +131,8 @@ class SplitDataset(Dataset, ABC):
         augment: bool = False,
         orientations_per_epoch: int = 1,
         seed: int = 0,
+        fabrics: int = 0,
+        drapes_each: int = 0,
     ) -> None:
         self.root = Path(root)
         self.manifest = finished_manifest(self.root)
@@ -115,9 +146,11 @@ class SplitDataset(Dataset, ABC):
         self._noise, self._augment = noise, augment
         self._per_drape, self._seed = orientations_per_epoch, seed
         self.epoch = 0
-        self._choose(split, fractions, split_seed)
+        self._choose(split, fractions, split_seed, {"count": fabrics, "drapes_each": drapes_each})
 
-    def _choose(self, split: str | None, fractions: Mapping[str, float], split_seed: int) -> None:
+    def _choose(
+        self, split: str | None, fractions: Mapping[str, float], split_seed: int, fewer: dict
+    ) -> None:
         """Find the drapes: where they are, and what is small of them."""
         # Everything, until it is known what to keep.
         self._rows = {name: slice(None) for name in self.manifest["shards"]}
@@ -135,6 +168,7 @@ class SplitDataset(Dataset, ABC):
         if not kept.any():
             where = "" if split is None else f" in the split '{split}'"
             raise InputError(f"{self.root} holds no converged drape{where}; generate more drapes")
+        kept[kept] = thin_out(table["fabric"][kept], seed=split_seed, **fewer)
         ends = np.cumsum([len(part) for part in parts["index"]])
         for name, in_shard in zip(self._rows, np.split(kept, ends[:-1]), strict=True):
             self._rows[name] = np.flatnonzero(in_shard)

@@ -59,6 +59,8 @@ class TrainConfig:
     seed: int = 0
     epochs: int = 300
     validation_fraction: float = 0.2
+    fabrics: int = 0
+    drapes_each: int = 0
     views: str = "stored"
     orientations_per_epoch: int = 1
     device: str = "auto"
@@ -85,8 +87,8 @@ class TrainConfig:
         if not self.optim.learning_rate > 0 or not self.optim.weight_decay >= 0:
             raise InputError("optim.learning_rate must be positive, optim.weight_decay not "
                              "negative")
-        if min(self.seed, self.workers, self.threads) < 0:
-            raise InputError("seed, workers and threads must not be negative")
+        if min(self.seed, self.workers, self.threads, self.fabrics, self.drapes_each) < 0:
+            raise InputError("seed, workers, threads, fabrics and drapes_each must not be negative")
 
     def defining(self) -> dict:
         """The settings that a resumed run must share: all but places and machinery."""

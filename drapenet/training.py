@@ -156,6 +156,7 @@ def open_splits(
     options = {"fractions": shares, "noise": SensorNoise.from_config(config.sensor),
                "seed": config.seed}
     many = {"orientations_per_epoch": config.orientations_per_epoch,
+            "fabrics": config.fabrics, "drapes_each": config.drapes_each,
             "augment": config.views != "cached"}  # a cache has its own view orders
     if config.views == "stored":
         training = DrapeDataset(config.data, split="train", **many, **options)

@@ -9,7 +9,7 @@ from test_generate import generate, small_config
 from data.dataset import DrapeDataset
 from data.sampling import plan_drape
 from data.shards import read_manifest, write_manifest
-from data.splits import FRACTIONS, split_by_fabric
+from data.splits import FRACTIONS, split_by_fabric, thin_out
 from data.view_order import ORDERS, reorder_axis, reorder_views
 from sim.errors import InputError
 
@@ -74,6 +74,26 @@ def test_split_is_stable_and_has_its_fractions():
     assert (split_by_fabric(np.arange(5000), seed=1) != names).mean() > 0.2
     with pytest.raises(InputError, match="add up"):
         split_by_fabric(np.arange(3), fractions={"train": 0.5, "test": 0.4})
+
+
+def test_smaller_training_sets_are_parts_of_larger_ones():
+    fabrics = np.repeat(np.random.default_rng(0).permutation(50), 8)
+    fabrics = fabrics[np.random.default_rng(1).permutation(400)]
+    before = np.zeros(400, dtype=bool)
+    for count in (5, 20, 50):
+        kept = thin_out(fabrics, count=count)
+        assert len(set(fabrics[kept])) == count and kept.sum() == 8 * count
+        assert (kept | ~before).all()
+        before = kept
+    assert kept.all() and thin_out(fabrics).all()
+    few = thin_out(fabrics, count=20, drapes_each=3)
+    assert (np.unique(fabrics[few], return_counts=True)[1] == 3).all()
+    for fabric in set(fabrics[few]):  # its first three
+        assert few[np.flatnonzero(fabrics == fabric)].tolist() == [True] * 3 + [False] * 5
+    # Not the first fabrics: those of a shard share their drapes.
+    assert set(fabrics[thin_out(fabrics, count=5)]) != set(range(5))
+    with pytest.raises(InputError, match="fabrics=51"):
+        thin_out(fabrics, count=51)
 
 
 def test_noise_and_augmentation_depend_on_epoch_and_drape_only(root):
