@@ -105,8 +105,8 @@ def make_dataset(header: Header, root: Path, config: dict) -> None:
     """Make or complete the dataset that the command line asks for; InputError if a fabric of it may
     have been seen.
     """
-    words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution")]
-    words += ["prior=gaussian", "dataset.starts_per_fabric=1",
+    words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution", "prior")]
+    words += ["dataset.starts_per_fabric=1",
               f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
     generation = config_from_options(options)
