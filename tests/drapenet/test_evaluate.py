@@ -40,7 +40,7 @@ def test_what_cannot_be_judged_is_refused_before_it_is_made(
 ) -> None:
     copy = tmp_path / "copy.json"
     content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
-    prior = prior_content(load_prior("gaussian"))
+    prior = prior_content(load_prior("vae"))
     generations = [{"sampling": {"seed": seed}, "prior": prior} for seed in (5, 6)]
     latest, earlier = generations if seen == "latest" else reversed(generations)
     content["dataset"] |= {"generation": latest, "earlier": [{"generation": earlier}]}
