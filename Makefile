@@ -46,15 +46,11 @@ sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)
 
-dataset: $(STAMP)  ## simulate and render two datasets of drapes, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET) prior=gaussian dataset=one_start drapes=832
-	$(BIN)/python -m data.generate out=$(DATASET)_more prior=gaussian dataset=one_start drapes=720 seed=1
+dataset: $(STAMP)  ## simulate a dataset of 2048 drapes, resumes when interrupted
+	$(BIN)/python -m data.generate out=$(DATASET) dataset=fresh drapes=2048 seed=10
 
-train: $(STAMP)  ## train on these datasets, resumes when interrupted
-	$(BIN)/python train.py experiment=cpu_small data=$(DATASET) out=outputs/train/first
-	$(BIN)/python train.py experiment=cpu_small_finish data=$(DATASET) out=outputs/train/second
-	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET)_more out=outputs/train/third
-	$(BIN)/python train.py experiment=cpu_small_last data=$(DATASET)_more out=outputs/train/last
+train: $(STAMP)  ## go on training the bundled weights on this dataset, resumes when interrupted
+	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train
 
 evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
 	$(BIN)/python -m drapenet.evaluate

@@ -1,7 +1,7 @@
 """Train the network on a dataset of simulated drapes.
 
     python train.py data=outputs/dataset out=outputs/train
-    python train.py experiment=cpu_small        # the bundled weights: two cores, no GPU
+    python train.py experiment=cpu_small        # without a GPU: small views, few epochs
 
 Run the same command again after an interruption: it goes on from the last finished epoch and
 ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.

@@ -197,9 +197,10 @@ def test_the_bundled_experiment_composes() -> None:
     config = compose_config("train", ["experiment=cpu_small"], schema=TrainConfig)
     assert config.optim.schedule == "one_cycle"
     assert config.views == "cached" and config.model.input_width < 120
-    finish = compose_config("train", ["experiment=cpu_small_finish"], schema=TrainConfig)
-    assert finish.model == config.model  # or it could not go on from the first part's weights
-    assert finish.validation_fraction == config.validation_fraction  # or it would see its fabrics
+    for name in ("finish", "more"):
+        after = compose_config("train", [f"experiment=cpu_small_{name}"], schema=TrainConfig)
+        assert after.model == config.model  # or it could not go on from the other's weights
+        assert after.validation_fraction == config.validation_fraction  # or its fabrics mix
 
 
 def test_the_papers_rate_decays_each_epoch() -> None:
