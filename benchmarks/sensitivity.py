@@ -1,0 +1,243 @@
+"""Are the derivatives of drapes right? ``python -m benchmarks.sensitivity [workers=2]``.
+
+Fabrics of the shipped prior, draped from a sine start. At each drape, converged to rounding, the
+derivative dx/dp of all vertices by each of the six moduli (log alpha and beta/alpha of warp,
+bias, weft), found in three ways:
+
+- central differences of two drapes, each followed from the first and converged to rounding;
+- forward sensitivities, one solve for each modulus;
+- the adjoint, through PyTorch: the derivative of w·x with w along the difference's own direction.
+
+Compared are norms: |forward - difference|/|difference|, and the adjoint's number with the norm
+that it should be. Then the cost, in CPU-seconds on one core: of the backward pass against that of
+the drape.
+
+Keys (``key=value``):
+
+    fabrics      drawn from the prior
+    seed         of the fabrics
+    resolution   vertices a side
+    workers      processes, one thread each
+    cases        folder of finished fabrics; an interrupted run goes on from there
+    out          the report, JSON; a picture of the same name beside it
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from data.fabrics import THETA_NAMES, fabric_from_theta
+from data.prior import load_prior, sample_admissible
+from data.sampling import Stream, stream
+from sim.cli import parse_overrides, run_command
+from sim.drape import DrapeResult, drape
+from sim.newton import NewtonOptions
+from sim.sensitivity import Tangent, follow, sensitivities
+from sim.sensitivity.adjoint import equilibria, pulled_back
+
+LIMIT = 1e-3  # of the norm of dx/dp
+COST = 0.15  # of the drape
+TIGHT = NewtonOptions(residual=1e-7, step=1e-7)
+STEPS = np.repeat([1e-4, 1e-7], 3)  # of log alpha, and of beta/alpha in m
+
+DEFAULTS = {
+    "fabrics": 20,
+    "seed": 6,
+    "resolution": 50,
+    "workers": 1,
+    "cases": "outputs/validation/sensitivity",
+    "out": str(REPORTS / "sensitivity.json"),
+}
+
+
+class Clock:
+    """CPU-seconds of this process since the last call."""
+
+    def __init__(self) -> None:
+        self._last = time.process_time()
+
+    def __call__(self) -> float:
+        before, self._last = self._last, time.process_time()
+        return round(self._last - before, 4)
+
+
+def one_fabric(index: int, seed: int, resolution: int) -> dict:
+    """Derivatives and costs of fabric ``index``."""
+    theta, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
+    fabric = fabric_from_theta(theta)
+    drape(fabric, resolution=12)  # loads the kernels
+    clock, seconds = Clock(), {}
+    made = drape(fabric, resolution=resolution, seed=index)
+    seconds["drape"] = clock()
+    result = {
+        "alpha_uN_m": (1e6 * fabric.alpha).tolist(),
+        "beta_over_alpha_mm": (1e3 * theta[3:]).tolist(),
+        "status": made.status.value,
+        "message": made.message,
+    }
+    if not made.converged:
+        return result
+    start = follow(made, fabric, options=TIGHT)
+    clock()
+    forward = sensitivities(start)
+    seconds["six forward sensitivities"] = clock()
+    if not forward.ok:
+        return {**result, "status": "no derivative", "message": forward.message}
+    differences, failed = by_differences(start, theta)
+    clock()
+    moduli, parameters = moduli_of(theta)
+    found = equilibria([start], options=TIGHT, **moduli)
+    seconds["equilibrium from nearby, with its factor"] = clock()
+    adjoint = backwards(found.positions[0], parameters, differences)
+    clock()
+    backwards(found.positions[0], parameters, differences[:1])
+    seconds["backward"] = clock()
+    pulled_back(Tangent.of(start), fabric, differences[0], membrane=200.0, by_held=False,
+                by_rest=False)
+    seconds["backward without a kept factor"] = clock()
+    held, rest = (torch.from_numpy(x)[None].requires_grad_()
+                  for x in (start.positions[start.held], start.rest))
+    everything = equilibria([start], held=held, rest=rest, options=TIGHT, **moduli)
+    clock()
+    everything.positions[0].sum().backward()
+    seconds["backward to held positions and rest shape too"] = clock()
+
+    norms = np.linalg.norm(differences, axis=(1, 2))
+    return {
+        **result,
+        "unconverged_differences": failed,
+        "softest_weights_per_mm": forward.softest,
+        "norm_m": norms.tolist(),
+        "largest_m": np.linalg.norm(differences, axis=2).max(axis=1).tolist(),
+        "forward": (np.linalg.norm(forward.positions - differences, axis=(1, 2)) / norms).tolist(),
+        "adjoint": (np.abs(adjoint - norms) / norms).tolist(),
+        "seconds": seconds,
+    }
+
+
+def by_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
+    """(6, V, 3) central differences of the drapes next to ``start``, and how many failed."""
+    failed, rows = 0, []
+    for k, step in enumerate(STEPS):
+        ends = []
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[k] += sign * step
+            end = follow(start, fabric_from_theta(moved), options=TIGHT)
+            failed += not end.converged
+            ends.append(end.positions)
+        rows.append((ends[0] - ends[1]) / (2 * step))
+    return np.stack(rows), failed
+
+
+def moduli_of(theta: np.ndarray) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    """Arguments alpha and beta of :func:`equilibria` as functions of theta (1, 6), and that."""
+    parameters = torch.tensor(theta[None], requires_grad=True)
+    alpha = parameters[:, :3].exp()
+    return {"alpha": alpha, "beta": parameters[:, 3:] * alpha}, parameters
+
+
+def backwards(
+    positions: torch.Tensor, parameters: torch.Tensor, directions: np.ndarray
+) -> np.ndarray:
+    """(K,) derivatives of unit vectors along the first K ``directions`` times the positions.
+
+    Each by the modulus of the same number.
+    """
+    found = []
+    for k, direction in enumerate(directions):
+        weights = torch.from_numpy(direction / np.linalg.norm(direction))
+        by_theta, = torch.autograd.grad(positions, parameters, weights, retain_graph=True)
+        found.append(float(by_theta[0, k]))
+    return np.array(found)
+
+
+def summarise(rows: list[dict]) -> dict:
+    """Worst and median figures of the fabrics that have derivatives."""
+    good = [row for row in rows if "forward" in row]
+    ratios = {name: [row["seconds"][name] / row["seconds"]["drape"] for row in good]
+              for name in good[0]["seconds"]} if good else {}
+    summary = {
+        "fabrics": len(rows),
+        "with_derivatives": len(good),
+        "worst": {way: max(max(row[way]) for row in good) for way in ("forward", "adjoint")},
+        "median": {way: float(np.median([row[way] for row in good]))
+                   for way in ("forward", "adjoint")},
+        "share_of_the_drape": {
+            name: {"median": float(np.median(values)), "largest": max(values)}
+            for name, values in ratios.items() if name != "drape"
+        },
+    } if good else {"fabrics": len(rows), "with_derivatives": 0}
+    summary["passed"] = len(good) == len(rows) and all(
+        worst <= LIMIT for worst in summary["worst"].values()
+    ) and summary["share_of_the_drape"]["backward"]["median"] < COST
+    return summary
+
+
+def main(argv: list[str]) -> None:
+    """Compare, print the table, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    cases = {
+        f"fabric_{config['seed']}_{k}_{config['resolution']}": {
+            "index": k, "seed": config["seed"], "resolution": config["resolution"]
+        }
+        for k in range(config["fabrics"])
+    }
+    rows = list(run_cases(one_fabric, cases, folder=Path(config["cases"]),
+                          workers=config["workers"]).values())
+    summary = summarise(rows)
+    print(table(
+        ["fabric", "α, µN·m", "status", "forward", "adjoint", "drape, s", "backward"],
+        [[k, " ".join(f"{a:.3g}" for a in row["alpha_uN_m"]), row["status"],
+          *([f"{max(row['forward']):.1e}", f"{max(row['adjoint']):.1e}",
+             f"{row['seconds']['drape']:.2f}",
+             f"{100 * row['seconds']['backward'] / row['seconds']['drape']:.1f} %"]
+            if "forward" in row else ["", "", "", ""])]
+         for k, row in enumerate(rows)],
+    ))
+    if summary["with_derivatives"]:
+        worst, cost = summary["worst"], summary["share_of_the_drape"]
+        print(f"largest relative difference: forward {worst['forward']:.1e}, adjoint "
+              f"{worst['adjoint']:.1e}, limit {LIMIT:g}")
+        for name, figures in cost.items():
+            print(f"{name}: {100 * figures['median']:.1f} % of the drape's time (median), "
+                  f"at most {100 * figures['largest']:.1f} %")
+    out = Path(config["out"])
+    write_report(out, {"settings": {k: config[k] for k in ("fabrics", "seed", "resolution")},
+                       "limit": LIMIT, "cost_limit": COST, **summary, "rows": rows})
+    draw([row for row in rows if "forward" in row], out.with_suffix(".png"))
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Picture: differences of all fabrics by modulus, and what a backward pass costs."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1])
+    for shift, way in ((-0.12, "forward"), (0.12, "adjoint")):
+        values = np.array([row[way] for row in rows]).reshape(-1, 6)
+        at = np.arange(6) + shift + np.linspace(-0.06, 0.06, max(len(values), 1))[:, None]
+        left.semilogy(at[: len(values)].ravel(), np.maximum(values, 1e-12).ravel(), ".",
+                      label=way, ms=4)
+    left.axhline(LIMIT, color="k", lw=0.7, ls="--")
+    left.set_xticks(range(6), [name.replace("log_alpha", "log α").replace("beta_over_alpha", "β/α")
+                               .replace("_", "\n") for name in THETA_NAMES], fontsize=7)
+    left.set_title("off the central difference, relative", fontsize=9)
+    left.legend(fontsize=7, frameon=False)
+    seconds = np.array([[row["seconds"]["drape"], row["seconds"]["backward"]]
+                        for row in rows]).reshape(-1, 2)
+    right.plot(seconds[:, 0], seconds[:, 1], ".")
+    limits = np.array([0.0, 1.05 * seconds[:, 0].max(initial=1.0)])
+    right.plot(limits, COST * limits, "k--", lw=0.7, label="15 % of the drape")
+    right.set_xlim(limits)
+    right.set_ylim(0, None)
+    right.set_xlabel("drape, CPU-seconds", fontsize=8)
+    right.set_title("backward pass, CPU-seconds", fontsize=9)
+    right.legend(fontsize=7, frameon=False)
+    write_figure(path, figure)
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

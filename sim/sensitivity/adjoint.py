@@ -1,0 +1,195 @@
+"""Equilibria as differentiable functions for PyTorch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sim.drape import DrapeResult
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY, Fabric
+from sim.membranes import Corotational
+from sim.newton import NewtonOptions
+from sim.sensitivity.follow import follow
+from sim.sensitivity.parameters import combinations
+from sim.sensitivity.rest_shape import pull_on_rest
+from sim.sensitivity.tangent import Tangent
+from sim.workers import worker_pool
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """Equilibria of B cloths.
+
+    Attributes:
+        positions: (V, 3) m each, with their derivatives; those of a failure are where it ended,
+            their derivatives NaN.
+        results: the drapes, each with its status.
+        ok: (B,) whether the equilibrium and its derivatives exist.
+        messages: (B,) why not.
+    """
+
+    positions: list[Tensor]
+    results: list[DrapeResult]
+    ok: list[bool]
+    messages: list[str]
+
+
+def equilibria(
+    starts: Sequence[DrapeResult],
+    *,
+    alpha: Tensor,
+    beta: Tensor,
+    density: Tensor | float = REFERENCE_DENSITY,
+    membrane: Tensor | float = 200.0,
+    held: Sequence[Tensor] | None = None,
+    rest: Sequence[Tensor] | None = None,
+    bending: str = "midedge",
+    options: NewtonOptions | None = None,
+    workers: int = 1,
+) -> Equilibria:
+    """Equilibria next to those of ``starts``, on their meshes, of other cloth.
+
+    Backwards, each takes one solve with the factor that proves it a minimum, for the derivatives
+    by all arguments that are tensors. A numerical failure spoils its own sample only.
+
+    Args:
+        starts: B drapes, any mix of meshes and rigs.
+        alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
+        density: (B,) or one for all, kg/m².
+        membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth of this density (that
+            of :mod:`sim.laws` is of cloth of the reference density).
+        held: positions (H, 3), m, of the held vertices, in their order; None for those of
+            ``starts``.
+        rest: rest points (V, 2), m; None for those of ``starts``. Where the rig holds a vertex
+            does not follow its rest point.
+        bending: bending law. Derivatives by ``rest`` are NaN for others than "midedge".
+        options: of the minimisations.
+        workers: processes that find the equilibria; see :func:`sim.batched.drape.drape_batch`.
+
+    Raises:
+        InputError: shapes that do not fit, or values that no cloth has.
+    """
+    count = len(starts)
+    density, membrane = (torch.as_tensor(v, dtype=torch.float64).expand(count)
+                         for v in (density, membrane))
+    given = {"alpha": alpha, "beta": beta, "held": held, "rest": rest}
+    for name, values in given.items():
+        if values is not None and len(values) != count:
+            raise InputError(f"{name} has {len(values)} entries for {count} cloths")
+    tasks, inputs = [], []
+    for k, start in enumerate(starts):
+        here = start.positions[start.held] if held is None else held[k]
+        flat = start.rest if rest is None else rest[k]
+        inputs.append([alpha[k], beta[k], density[k], membrane[k],
+                       torch.as_tensor(here), torch.as_tensor(flat)])
+        tasks.append(_task(start, *(_array(v) for v in inputs[-1]), bending))
+    if workers > 1 and count > 1:
+        with worker_pool(min(workers, count)) as pool:
+            futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
+                       for start, fabric, laws in tasks]
+            results = [future.result() for future in futures]
+    else:
+        results = [follow(start, fabric, laws=laws, options=options)
+                   for start, fabric, laws in tasks]
+    tangents = [Tangent.of(result, laws=laws)
+                for result, (_, _, laws) in zip(results, tasks, strict=True)]
+    return Equilibria(
+        positions=[
+            _Equilibrium.apply(tangent, result.fabric, *values)
+            for tangent, result, values in zip(tangents, results, inputs, strict=True)
+        ],
+        results=results,
+        ok=[tangent.ok for tangent in tangents],
+        messages=[tangent.message for tangent in tangents],
+    )
+
+
+def _task(
+    start: DrapeResult,
+    alpha: np.ndarray,
+    beta: np.ndarray,
+    density: np.ndarray,
+    membrane: np.ndarray,
+    held: np.ndarray,
+    rest: np.ndarray,
+    bending: str,
+) -> tuple[DrapeResult, Fabric, Laws]:
+    """Start, fabric and laws of one sample."""
+    if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
+        raise InputError(f"held {held.shape} and rest {rest.shape} do not fit a mesh of "
+                         f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
+    positions = start.positions.copy()
+    positions[start.held] = held
+    fabric = Fabric(alpha, beta, float(density))
+    stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
+    laws = Laws(bending=bending, membrane=Corotational(stiffness=stiffness))
+    return replace(start, positions=positions, rest=rest), fabric, laws
+
+
+class _Equilibrium(torch.autograd.Function):
+    """Positions (V, 3) of a known equilibrium as a function of what made it."""
+
+    @staticmethod
+    def forward(ctx, tangent: Tangent, fabric: Fabric, *inputs: Tensor) -> Tensor:
+        ctx.tangent, ctx.fabric = tangent, fabric
+        ctx.save_for_backward(*inputs)
+        return torch.from_numpy(tangent.positions.copy()).to(inputs[0])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        inputs = ctx.saved_tensors
+        needed = ctx.needs_input_grad[2:]
+        pulls = pulled_back(ctx.tangent, ctx.fabric, _array(upstream),
+                            membrane=float(inputs[3]), by_held=needed[4], by_rest=needed[5])
+        return None, None, *(
+            torch.as_tensor(pull, dtype=value.dtype, device=value.device) if need else None
+            for pull, value, need in zip(pulls, inputs, needed, strict=True)
+        )
+
+
+def pulled_back(
+    tangent: Tangent,
+    fabric: Fabric,
+    by_positions: np.ndarray,
+    *,
+    membrane: float,
+    by_held: bool = True,
+    by_rest: bool = True,
+) -> tuple[np.ndarray | None, ...]:
+    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3).
+
+    Args:
+        fabric: whose own moduli and density are meant.
+        membrane: N/m, in-plane stiffness that is meant.
+        by_held, by_rest: whether these two are wanted.
+
+    Returns:
+        By alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and rest points
+        (V, 2); NaN where the tangent is not ok.
+    """
+    scene = tangent.scene
+    if not tangent.ok:
+        held, rest = (int(scene.held.sum()), 3), scene.mesh.rest.shape
+        return tuple(np.full(shape, np.nan) for shape in ((3,), (3,), (), (), held, rest))
+    along = np.zeros_like(tangent.q)
+    along[: tangent.coordinates] = by_positions.ravel()
+    weights = tangent.response(along)
+    _, rows = combinations(("alpha", "beta", "density", "membrane"), fabric)
+    by_fabric = -rows @ (tangent.force_derivatives() @ weights)
+    held = rest = None
+    if by_held:
+        moved = tangent.force_of(weights)[: tangent.coordinates].reshape(-1, 3)
+        held = (by_positions - moved)[scene.held]
+    if by_rest:
+        rest = -pull_on_rest(tangent, weights)
+    return by_fabric[:3], by_fabric[3:6], by_fabric[6], by_fabric[7] / membrane, held, rest
+
+
+def _array(values: Tensor) -> np.ndarray:
+    return values.detach().cpu().double().numpy()

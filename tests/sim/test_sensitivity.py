@@ -1,0 +1,335 @@
+"""Derivatives of equilibria: against beam theory, finite differences and each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sim.batched.energies import batch_energies
+from sim.cantilever.elastica import elastica
+from sim.drape import DrapeResult, drape
+from sim.equilibrium import find_equilibrium
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY, Fabric
+from sim.membranes import Corotational
+from sim.mesh import strip
+from sim.newton import NewtonOptions, Status
+from sim.scene import GRAVITY, Scene, State
+from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
+from sim.sensitivity.adjoint import equilibria, pulled_back
+from sim.sensitivity.forward import tangent_sensitivities
+from sim.sensitivity.rest_shape import (
+    energies_of,
+    moves_with_offset,
+    moves_with_rest,
+    pull_on_rest,
+)
+
+TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
+MODULI = ("log_alpha", "ratio")
+FABRIC = Fabric([60e-6, 25e-6, 30e-6], [-150e-9, -50e-9, -80e-9], density=0.15)
+LENGTH = 0.06
+
+
+@pytest.fixture(scope="module")
+def draped() -> DrapeResult:
+    """A drape of cloth that is anisotropic, softens and has a density of its own."""
+    result = drape(FABRIC, resolution=17, options=TIGHT)
+    assert result.converged
+    return result
+
+
+@pytest.fixture(scope="module")
+def tangent(draped) -> Tangent:
+    return Tangent.of(draped)
+
+
+def random_weights(result: DrapeResult, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(result.positions.shape)
+
+
+def hanging_strip(gamma: float) -> Tangent:
+    """A cantilever of isotropic cloth with rho g L³/alpha = gamma."""
+    mesh, held = strip(length=LENGTH, width=0.012, edge=0.003, clamp=0.003)
+    alpha = REFERENCE_DENSITY * GRAVITY * LENGTH**3 / gamma
+    scene = Scene(mesh=mesh, held=held)
+    flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
+    fabric = Fabric(np.full(3, alpha))
+    state, result = find_equilibrium(scene, fabric, State.at(mesh, flat), options=TIGHT)
+    assert result.status is Status.CONVERGED
+    return Tangent(scene, fabric, state)
+
+
+def by_stiffness(tangent: Tangent) -> np.ndarray:
+    """(V, 3) derivative by the logarithm of all bending moduli together."""
+    moves = tangent_sensitivities(tangent, tangent.fabric, ("log_alpha",))
+    assert moves.ok
+    return moves.positions.sum(axis=0)
+
+
+def test_small_deflections_are_inversely_proportional_to_the_stiffness():
+    tangent = hanging_strip(gamma=1e-3)
+    drop = -tangent.positions[:, 2]
+    tip = tangent.scene.mesh.rest[:, 0] > LENGTH - 1e-6
+    assert drop[tip] == pytest.approx(LENGTH * 1e-3 / 8, rel=0.01)  # rho g L⁴/(8 alpha)
+    assert by_stiffness(tangent)[:, 2] == pytest.approx(drop, abs=1e-5 * drop.max())
+    heavier = tangent_sensitivities(tangent, tangent.fabric, ("density",)).positions[0]
+    assert heavier[:, 2] * REFERENCE_DENSITY == pytest.approx(-drop, abs=1e-5 * drop.max())
+
+
+@pytest.mark.parametrize("gamma", [3.0, 30.0])
+def test_a_cantilever_changes_as_the_elastica_does(gamma):
+    """The tip's reach and drop: d/d log alpha = -d/d log gamma of the boundary-value problem."""
+    tangent = hanging_strip(gamma)
+    tip = tangent.scene.mesh.rest[:, 0] > LENGTH - 1e-6
+    step = 1e-3
+    below, above = (LENGTH * elastica(gamma * np.exp(s))[-1] for s in (-step, step))
+    expected = (below - above) / (2 * step)
+    found = by_stiffness(tangent)[tip][:, [0, 2]].mean(axis=0) * [1, -1]
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_moduli_against_finite_differences_of_converged_drapes(draped):
+    exact = sensitivities(draped, parameters=MODULI)
+    alpha, ratio = np.log(FABRIC.alpha), FABRIC.beta / FABRIC.alpha
+    for k, name in enumerate(exact.names):
+        ends = []
+        step = 1e-4 if k < 3 else 1e-7
+        for sign in (1, -1):
+            theta = np.concatenate([alpha, ratio])
+            theta[k] += sign * step
+            moduli = np.exp(theta[:3])
+            fabric = Fabric(moduli, theta[3:] * moduli, FABRIC.density)
+            end = follow(draped, fabric, options=TIGHT)
+            assert end.converged
+            ends.append(end.positions)
+        difference = (ends[0] - ends[1]) / (2 * step)
+        error = np.linalg.norm(exact.positions[k] - difference)
+        assert error < 1e-5 * np.linalg.norm(difference), name
+
+
+def test_physical_moduli_are_those_of_the_fabric_itself(draped):
+    exact = sensitivities(draped, parameters=("alpha", "beta"))
+    for name, k, step in (("alpha", 1, 1e-9), ("beta", 2, 1e-12)):
+        ends = [
+            follow(draped, replace(FABRIC, **{name: getattr(FABRIC, name) + s * np.eye(3)[k]}),
+                   options=TIGHT).positions
+            for s in (step, -step)
+        ]
+        found = exact.positions[exact.names.index(f"{name}_{('warp', 'bias', 'weft')[k]}")]
+        difference = (ends[0] - ends[1]) / (2 * step)
+        assert np.linalg.norm(found - difference) < 1e-3 * np.linalg.norm(difference)
+
+
+def test_a_common_factor_of_moduli_stiffness_and_density_changes_nothing(draped):
+    moves = sensitivities(draped, parameters=PARAMETERS)
+    one = dict(zip(moves.names, moves.positions, strict=True))
+    directions = ("warp", "bias", "weft")
+    by_alpha = sum(one[f"log_alpha_{d}"] for d in directions)
+    by_moduli = sum(FABRIC.alpha[k] * one[f"alpha_{d}"] + FABRIC.beta[k] * one[f"beta_{d}"]
+                    for k, d in enumerate(directions))
+    by_density = FABRIC.density * one["density"]
+    assert np.allclose(by_moduli, by_alpha, atol=1e-12)
+    size = np.abs(by_density).max()
+    assert size > 1e-3  # m: there is something to cancel
+    assert np.abs(by_alpha + one["membrane"] + by_density).max() < 1e-7 * size
+
+
+def test_backwards_agrees_with_forwards(draped, tangent):
+    moves = tangent_sensitivities(tangent, FABRIC, ("alpha", "beta", "density", "membrane"))
+    rng = np.random.default_rng(1)
+    rest_moves = rng.standard_normal((1, *draped.rest.shape))
+    held_move = rng.standard_normal((int(draped.held.sum()), 3))
+    pushed = np.zeros_like(tangent.q)
+    pushed[: tangent.coordinates].reshape(-1, 3)[draped.held] = held_move
+    answer = pushed - tangent.response(tangent.force_of(pushed))
+    by_held = answer[: tangent.coordinates].reshape(-1, 3)
+    by_rest = moves_with_rest(tangent, rest_moves)[0]
+    for seed in range(3):
+        weights = random_weights(draped, seed)
+        *by_fabric, held, rest = pulled_back(tangent, FABRIC, weights, membrane=1.0)
+        size = np.linalg.norm(weights)
+        error = np.hstack(by_fabric) - np.tensordot(moves.positions, weights, 2)
+        assert (np.abs(error) < 1e-8 * size * np.linalg.norm(moves.positions, axis=(1, 2))).all()
+        assert abs((held * held_move).sum() - (weights * by_held).sum()) < (
+            1e-8 * size * np.linalg.norm(by_held))
+        assert abs((rest * rest_moves).sum() - (weights * by_rest).sum()) < (
+            1e-6 * size * np.linalg.norm(by_rest))  # forwards by differences of forces
+
+
+def test_constants_on_the_rest_shape_are_those_of_the_energies(tangent):
+    rest = torch.from_numpy(tangent.scene.mesh.rest)
+    for own, known in zip(energies_of(tangent, rest),
+                          batch_energies([tangent.potential.energies]), strict=True):
+        for name, value in vars(known).items():
+            size = 1e-12 * float(value.abs().max())
+            assert torch.allclose(getattr(own, name), value, rtol=0, atol=size), name
+
+
+def test_a_rest_shape_that_moves_as_a_whole_is_the_same(tangent):
+    pull = pull_on_rest(tangent, np.random.default_rng(0).standard_normal(len(tangent.q)))
+    assert np.abs(pull.sum(axis=0)).max() < 1e-9 * np.abs(pull).sum()
+
+
+def test_the_offset_of_the_specimen_against_drapes_with_it():
+    """Of other meshes, of which each holds its disc as well as it can: 28 % off, 8 % at 71."""
+    stiff = Fabric(np.full(3, 100e-6), np.full(3, -200e-9))
+    there = [drape(stiff, offset=(0.0, y), resolution=31, mesh="structured")
+             for y in (0.0, 1e-3, -1e-3)]
+    moves = moves_with_offset(Tangent.of(there[0]), there[0].rig)[1]
+    expected = (there[1].positions - there[2].positions) / 2e-3
+    edge = np.abs(there[0].rest).max(axis=1) > 0.15 - 1e-6  # where the mesh follows the cloth
+    error, size = (np.linalg.norm(x[edge], axis=1).mean() for x in (moves - expected, expected))
+    assert size > 0.5 and error < 0.35 * size
+
+
+def test_cloth_follows_a_clamp_that_moves_as_a_whole():
+    tangent = hanging_strip(gamma=10.0)
+    weights = np.random.default_rng(0).standard_normal(tangent.positions.shape)
+    *_, held, _ = pulled_back(tangent, tangent.fabric, weights, membrane=200.0)
+    assert held.sum(axis=0) == pytest.approx(weights.sum(axis=0), rel=1e-8)
+
+
+def test_equilibria_against_finite_differences(draped):
+    """Through PyTorch: a batch of two, all six inputs, one direction through each."""
+    starts = [draped, draped]
+    weights = torch.from_numpy(random_weights(draped))
+    inputs = {
+        "alpha": torch.tensor(np.stack([FABRIC.alpha, 1.02 * FABRIC.alpha])),
+        "beta": torch.tensor(np.stack([FABRIC.beta, FABRIC.beta])),
+        "density": torch.tensor([0.15, 0.15], dtype=torch.float64),
+        "membrane": torch.tensor([100.0, 100.0], dtype=torch.float64),
+        "held": torch.from_numpy(draped.positions[draped.held]).repeat(2, 1, 1),
+        "rest": torch.from_numpy(draped.rest).repeat(2, 1, 1),
+    }
+    steps = {"alpha": 3e-9, "beta": 3e-11, "density": 1e-5, "membrane": 1e-2, "held": 1e-8,
+             "rest": 1e-8}
+
+    def weighed(**changed: torch.Tensor) -> torch.Tensor:
+        found = equilibria(starts, options=TIGHT, **(inputs | changed))
+        assert found.ok == [True, True]
+        return sum(((k + 1) * weights * x).sum() for k, x in enumerate(found.positions))
+
+    for value in inputs.values():
+        value.requires_grad_()
+    weighed().backward()
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for name, value in inputs.items():
+            direction = torch.randn(value.shape, dtype=torch.float64, generator=generator)
+            move = steps[name] * direction
+            difference = (weighed(**{name: value + move}) - weighed(**{name: value - move})) / 2
+            assert float((value.grad * move).sum()) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_a_failure_spoils_its_own_sample_only(draped):
+    far = replace(draped, positions=draped.positions * [1, 1, 0.9])  # too far for two steps
+    alpha = torch.tensor(np.stack([FABRIC.alpha, FABRIC.alpha]), requires_grad=True)
+    beta = torch.tensor(np.stack([FABRIC.beta, FABRIC.beta]), requires_grad=True)
+    found = equilibria([far, draped], alpha=alpha, beta=beta, density=0.15, membrane=100.0,
+                       options=replace(TIGHT, max_iterations=2))
+    assert found.ok == [False, True]
+    assert [r.status for r in found.results] == [Status.MAX_ITERATIONS, Status.CONVERGED]
+    assert "no equilibrium" in found.messages[0]
+    sum(positions.sum() for positions in found.positions).backward()
+    for gradient in (alpha.grad, beta.grad):
+        assert gradient[0].isnan().all() and gradient[1].isfinite().all()
+    moves = sensitivities(found.results[0])
+    assert not moves.ok and np.isnan(moves.positions).all() and moves.message
+
+
+def test_free_motions_are_reported():
+    """A flag turns about its pole."""
+    mesh, _ = strip(length=LENGTH, width=0.012, edge=0.006, clamp=0.006)
+    x, y = mesh.rest.T
+    flag = np.column_stack([y, np.zeros(len(x)), -x])
+    fabric = Fabric(np.full(3, 50e-6))
+    tangent = Tangent(Scene(mesh=mesh, held=y == 0.0), fabric, State.at(mesh, flag))
+    assert not tangent.ok and ("singular" in tangent.message or "definite" in tangent.message)
+    moves = tangent_sensitivities(tangent, fabric, MODULI)
+    assert not moves.ok and moves.message == tangent.message and np.isnan(moves.positions).all()
+    assert all(np.isnan(pull).all()
+               for pull in pulled_back(tangent, fabric, flag, membrane=200.0))
+
+
+def test_a_column_beyond_its_buckling_load_is_no_minimum():
+    mesh, held = strip(length=LENGTH, width=0.012, edge=0.003, clamp=0.003)
+    x, y = mesh.rest.T
+    upright = State.at(mesh, np.column_stack([np.zeros(len(x)), y, x]))
+    critical = REFERENCE_DENSITY * GRAVITY * LENGTH**3 / 7.837  # Greenhill's column
+    stands, falls = (Tangent(Scene(mesh=mesh, held=held), Fabric(np.full(3, share * critical)),
+                             upright) for share in (1.3, 0.7))
+    assert stands.ok
+    assert not falls.ok and "not positive definite" in falls.message
+    # Towards the fold, where the column begins to lean, the softest motion loses its stiffness.
+    nearly = Tangent(Scene(mesh=mesh, held=held), Fabric(np.full(3, 1.03 * critical)), upright)
+    assert 0 < nearly.softest < 0.3 * stands.softest
+
+
+def test_states_that_are_no_equilibrium_are_refused(draped):
+    lifted = replace(draped, positions=draped.positions + 1e-3 * random_weights(draped))
+    assert not sensitivities(lifted).ok
+
+
+def test_following_finds_the_equilibrium_of_the_new_moduli(draped):
+    moves = sensitivities(draped)
+    fabric = Fabric(FABRIC.alpha * [1.1, 0.95, 1.05], FABRIC.beta, FABRIC.density)
+    plain, led = (follow(draped, fabric, options=TIGHT, sensitivities=s) for s in (None, moves))
+    assert plain.converged and led.converged and led.fabric is fabric
+    assert led.positions == pytest.approx(plain.positions, abs=1e-9)
+    assert np.abs(led.positions - draped.positions).max() > 1e-4
+    # A step of the prediction's length has an error of the square of the change.
+    close = Fabric(FABRIC.alpha * 1.001, FABRIC.beta * 1.001, FABRIC.density)
+    predicted = draped.positions + 1e-3 * moves.positions[:3].sum(axis=0)
+    exact = follow(draped, close, options=TIGHT).positions
+    error, size = (np.abs(exact - x).max() for x in (predicted, draped.positions))
+    assert error < 0.02 * size
+
+
+def test_other_laws_have_derivatives_too(draped):
+    laws = Laws(bending="hinge", membrane=Corotational(stiffness=100.0))
+    isotropic = Fabric(np.full(3, 50e-6), np.full(3, -100e-9))
+    result = drape(isotropic, resolution=13, laws=laws, options=TIGHT)
+    moves = sensitivities(result, laws=laws, parameters=("membrane",))
+    stiffer, softer = (follow(result, isotropic, laws=laws.softened(np.exp(s)), options=TIGHT)
+                       for s in (1e-3, -1e-3))
+    difference = (stiffer.positions - softer.positions) / 2e-3
+    assert np.isnan(pull_on_rest(Tangent.of(result, laws=laws), np.zeros(1))).all()
+    assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
+
+
+def test_mistakes_are_named(draped):
+    with pytest.raises(InputError, match="unknown parameter 'gamma'"):
+        sensitivities(draped, parameters=("gamma",))
+    with pytest.raises(InputError, match="not the derivative of an energy"):
+        sensitivities(draped, laws=Laws(bending="hinge_curvature"))
+    moduli = torch.tensor(FABRIC.alpha)[None]
+    with pytest.raises(InputError, match="do not fit a mesh"):
+        equilibria([draped], alpha=moduli, beta=-moduli, held=[torch.zeros(2, 3)])
+    with pytest.raises(InputError, match="alpha has 1 entries for 2 cloths"):
+        equilibria([draped, draped], alpha=moduli, beta=moduli)
+
+
+@pytest.mark.slow
+def test_cloth_that_meets_itself():
+    alpha = np.array([2e-6, 2.2e-6, 1.8e-6])
+    result = drape(Fabric(alpha, -2e-3 * alpha), resolution=31, seed=0, start="fold")
+    assert result.converged and "self-contact" in result.message
+    moves = sensitivities(result, parameters=("log_alpha",))
+    assert moves.ok
+    x, y = result.rest.T
+    shear = np.column_stack([0.1 * y * np.sin(20 * x + 10 * y), 0.1 * x * np.cos(30 * y)])
+    by_rest = moves_with_rest(Tangent.of(result), shear[None])[0]
+    ends = [follow(replace(result, rest=result.rest + s * shear), result.fabric, options=TIGHT)
+            for s in (1e-5, -1e-5)]
+    difference = (ends[0].positions - ends[1].positions) / 2e-5
+    assert np.linalg.norm(by_rest - difference) < 1e-3 * np.linalg.norm(difference)
+    ends = []
+    for step in (1e-4, -1e-4):
+        moduli = alpha * np.exp([step, 0, 0])
+        ends.append(follow(result, Fabric(moduli, -2e-3 * moduli), options=TIGHT))
+        assert ends[-1].converged and "self-contact" in ends[-1].message
+    difference = (ends[0].positions - ends[1].positions) / 2e-4
+    assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)

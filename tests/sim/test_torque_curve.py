@@ -1,0 +1,40 @@
+"""A free torque curve is recovered from the strips that it makes."""
+
+import numpy as np
+import pytest
+
+from sim.cantilever.elastica import elastica_of_torque
+from sim.cantilever.torque_curve import fit_torque_curve
+from sim.errors import InputError
+
+WEIGHT = 0.3 * 9.81
+
+
+def stiffening_then_soft(kappa: np.ndarray) -> np.ndarray:
+    """No parabola: friction holds the cloth at first, later it yields. N per width."""
+    return 12e-6 * kappa + 9e-4 * np.tanh(kappa / 40.0)
+
+
+def strips_of(law, lengths=(0.05, 0.08, 0.11)) -> list[np.ndarray]:
+    kappa = np.linspace(0, 400, 2001)
+    return [elastica_of_torque(kappa, law(kappa), weight=WEIGHT, length=length, points=101)
+            for length in lengths]
+
+
+def test_recovers_a_curve_that_is_no_parabola() -> None:
+    found = fit_torque_curve(strips_of(stiffening_then_soft), weight=WEIGHT, knots=5)
+    kappa = np.linspace(0.15, 0.9, 20) * found.reached
+    np.testing.assert_allclose(found.at(kappa), stiffening_then_soft(kappa), rtol=0.05)
+    assert found.misfit < 2e-3
+    assert (np.diff(found.torque) > 0).all()
+
+
+def test_a_straight_law_stays_straight() -> None:
+    found = fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT)
+    kappa = np.linspace(0.1, 0.95, 20) * found.reached
+    np.testing.assert_allclose(found.at(kappa), 30e-6 * kappa, rtol=0.01)
+
+
+def test_knots_are_checked() -> None:
+    with pytest.raises(InputError, match="between 2 and 8"):
+        fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT, knots=1)
