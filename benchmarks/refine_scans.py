@@ -1,0 +1,306 @@
+"""Scans of real drapes, refined: ``python -m benchmarks.refine_scans [scans=../shared/scans]``.
+
+Each scan of a real fabric on the disc rig is refined from the prior's mean: six moduli, the
+membrane's stiffness and the direction of the warp, every simulation let go at the captured shape.
+Beside it stand the best isotropic linear fabric, and what a natural curvature, added afterwards,
+would improve. The fabrics' densities are unknown: moduli are those at 300 g/m².
+
+Keys (``key=value``):
+
+    scans        folder of scans (npz: vertices m, rest m, faces)
+    only         part of the names of those to refine; empty for all
+    solves       simulations of a refinement
+    isotropic    isotropic fabrics tried per scan
+    curvature    simulations of the refinement with a natural curvature; 0 for none
+    workers      processes, one thread each
+    cases        folder of finished scans; an interrupted run goes on from there
+    out          the report, JSON; a picture of the same name beside it
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import (
+    REPORTS,
+    ROOT,
+    load_arrays,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
+from data.picture import shade
+from data.prior.files import load_prior
+from data.scans import Scan, read_scan, read_scans
+from drapenet.refine.captured import CapturedShape, Cloth, RobustPositions, Settled
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.problem import Gaussian
+from drapenet.refine.shape_search import search_cloth, search_curvature, stiffness_only
+from sim.cli import parse_overrides, run_command
+from sim.errors import InputError
+from sim.material import DIRECTIONS, MICRO
+from sim.scene import DISC_RIG
+
+_STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
+GOAL_MM, GOAL_POINTS, GOAL_RATIO = 3.5, 3.0, 1.3
+ISOTROPIC_RANGE = (1.0, 100.0)  # µN·m
+DEFAULTS = {
+    "scans": str(ROOT.parent / "shared" / "scans"),
+    "only": "",
+    "solves": 25,
+    "isotropic": 14,
+    "curvature": 12,
+    "workers": 1,
+    "cases": "outputs/validation/refine_scans",
+    "out": str(REPORTS / "refine_scans.json"),
+}
+
+
+def _objective(shape: CapturedShape) -> RobustPositions:
+    return RobustPositions(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
+
+
+def _read(path: str) -> CapturedShape:
+    return shape_of(read_scan(Path(path), DISC_RIG))
+
+
+def shape_of(scan: Scan) -> CapturedShape:
+    """A scan on the disc rig as a shape to refine."""
+    return CapturedShape(scan.positions, scan.rest, scan.faces, DISC_RIG)
+
+
+def _prior() -> Gaussian:
+    prior = load_prior("gaussian")
+    return Gaussian(prior.mean, prior.covariance)
+
+
+def best_isotropic(path: str, count: int) -> dict:
+    """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
+    shape = _read(path)
+    alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
+    tried = [(settled, fidelity(shape, settled.drape))
+             for settled in stiffness_only(shape, _objective(shape), alphas)]
+    settled, best = min(tried, key=lambda pair: pair[1].displacement_mm)
+    return {**_result(settled, best.as_dict()), "tried": len(alphas)}
+
+
+def refined(path: str, solves: int) -> dict:
+    """The refinement of a scan."""
+    shape, prior = _read(path), _prior()
+    best, problem = search_cloth(shape, _objective(shape), Cloth(prior.mean.copy()), prior=prior,
+                                 solves=solves)
+    if best is None:
+        raise InputError(f"{path}: no simulation ended: {problem.failures}")
+    return {**_result(best, fidelity(shape, best.drape).as_dict()), "solves": problem.solves,
+            "seconds": problem.seconds, "failures": problem.failures}
+
+
+def curved(path: str, solves: int, cloth: dict) -> dict:
+    """The refinement of a scan continued with a natural curvature."""
+    shape = _read(path)
+    start = Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"])
+    best, problem = search_curvature(shape, _objective(shape), start, prior=_prior(),
+                                     solves=solves)
+    if best is None:
+        raise InputError(f"{path}: no simulation ended: {problem.failures}")
+    return {**_result(best, fidelity(shape, best.drape).as_dict()), "solves": problem.solves}
+
+
+def _result(settled: Settled, figures: dict) -> dict:
+    cloth = settled.cloth
+    return {
+        **figures,
+        "cloth": {"theta": cloth.theta.tolist(), "membrane": cloth.membrane, "warp": cloth.warp,
+                  "curvature": list(cloth.curvature)},
+        "alpha_uN_m": (np.exp(cloth.theta[:3]) / MICRO).tolist(),
+        "beta_over_alpha_mm": (1e3 * cloth.theta[3:]).tolist(),
+        "arrays": {"positions": settled.drape.positions},
+    }
+
+
+def main(argv: list[str]) -> None:
+    """Refine, print the tables, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    if config["solves"] < 8 or config["isotropic"] < 2 or config["curvature"] < 0:
+        raise InputError("give solves of 8 or more, isotropic of 2 or more, curvature from 0")
+    folder = Path(config["cases"])
+    scans = [s for s in read_scans(Path(config["scans"]), DISC_RIG) if config["only"] in s.name]
+    if not scans:
+        raise InputError(f"no scan's name contains '{config['only']}'")
+    paths = {s.name: str(Path(config["scans"]) / f"{s.name}.npz") for s in scans}
+    work = {"folder": folder, "workers": config["workers"]}
+    isotropic = run_cases(best_isotropic, {
+        f"isotropic_{n}": {"path": p, "count": config["isotropic"]} for n, p in paths.items()
+    }, **work)
+    found = run_cases(refined, {
+        f"refined_{n}": {"path": p, "solves": config["solves"]} for n, p in paths.items()}, **work)
+    extended = {}
+    if config["curvature"]:
+        extended = run_cases(curved, {
+            f"curved_{n}": {"path": p, "solves": config["curvature"],
+                            "cloth": found[f"refined_{n}"]["cloth"]}
+            for n, p in paths.items()}, **work)
+    rows = []
+    for scan in scans:
+        shape = shape_of(scan)
+        positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
+        row = {"scan": scan.name, "isotropic": isotropic[f"isotropic_{scan.name}"],
+               "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions)}
+        if extended:
+            row["curved"] = extended[f"curved_{scan.name}"]
+        rows.append(row)
+    summary = judge(rows)
+    show(rows, summary)
+    out = Path(config["out"])
+    write_report(out, {"settings": {k: config[k] for k in ("solves", "isotropic", "curvature")},
+                       "summary": summary, "scans": rows})
+    draw(scans, rows, folder, out.with_suffix(".png"))
+
+
+def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
+    """What the distance between a drape (V, 3) m and the captured shape consists of.
+
+    Millimetres, root mean squares over the hanging vertices: along the surface's normal and along
+    the surface; and by place: near the support, in the middle, near the hem. ``phase`` is the share
+    of the squared gap around the hem that a shift of the folds (each point of the hem's heights
+    and distances from the axis compared with the best within a quarter of a fold) would take off.
+    ``hem_lower`` is how much lower the simulated hem hangs on average.
+    """
+    radius = np.linalg.norm(shape.rest, axis=1)
+    gap = 1e3 * (positions - shape.positions)
+    hanging = ~shape.held
+    a, b, c = (shape.positions[shape.faces[:, k]] for k in range(3))
+    normal = np.zeros_like(gap)
+    for k in range(3):
+        np.add.at(normal, shape.faces[:, k], np.cross(b - a, c - a))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    across = (normal * gap).sum(1)
+    along = np.linalg.norm(gap - across[:, None] * normal, axis=1)
+    low, high = radius[hanging].min(), radius.max()
+    bands = np.digitize(radius, low + (high - low) * np.array([1 / 3, 2 / 3]))
+
+    def rms(values: np.ndarray) -> float:
+        return float(np.sqrt((values**2).mean()))
+
+    hem = radius > high - 1e-4
+    order = np.argsort(np.arctan2(*shape.rest[hem].T[::-1]))
+    profiles = [np.column_stack([np.hypot(p[hem, 0], p[hem, 1]), p[hem, 2]])[order]
+                for p in (shape.positions, positions)]
+    captured, simulated = (1e3 * p for p in profiles)
+    reach = max(1, round(hem.sum() / 8 / 4))
+    shifted = np.stack([((np.roll(simulated, k, axis=0) - captured) ** 2).sum(1)
+                        for k in range(-reach, reach + 1)])
+    window = 2 * reach + 1
+    kernel = np.ones(window) / window
+    # The shift must serve a whole neighbourhood, not one point.
+    around = np.stack([np.convolve(np.r_[s[-reach:], s, s[:reach]], kernel, "valid")
+                       for s in shifted])
+    return {
+        "across_mm": rms(across[hanging]),
+        "along_mm": rms(along[hanging]),
+        "bands_mm": [rms(np.linalg.norm(gap, axis=1)[hanging & (bands == k)]) for k in range(3)],
+        "phase": float(1 - around.min(axis=0).sum() / around[reach].sum()),
+        "hem_lower_mm": float((captured - simulated)[:, 1].mean()),
+        "hem_inward_mm": float((captured - simulated)[:, 0].mean()),
+        "edges_stretched": _template_stretch(shape),
+    }
+
+
+def _template_stretch(shape: CapturedShape) -> float:
+    """Standard deviation of an edge's captured over its rest length: how far the scan's vertices
+    slide along the cloth."""
+    pairs = np.sort(shape.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+    edges = np.unique(pairs, axis=0)
+    edges = edges[~shape.held[edges].all(axis=1)]
+    length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
+                    for p in (shape.positions, shape.rest))
+    return float(np.std(length / rest))
+
+
+def judge(rows: list[dict]) -> dict:
+    """The goals, and whether they are met."""
+    mean = float(np.mean([r["refined"]["displacement_mm"] for r in rows]))
+    points = [abs(r["refined"]["coefficient"] - r["refined"]["captured_coefficient"])
+              for r in rows]
+    better = [r["refined"]["displacement_mm"] < r["isotropic"]["displacement_mm"] for r in rows]
+    ratios = {}
+    for row in rows:
+        fabric = row["scan"].split("_sample")[0]
+        alpha = sorted_alpha(row["refined"])
+        ratios.setdefault(fabric, []).append(alpha)
+    agreement = {f: float(np.max([np.exp(np.abs(np.log(a / b))).max() for a in v for b in v]))
+                 for f, v in ratios.items() if len(v) > 1}
+    return {
+        "mean_displacement_mm": mean,
+        "mean_all_mm": float(np.mean([r["refined"]["all_mm"] for r in rows])),
+        "mean_surface_mm": float(np.mean([r["refined"]["surface_mm"] for r in rows])),
+        "isotropic_mean_displacement_mm":
+            float(np.mean([r["isotropic"]["displacement_mm"] for r in rows])),
+        "better_than_isotropic": int(np.sum(better)),
+        "largest_coefficient_difference": float(max(points)),
+        "most_solves": max(r["refined"]["solves"] for r in rows),
+        "largest_ratio_of_samples": agreement,
+        "passed": {"displacement": bool(mean <= GOAL_MM), "isotropic": bool(all(better)),
+                   "coefficient": bool(max(points) <= GOAL_POINTS),
+                   "samples": bool(max(agreement.values(), default=1.0) <= GOAL_RATIO)},
+    }
+
+
+def sorted_alpha(result: dict) -> np.ndarray:
+    """alpha (3,), µN·m: stiffer yarn direction, bias, softer, which the axes' names cannot swap."""
+    warp, bias, weft = result["alpha_uN_m"]
+    return np.array([max(warp, weft), bias, min(warp, weft)])
+
+
+def show(rows: list[dict], summary: dict) -> None:
+    """Print both tables and the goals."""
+    print(table(
+        ["scan", "isotropic, mm", "refined, mm", "all vertices, mm", "to the surface, mm",
+         "curvature", "drape coefficient", "scan's", "solves", "with natural curvature, mm"],
+        [[r["scan"], r["isotropic"]["displacement_mm"], r["refined"]["displacement_mm"],
+          r["refined"]["all_mm"], r["refined"]["surface_mm"],
+          f"{r['refined']['curvature']:.0%}", f"{r['refined']['coefficient']:.1f} %",
+          f"{r['refined']['captured_coefficient']:.1f} %", r["refined"]["solves"],
+          r["curved"]["displacement_mm"] if "curved" in r else "-"] for r in rows]))
+    print()
+    print(table(
+        ["scan", *(f"α {d}" for d in DIRECTIONS), *(f"β/α {d}, mm" for d in DIRECTIONS),
+         "membrane, N/m", "warp, °", "across, mm", "along, mm", "fold phase"],
+        [[r["scan"], *r["refined"]["alpha_uN_m"], *r["refined"]["beta_over_alpha_mm"],
+          r["refined"]["cloth"]["membrane"],
+          float(np.degrees(r["refined"]["cloth"]["warp"])), r["gaps"]["across_mm"],
+          r["gaps"]["along_mm"], f"{r['gaps']['phase']:.0%}"] for r in rows]))
+    print(f"mean {summary['mean_displacement_mm']:.2f} mm, goal {GOAL_MM:g}; better than isotropic "
+          f"{summary['better_than_isotropic']} of {len(rows)}; drape coefficient within "
+          f"{summary['largest_coefficient_difference']:.1f} points, goal {GOAL_POINTS:g}")
+    for fabric, ratio in summary["largest_ratio_of_samples"].items():
+        print(f"{fabric}: α of its samples within a factor of {ratio:.2f}")
+
+
+def draw(scans: list[Scan], rows: list[dict], folder: Path, path: Path) -> None:
+    """Scan, drape and their difference seen from above, a column each."""
+    figure = Figure(figsize=(1.7 * len(scans) + 0.6, 5.4), layout="constrained")
+    axes = figure.subplots(3, len(scans), squeeze=False)
+    for column, scan, row in zip(axes.T, scans, rows, strict=True):
+        positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
+        for axis, shape in zip(column, (scan.positions, positions), strict=False):
+            axis.imshow(shade(shape, scan.faces, plate_radius=_STEM * DISC_RIG.plate_radius,
+                              elevation=35.0, size=(320, 260)))
+        gap = 1e3 * np.linalg.norm(positions - scan.positions, axis=1)
+        image = column[2].tripcolor(*1e3 * scan.rest.T, scan.faces, gap, vmin=0, vmax=15,
+                                    shading="gouraud", cmap="magma", rasterized=True)
+        column[0].set_title(scan.name.replace("_sample_", "\n").replace("_capture_1", ""),
+                            fontsize=8)
+        column[1].set_title(f"{row['refined']['displacement_mm']:.1f} mm", fontsize=8)
+        column[2].set_aspect("equal")
+        for axis in column:
+            axis.set_xticks([])
+            axis.set_yticks([])
+    figure.colorbar(image, ax=axes[2, :].tolist(), label="gap, mm, on the flat disc", shrink=0.9)
+    write_figure(path, figure)
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

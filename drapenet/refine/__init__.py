@@ -1,0 +1,5 @@
+"""Refinement: moduli corrected until the simulated drape is like the captured one.
+
+``problem`` puts together theta, the simulator and an ``objective``; ``optimisers`` work on it.
+Objectives: ``registered`` (vertex positions), ``depth`` (four views).
+"""

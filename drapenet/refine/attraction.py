@@ -1,0 +1,141 @@
+"""A simulated drape pulled onto captured points: the captured shape, as this mesh can take it.
+
+Springs pull vertices towards the planes through their nearest captured points, of which those
+with a similar normal are preferred, so that the two sides of a fold are not mixed up. The cloth's
+own energy fills in what no view has seen. Released, such a drape falls into the folds that the
+capture shows, unless its fabric cannot hold them.
+"""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drapenet.refine.guided import surface_positions
+from sim.drape import COARSE_MEMBRANE, DrapeResult, coarse_to_fine, drape_result
+from sim.equilibrium import find_equilibrium
+from sim.initial import interpolate_positions
+from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY, Fabric
+from sim.mesh import Mesh
+from sim.newton import NewtonOptions, NewtonResult
+from sim.scene import Rig, Scene, State
+from sim.specimens import make_specimen
+
+COARSEST = 24
+PULLS = (3.0, 10.0, 10.0)
+"""Force of the springs at a distance of 1 mm, over the cloth's weight, round by round."""
+REACH = 0.02  # m, further away a captured point says nothing of a vertex
+NORMAL_LENGTH = 0.03  # m that a difference of the normals by 1 counts
+OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # of a start, no result
+
+
+class Springs:
+    """Springs from vertices to planes: sum of ½ k (n·(x - c))²; one element per vertex.
+
+    Args:
+        vertices: (N,) that are pulled.
+        targets: (N, 3) m, c; normals: (N, 3), n; stiffness: (N,) N/m, k.
+    """
+
+    def __init__(
+        self, vertices: np.ndarray, targets: np.ndarray, normals: np.ndarray, stiffness: np.ndarray
+    ) -> None:
+        self.dofs = 3 * vertices[:, None] + np.arange(3)
+        self._targets, self._normals, self._stiffness = targets, normals, stiffness
+
+    def _distance(self, q: np.ndarray) -> np.ndarray:
+        return (self._normals * (q[self.dofs] - self._targets)).sum(1)
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * float(self._stiffness @ self._distance(q) ** 2)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return (self._stiffness * self._distance(q))[:, None] * self._normals
+
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+        return (self._stiffness[:, None, None]
+                * self._normals[:, :, None] * self._normals[:, None, :])
+
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        return True
+
+
+def captured_shape(
+    fabric: Fabric,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    rig: Rig,
+    resolution: int,
+    seed: int = 0,
+    laws: Laws | None = None,
+) -> DrapeResult:
+    """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
+
+    Args:
+        points, normals: (N, 3) m and (N, 3), specimen's axes.
+        resolution: vertices a side; a coarser mesh goes before.
+        seed: of the mesh.
+
+    Returns:
+        The state under the springs: no equilibrium of the fabric (its ``status`` is that of the
+        last minimisation), but a place to start from.
+    """
+    laws, fabric = laws or Laws(), fabric.at_density(REFERENCE_DENSITY)
+    coarse = None
+    began = time.perf_counter()
+    for level in coarse_to_fine(resolution, COARSEST):
+        last = level == resolution
+        specimen = make_specimen(rig, resolution=level, seed=seed)
+        rest = specimen.mesh.rest
+        if coarse is None:
+            positions = surface_positions(rest, points, rig)
+        else:
+            positions = interpolate_positions(*coarse, rest)
+        positions[specimen.held] = rig.place(rest[specimen.held])
+        scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles)
+        state, result = pulled(
+            scene, fabric, State.at(specimen.mesh, positions), points, normals,
+            laws=laws if last else laws.softened(COARSE_MEMBRANE),
+            pulls=PULLS[:2] if coarse is None else PULLS[-2:])
+        coarse = rest, state.positions
+    return drape_result(fabric, rig, specimen, state, result, resolution=resolution,
+                        iterations=result.iterations, seconds=time.perf_counter() - began,
+                        time_spent=result.seconds)
+
+
+def pulled(
+    scene: Scene,
+    fabric: Fabric,
+    state: State,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    laws: Laws,
+    pulls: Sequence[float],
+) -> tuple[State, NewtonResult]:
+    """``state`` under springs, whose ends are sought again for each of ``pulls``."""
+    mesh = scene.mesh
+    tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
+    weight = fabric.density * scene.gravity * mesh.vertex_areas
+    free = np.flatnonzero(~scene.held)
+    for pull in pulls:
+        own = _normals(mesh, state.positions)[free]
+        distance, nearest = tree.query(np.hstack([state.positions[free], NORMAL_LENGTH * own]))
+        near = distance < REACH
+        springs = Springs(free[near], points[nearest[near]], normals[nearest[near]],
+                          pull / 1e-3 * weight[free[near]])
+        state, result = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
+                                         options=OPTIONS)
+    return state, result
+
+
+def _normals(mesh: Mesh, positions: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) of the upper side."""
+    a, b, c = (positions[mesh.faces[:, i]] for i in range(3))
+    total = np.zeros_like(positions)
+    for i in range(3):
+        np.add.at(total, mesh.faces[:, i], np.cross(b - a, c - a))
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)

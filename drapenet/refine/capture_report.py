@@ -1,0 +1,168 @@
+"""``python infer.py capture=DIR refine=depth``: the network's estimate, corrected by simulation."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.fabrics import fabric_from_theta, to_theta
+from data.prior import load_prior
+from drapenet.convention import LINEAR, RATIO
+from drapenet.estimate import LEAST_CONFIDENCE, Estimate
+from drapenet.refine.depth import DepthViews
+from drapenet.refine.guided import square_turn
+from drapenet.refine.problem import Gaussian
+from drapenet.refine.views import ROUNDS, RefinedViews, refine_views
+from drapenet.registration import (
+    count_folds,
+    locate_camera,
+    radius_profile,
+    silhouette_overlap,
+)
+from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
+from sim.material import MICRO, REFERENCE_DENSITY
+from sim.scene import Rig
+
+_SWAPPED = [2, 1, 0, 5, 4, 3]  # theta with warp and weft exchanged
+
+
+@dataclass(frozen=True)
+class RefinedEstimate:
+    """What the refinement of one capture came to.
+
+    Attributes:
+        estimate: the corrected one; its stiff axis is the specimen's as it was found.
+        content: parts of ``estimate.json`` that differ from the network's.
+        resimulation: the refined drape beside the capture.
+    """
+
+    estimate: Estimate
+    content: dict[str, Any]
+    resimulation: Resimulation
+
+
+def refine_capture(
+    estimate: Estimate,
+    capture: Capture,
+    views: np.ndarray,
+    cameras: CameraRig,
+    *,
+    resolution: int,
+    prior: str = "gaussian",
+) -> RefinedEstimate | None:
+    """Refine the network's estimate until its drape looks like the views, with a progress bar.
+
+    Interrupted from the keyboard, the best so far is handed back. None if no drape converges.
+
+    Args:
+        estimate: in the order stiff, bias, soft; stiff lies along the x axis of the specimen.
+        views: (4, H, W) z-depth, m, as the nominal camera of ``cameras`` would show them.
+        resolution: vertices a side of the simulated specimen.
+        prior: name or file of what is known of fabrics beforehand.
+    """
+    rig = Rig.from_name(cameras.name)
+    camera = locate_camera(views, cameras.nominal())
+    fabric = estimate.fabric.at_density(REFERENCE_DENSITY)
+    theta = to_theta(fabric.alpha, fabric.beta)
+    known = load_prior(prior)
+    belief = Gaussian(known.mean, known.covariance)
+    turns = specimen_turns(estimate, capture, DepthViews(views, camera, np.zeros((0, 3), int)), rig)
+    total = sum(ROUNDS) + 6 * len(turns) + 4
+    with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
+        def progress(simulations: int, value: float) -> None:
+            bar.update(simulations - bar.n)
+            bar.set_postfix(misfit=f"{value:.0f}")
+
+        refined = refine_views(views, camera, theta, turns=turns, rig=rig, resolution=resolution,
+                               prior=belief, others=[known.mean], progress=progress)
+    if refined is None:
+        return None
+    corrected = _corrected(estimate, refined, capture.density)
+    return RefinedEstimate(corrected, _content(estimate, corrected, refined),
+                           _resimulation(views, refined))
+
+
+def specimen_turns(
+    estimate: Estimate, capture: Capture, objective: DepthViews, rig: Rig
+) -> list[float]:
+    """Directions, rad, in which the stiff yarns may lie in the first view: one, or two.
+
+    The marked warp gives the sides of the specimen, otherwise its corners do; the network says
+    which of the two sides is the stiff one, if it can.
+    """
+    if capture.warp_direction is not None:
+        side = capture.warp_direction
+    else:
+        side = square_turn(objective.points(objective.start)[0], rig)
+    sides = [side % math.pi, (side + math.pi / 2) % math.pi]
+    prediction = estimate.prediction
+    if prediction.axis_confidence < LEAST_CONFIDENCE:
+        return sides
+
+    def away(turn: float) -> float:
+        gap = (turn - prediction.axis) % math.pi
+        return min(gap, math.pi - gap)
+
+    return [min(sides, key=away)]
+
+
+def _corrected(estimate: Estimate, refined: RefinedViews, density: float) -> Estimate:
+    """The estimate with the moduli found, the stiffer yarns first again."""
+    theta, turn = refined.best.theta, float(refined.best.nuisance[0])
+    names = estimate.names
+    if theta[0] < theta[2]:
+        theta, turn = theta[_SWAPPED], turn + math.pi / 2
+        if "warp" in names:
+            names = names[::-1]
+    return replace(
+        estimate, names=names, fabric=fabric_from_theta(theta).at_density(density),
+        prediction=replace(estimate.prediction, targets=theta, axis=turn % math.pi))
+
+
+def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[str, Any]:
+    """The part ``refined`` of ``estimate.json``, and the errors that now are typical."""
+    warnings = list(after.warnings)
+    change = {}
+    for name, alpha, ratio in zip(
+        after.names, after.fabric.alpha, after.fabric.beta / after.fabric.alpha, strict=True
+    ):
+        k = before.names.index(name)
+        change[name] = {
+            "alpha_before_uN_m": float(before.fabric.alpha[k]) / MICRO,
+            "alpha_percent": 100 * float(alpha / before.fabric.alpha[k] - 1),
+            "beta_over_alpha_mm": 1e3 * float(ratio - before.fabric.beta[k]
+                                              / before.fabric.alpha[k]),
+        }
+    content: dict[str, Any] = {"refined": {
+        "by": "depth", "change": change, "misfit_before": refined.start_value,
+        "misfit": refined.best.value, "simulations": refined.simulations,
+        "seconds": round(refined.seconds, 1), "status": refined.status.value,
+        "message": refined.message,
+    }}
+    if refined.uncertainty is None:
+        warnings.append("the refinement gives no uncertainty; the network's typical error stands")
+    else:
+        theta = refined.best.theta
+        errors = refined.uncertainty.theta[_SWAPPED if theta[0] < theta[2] else slice(None)]
+        content["typical_error"] = {
+            name: {"alpha_percent": 100 * math.expm1(alpha), "beta_over_alpha_mm": 1e3 * ratio}
+            for name, alpha, ratio in zip(after.names, errors[LINEAR].tolist(),
+                                          errors[RATIO].tolist(), strict=True)}
+        content["refined"]["reduced_chi2"] = refined.uncertainty.reduced_chi2
+    content["warnings"] = warnings
+    return content
+
+
+def _resimulation(views: np.ndarray, refined: RefinedViews) -> Resimulation:
+    """The refined drape, seen as it was compared."""
+    best, objective = refined.best, refined.objective
+    simulated = objective.render(best.drape.positions, best.nuisance).astype(np.float32)
+    profiles = tuple(radius_profile(v, objective.camera, height=PROFILE_HEIGHT)
+                     for v in (views, simulated))
+    return Resimulation(
+        views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
+        overlap=silhouette_overlap(views, simulated), statuses=(best.drape.status.value,))

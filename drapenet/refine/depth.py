@@ -1,0 +1,346 @@
+"""Objective: four depth views, compared pixel by pixel with the simulated drape.
+
+Where both see cloth, the residual is the difference in z-depth, and its derivative that of the
+plane of the triangle that the pixel's ray hits: moved by v there, a plane of normal n lies
+n·v / n·d further along the ray d. Where only one sees cloth, the silhouettes say what to do: the
+residuals are the signed distances, in pixels, from the border of the simulated silhouette to that
+of the captured one, and their derivative is the move of the border's points in the picture.
+
+Pixels beside a jump of the depth, where one fold hides another, are left out: whether such a pixel
+sees the one or the other is no matter of millimetres.
+
+Both kinds are normalised to a fixed number of independent measurements, so that a drape gains
+nothing by showing less cloth, and the value is a negative log likelihood.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import (
+    binary_erosion,
+    distance_transform_edt,
+    gaussian_filter,
+    maximum_filter,
+    median_filter,
+    minimum_filter,
+)
+
+from data.cameras import Camera
+from data.render import VIEWS, import_open3d
+from drapenet.refine.objective import Linearised, huber
+
+POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
+TABLE = ("table_1", "table_2", "table_3")
+FOCAL = "log_focal"
+_SCALES = dict(zip((*POSE, *TABLE, FOCAL),
+                   (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03, 0.01), strict=True))
+"""Sensible changes, rad and m; of the focal length, relative."""
+
+
+@dataclass(frozen=True)
+class DepthWeights:
+    """How much the pixels count.
+
+    Attributes:
+        sigma: m, standard deviation of a depth: noise, and what the model leaves unexplained.
+        limit: m, difference beyond which the cost grows linearly only.
+        border_sigma: px, the same of the silhouette's border; border_limit: px.
+        stride: of the depth pixels compared, in rows and columns.
+        jump: m, depths further apart within 3 x 3 pixels are a jump.
+        patch: px, side of a patch whose errors count as one measurement: noise of neighbours is
+            alike, and what the model leaves unexplained is even more so.
+    """
+
+    sigma: float = 1e-3
+    limit: float = 4e-3
+    border_sigma: float = 0.7
+    border_limit: float = 4.0
+    stride: int = 2
+    jump: float = 12e-3
+    patch: float = 10.0
+
+
+@dataclass(frozen=True)
+class _View:
+    """One captured view: which pixels are compared, and the distance to the silhouette."""
+
+    columns: np.ndarray  # (N,) of compared pixels
+    rows: np.ndarray
+    depth: np.ndarray  # (N,) m
+    normal: np.ndarray  # (N, 3) of the surface, camera axes
+    distance: np.ndarray  # (H, W) px, negative inside, 0 on the border's pixels
+    slope: np.ndarray  # (2, H, W) of the distance by column and row
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """Where rays meet the cloth, in the specimen's axes.
+
+    ``face`` (N,), ``weights`` (N, 3) of its corners, ``point`` (N, 3), ``normal`` (N, 3) divided
+    by its product with the ray, so that a move v changes the depth by normal·v, ``depth`` (N,).
+    """
+
+    face: np.ndarray
+    weights: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    depth: np.ndarray
+
+
+class DepthViews:
+    """Four captured views against a mesh.
+
+    The specimen lies in the world turned by ``turn`` (rad, the warp's direction in the first
+    view), and by a quarter turn more in each view, plus the table's deviation ``table_k`` where
+    that is free. The world is tilted about its x and y axes and shifted to where ``camera`` sees
+    it: the camera's pose is known only so well.
+
+    Args:
+        views: (4, H, W) z-depth, m, background 0.
+        camera: of all of them.
+        faces: (F, 3) of the mesh.
+        turn: first value of the nuisance.
+        table: whether the turntable's angles are free; focal: whether the focal length is.
+        weights: how much the pixels count.
+    """
+
+    def __init__(
+        self,
+        views: np.ndarray,
+        camera: Camera,
+        faces: np.ndarray,
+        *,
+        turn: float = 0.0,
+        table: bool = True,
+        focal: bool = True,
+        weights: DepthWeights | None = None,
+    ) -> None:
+        self.camera, self.weights = camera, weights or DepthWeights()
+        self.nuisances = (*POSE, *(TABLE if table else ()), *([FOCAL] if focal else []))
+        self.start = np.array([turn, *[0.0] * (len(self.nuisances) - 1)])
+        self.scale = np.array([_SCALES[name] for name in self.nuisances])
+        self._faces = faces
+        self._open3d = import_open3d()
+        self._nominal_rays = camera.directions()
+        self._views = [_prepare(view, camera, self.weights) for view in views]
+        pixels = sum(len(view.depth) for view in self._views)
+        border = sum(int(_border(view.distance <= 0).sum()) for view in self._views)
+        self._measurements = (pixels * self.weights.stride**2 / self.weights.patch**2,
+                              border / self.weights.patch)
+
+    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """Residuals (N,): depths first, borders then."""
+        return self._evaluate(positions, nuisance, derivatives=False).residuals
+
+    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+        """The same with derivatives, visibility taken as constant."""
+        return self._evaluate(positions, nuisance, derivatives=True)
+
+    def render(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """Views (4, H, W) z-depth, m, of the drape as it is compared."""
+        scene = self._scene(positions)
+        views = []
+        for k in range(VIEWS):
+            rotation, shift, _ = self._pose(k, nuisance)
+            directions = self._directions(nuisance)
+            face, _ = self._cast(scene, directions, rotation, shift)
+            seen = np.nonzero(face >= 0)
+            view = np.zeros(face.shape)
+            view[seen] = self._hits(positions, face[seen], directions[seen], rotation, shift).depth
+            views.append(view)
+        return np.stack(views)
+
+    def points(self, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The captured surface: points (N, 3), m, in the specimen's axes, and its normals (N, 3).
+
+        Pixels that are compared; normals towards the camera, of a slightly smoothed depth.
+        """
+        points, normals = [], []
+        for k, view in enumerate(self._views):
+            rotation, shift, _ = self._pose(k, nuisance)
+            rays = self._directions(nuisance)[view.rows, view.columns]
+            points.append((rays * view.depth[:, None] - shift) @ rotation)
+            normals.append(view.normal @ rotation)
+        return np.concatenate(points), np.concatenate(normals)
+
+    def _evaluate(
+        self, positions: np.ndarray, nuisance: np.ndarray, *, derivatives: bool
+    ) -> Linearised:
+        scene, own = self._scene(positions), self.weights
+        directions = self._directions(nuisance)
+        depths, borders = [], []
+        for k, view in enumerate(self._views):
+            rotation, shift, changes = self._pose(k, nuisance)
+            face, depth = self._cast(scene, directions, rotation, shift)
+            both = _smooth(depth, own.jump)[view.rows, view.columns]
+            rows, columns = view.rows[both], view.columns[both]
+            hits = self._hits(positions, face[rows, columns], directions[rows, columns], rotation,
+                              shift)
+            difference, slope = huber((hits.depth - view.depth[both]) / own.sigma,
+                                      own.limit / own.sigma)
+            depths.append((difference, slope[:, None] / own.sigma * hits.normal, hits,
+                           rotation, changes))
+            rows, columns = np.nonzero(_border(face >= 0))
+            rays = directions[rows, columns]
+            hits = self._hits(positions, face[rows, columns], rays, rotation, shift)
+            difference, slope = huber(view.distance[rows, columns] / own.border_sigma,
+                                      own.border_limit / own.border_sigma)
+            gradient = self._picture_gradient(view.slope[:, rows, columns], rays, hits,
+                                              self._zoom(nuisance))
+            borders.append((difference, slope[:, None] / own.border_sigma * gradient @ rotation,
+                            hits, rotation, changes))
+        parts = []
+        for group, number in ((depths, self._measurements[0]), (borders, self._measurements[1])):
+            found = sum(len(part[0]) for part in group)
+            factor = np.sqrt(number / max(found, 1))
+            parts += [(factor * part[0], factor * part[1], *part[2:]) for part in group]
+        residuals = np.concatenate([part[0] for part in parts])
+        if not derivatives:
+            return Linearised(residuals, None, None)
+        corners = np.concatenate([self._faces[part[2].face] for part in parts])
+        weights = np.concatenate([part[2].weights for part in parts])
+        vectors = np.concatenate([part[1] for part in parts])
+
+        def along(moves: np.ndarray) -> np.ndarray:
+            return np.stack([
+                sum(weights[:, i] * (vectors * move[corners[:, i]]).sum(1) for i in range(3))
+                for move in moves], axis=1)
+
+        by_nuisance = np.concatenate([
+            np.stack([((part[2].point @ turn.T + shift) * (part[1] @ part[3].T)).sum(1)
+                      for turn, shift in part[4]], axis=1)
+            for part in parts])
+        return Linearised(residuals, along, by_nuisance, sum(self._measurements))
+
+    def _scene(self, positions: np.ndarray) -> object:
+        scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
+        tensor = self._open3d.core.Tensor
+        scene.add_triangles(tensor(positions.astype(np.float32)),
+                            tensor(self._faces.astype(np.uint32)))
+        return scene
+
+    def _directions(self, nuisance: np.ndarray) -> np.ndarray:
+        """Rays through the pixels (H, W, 3), z = 1, with the focal length of the nuisances."""
+        return self._nominal_rays / [self._zoom(nuisance), self._zoom(nuisance), 1.0]
+
+    def _zoom(self, nuisance: np.ndarray) -> float:
+        """Focal length over the camera's."""
+        return float(np.exp(dict(zip(self.nuisances, nuisance, strict=True)).get(FOCAL, 0.0)))
+
+    def _cast(
+        self, scene: object, directions: np.ndarray, rotation: np.ndarray, shift: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What each pixel sees (H, W): number of the triangle, -1 for none; z-depth, m, or 0."""
+        rays = np.empty((*directions.shape[:2], 6), dtype=np.float32)
+        rays[..., :3] = -rotation.T @ shift
+        rays[..., 3:] = directions @ rotation
+        hit = scene.cast_rays(self._open3d.core.Tensor(rays), nthreads=1)
+        face, depth = hit["primitive_ids"].numpy().astype(np.int64), hit["t_hit"].numpy()
+        seen = np.isfinite(depth)
+        return np.where(seen, face, -1), np.where(seen, depth, 0.0)
+
+    def _hits(
+        self,
+        positions: np.ndarray,
+        face: np.ndarray,
+        directions: np.ndarray,
+        rotation: np.ndarray,
+        shift: np.ndarray,
+    ) -> _Hits:
+        """Where rays (N, 3), camera axes, meet the planes of triangles (N,), in full precision."""
+        origin = -rotation.T @ shift
+        ray = directions @ rotation
+        a, b, c = (positions[self._faces[face, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        steep = (normal * ray).sum(1)
+        squared = (normal * normal).sum(1)
+        # A triangle seen edge-on has no depth to speak of.
+        least = 1e-3 * np.sqrt(squared)
+        steep = np.where(np.abs(steep) < least, np.copysign(least, steep), steep)
+        depth = (normal * (a - origin)).sum(1) / steep
+        point = origin + depth[:, None] * ray
+        second = (np.cross(c - a, point - a) * -normal).sum(1) / squared
+        third = (np.cross(b - a, point - a) * normal).sum(1) / squared
+        weights = np.stack([1 - second - third, second, third], axis=1)
+        return _Hits(face, weights, point, normal / steep[:, None], depth)
+
+    def _picture_gradient(
+        self, slope: np.ndarray, rays: np.ndarray, hits: _Hits, zoom: float
+    ) -> np.ndarray:
+        """(N, 3) change of the distance map, px, by the move of a point in camera axes, m."""
+        x, y = rays[:, :2].T
+        across, down = slope[0] * self.camera.fx * zoom, slope[1] * self.camera.fy * zoom
+        return np.stack([across, down, -(across * x + down * y)], axis=1) / hits.depth[:, None]
+
+    def _pose(
+        self, k: int, nuisance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+        """Specimen to camera in view k: rotation (3, 3), shift (3,), and both by each nuisance."""
+        values = dict(zip(self.nuisances, nuisance, strict=True))
+        table = f"table_{k}"
+        turn, turn_slope = _rotation(
+            2, values["turn"] + k * np.pi / 2 + values.get(table, 0.0))
+        about_x, x_slope = _rotation(0, values["tilt_x"])
+        about_y, y_slope = _rotation(1, values["tilt_y"])
+        outer, place = np.split(self.camera.world_to_camera[:3], [3], axis=1)
+        shift = np.array([values[f"shift_{axis}"] for axis in "xyz"])
+        zero, none = np.zeros(3), np.zeros((3, 3))
+        changes = {name: (none, outer[:, i]) for i, name in enumerate(POSE[3:])}
+        changes["turn"] = outer @ about_x @ about_y @ turn_slope, zero
+        changes["tilt_x"] = outer @ x_slope @ about_y @ turn, zero
+        changes["tilt_y"] = outer @ about_x @ y_slope @ turn, zero
+        changes[table] = changes["turn"]
+        rotation, shift = outer @ about_x @ about_y @ turn, outer @ shift + place[:, 0]
+        # A longer focal length shows what a specimen stretched across the axis would.
+        across = np.array([1.0, 1.0, 0.0])
+        changes[FOCAL] = across[:, None] * rotation, across * shift
+        return (rotation, shift,
+                [changes.get(name, (none, zero)) for name in self.nuisances])
+
+
+def _rotation(axis: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) about a coordinate axis, and its derivative."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c, s = np.cos(angle), np.sin(angle)
+    matrix, slope = np.eye(3), np.zeros((3, 3))
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    slope[i, i] = slope[j, j] = -s
+    slope[i, j], slope[j, i] = -c, c
+    return matrix, slope
+
+
+def _border(cloth: np.ndarray) -> np.ndarray:
+    """Pixels of cloth (H, W) with background beside them, the picture's edge left out."""
+    return cloth & ~binary_erosion(cloth, border_value=1)
+
+
+def _smooth(view: np.ndarray, jump: float) -> np.ndarray:
+    """Pixels (H, W) of cloth without background or a jump beside them."""
+    nearest = minimum_filter(view, 3)
+    return (nearest > 0) & (maximum_filter(view, 3) - nearest < jump)
+
+
+def _prepare(view: np.ndarray, camera: Camera, weights: DepthWeights) -> _View:
+    cloth = view > 0
+    # Missing pixels are no background; the median leaves straight borders where they are.
+    filled = median_filter(cloth.astype(np.uint8), 3) > 0
+    outside, inside = distance_transform_edt(~filled), distance_transform_edt(filled)
+    distance = gaussian_filter(np.where(filled, 1.0 - inside, outside), 0.7)
+    slope = np.stack(np.gradient(distance)[::-1])
+    grid = np.zeros_like(cloth)
+    grid[:: weights.stride, :: weights.stride] = True
+    rows, columns = np.nonzero(_smooth(view, weights.jump) & grid)
+    return _View(columns, rows, view[rows, columns].astype(np.float64),
+                 _normals(view, camera)[rows, columns], distance, slope)
+
+
+def _normals(view: np.ndarray, camera: Camera) -> np.ndarray:
+    """Normals (H, W, 3) of a view's surface, camera axes, towards the camera."""
+    weight = gaussian_filter((view > 0).astype(np.float64), 1.0)
+    depth = gaussian_filter(view.astype(np.float64), 1.0) / np.maximum(weight, 1e-6)
+    points = camera.back_project(depth)
+    down, right = np.gradient(points, axis=(0, 1))
+    normal = np.cross(down, right)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
+    return -np.sign((normal * points).sum(-1, keepdims=True)) * normal

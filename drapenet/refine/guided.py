@@ -1,0 +1,116 @@
+"""An initial state made from the views: so that the simulated cloth falls into the captured folds.
+
+A fabric can hang in many fold configurations, and vertex by vertex or pixel by pixel two of them
+cannot be compared. So the simulation starts near the captured surface. Seen from a point on the
+axis a drape is nearly star-shaped: the views' points give its distance in each direction. Down
+this surface from the plate's rim, at constant azimuth, every point of the specimen is put at its
+own distance from the rim. The cloth is stretched there and bent in wrong places, but its folds
+are those of the capture, and the minimisation does the rest.
+"""
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import gaussian_filter
+
+from sim.scene import Rig
+
+AZIMUTHS, ELEVATIONS = 120, 72
+CENTRE = -0.06  # m, height of the point that the drape is seen from
+STEP = 2e-3  # m, along the traced curves
+_LOWEST = -np.pi / 3  # elevation of the lowest direction
+
+
+def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of the surface from the centre by direction, and how far down it was seen.
+
+    Args:
+        points: (N, 3) m, specimen's axes.
+
+    Returns:
+        (AZIMUTHS, ELEVATIONS) m, without gaps, smooth; (AZIMUTHS,) elevation, rad, of the hem.
+    """
+    radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2] - CENTRE
+    azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) % 1 * AZIMUTHS
+    elevation = np.arctan2(height, radius)
+    row = (elevation - _LOWEST) / (np.pi / 2 - _LOWEST) * ELEVATIONS
+    cells = azimuth.astype(int) % AZIMUTHS, row.astype(int).clip(0, ELEVATIONS - 1)
+    total, count = np.zeros((2, AZIMUTHS, ELEVATIONS))
+    np.add.at(total, cells, np.hypot(radius, height))
+    np.add.at(count, cells, 1.0)
+    mean = total / np.maximum(count, 1)
+    known = (count > 0).astype(float)
+    filled = np.zeros_like(mean)
+    open_cells = np.ones(mean.shape, dtype=bool)
+    for sigma in (0.7, 2.0, 6.0, 20.0):
+        weight = gaussian_filter(known, sigma, mode=("wrap", "nearest"))
+        smooth = gaussian_filter(known * mean, sigma, mode=("wrap", "nearest"))
+        now = open_cells & (weight > 0.1)
+        filled[now] = smooth[now] / weight[now]
+        open_cells &= ~now
+    filled[open_cells] = mean[known > 0].mean()
+    seen = gaussian_filter(known, 0.7, mode=("wrap", "nearest")) > 0.3
+    lowest = np.where(seen.any(axis=1), seen.argmax(axis=1), ELEVATIONS)
+    return filled, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS
+
+
+def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndarray:
+    """Positions (V, 3), m, of rest points (V, 2) laid on the surface through points (N, 3)."""
+    distance, hem = radial_map(points)
+    elevations, plate = _elevations(), rig.plate_radius
+    longest = np.linalg.norm(rest, axis=1).max() - plate
+    arcs = np.arange(0, longest + 2 * STEP, STEP)
+    curves = np.empty((AZIMUTHS, len(arcs), 2))
+    for k in range(AZIMUTHS):
+        curves[k], _ = _curve(distance[k], elevations, float(hem[k]), plate, arcs)
+    # Around the circle, with the first azimuth repeated behind the last.
+    grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
+    look_up = RegularGridInterpolator(
+        (grid, arcs), np.concatenate([curves[-1:], curves, curves[:1]]), bounds_error=False,
+        fill_value=None)
+    azimuth = np.arctan2(rest[:, 1], rest[:, 0]) % (2 * np.pi)
+    beyond = np.linalg.norm(rest, axis=1) - plate
+    radius, height = look_up(np.column_stack([azimuth, np.maximum(beyond, 0.0)])).T
+    placed = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height])
+    inside = beyond <= 0
+    placed[inside] = rig.place(rest[inside])
+    return placed
+
+
+def square_turn(points: np.ndarray, rig: Rig) -> float:
+    """Direction of a square specimen's side in [0, pi/2), rad, from points (N, 3), m, of its drape.
+
+    From the rim to the hem the cloth is longest towards the four corners, however it hangs.
+    """
+    distance, hem = radial_map(points)
+    lengths = np.array([
+        _curve(distance[k], _elevations(), float(hem[k]), rig.plate_radius, np.zeros(1))[1]
+        for k in range(AZIMUTHS)])
+    azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    return float(np.angle(-(lengths @ np.exp(4j * azimuth))) / 4 % (np.pi / 2))
+
+
+def _elevations() -> np.ndarray:
+    return _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
+
+
+def _curve(
+    distance: np.ndarray, elevations: np.ndarray, hem: float, plate: float, arcs: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Radius and height (A, 2), m, at arc lengths (A,) from the rim along one azimuth.
+
+    Also the arc length of the hem.
+    """
+    radius = distance * np.cos(elevations)
+    height = distance * np.sin(elevations) + CENTRE
+    down = (radius > plate) & (elevations > hem) & (elevations < np.arctan2(-CENTRE, plate))
+    radius = np.concatenate([[plate], radius[down][::-1]])
+    height = np.concatenate([[0.0], np.minimum(height[down][::-1], 0.0)])
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(height)))])
+    # Beyond the hem the cloth goes on as it went over the last two centimetres.
+    end = length[-1]
+    back = max(end - 0.02, 0.0)
+    slope = (np.array([radius[-1] - np.interp(back, length, radius),
+                       height[-1] - np.interp(back, length, height)]) / (end - back)
+             if end > 0 else np.array([0.0, -1.0]))
+    curve = np.column_stack([np.interp(arcs, length, radius), np.interp(arcs, length, height)])
+    return curve + np.maximum(arcs - end, 0.0)[:, None] * slope, float(end)

@@ -1,0 +1,192 @@
+"""What a refinement makes small, and what all objectives have in common.
+
+An objective compares a simulated drape, given by its vertex positions, with something captured.
+It knows nothing of moduli; it may have parameters of its own, the nuisances: how the specimen is
+turned, where the camera stands. Its value is half the sum of squared residuals, always: an
+objective that has to survive outliers hands out residuals that are bent already (:func:`huber`,
+:func:`saturate`), so that every optimiser sees plain least squares.
+
+The number of residuals may change from call to call (pixels that see cloth), their scale must
+not: values of different calls are compared.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from drapenet.refine.optimisers import Limits, minimise
+
+NUISANCE_REACH = 20.0
+"""Bounds of a nuisance, in its scales around its start."""
+
+Along = Callable[[np.ndarray], np.ndarray]
+"""From moves of the vertices (P, V, 3), m per unit of each parameter, to the derivatives of the
+residuals along them (N, P)."""
+
+
+class Linearised(NamedTuple):
+    """Residuals at one shape and their derivatives.
+
+    Attributes:
+        residuals: (N,) without unit: divided by their standard deviations.
+        along: their derivatives along moves of the vertices, see :data:`Along`.
+        by_nuisance: (N, K) their derivatives by the objective's own parameters.
+        independent: how many independent measurements they are; None: all N. Neighbouring pixels
+            err alike, which matters for the uncertainty of what is found.
+    """
+
+    residuals: np.ndarray
+    along: Along
+    by_nuisance: np.ndarray
+    independent: float | None = None
+
+    @property
+    def count(self) -> float:
+        """How many independent measurements the residuals are."""
+        return len(self.residuals) if self.independent is None else self.independent
+
+
+class Objective(Protocol):
+    """A comparison of a simulated drape with a captured one.
+
+    Attributes:
+        nuisances: names of its own K parameters; those of one name are shared between objectives
+            (:class:`Sum`).
+        start: (K,) their first values, SI.
+        scale: (K,) by how much each may sensibly change in a step.
+    """
+
+    nuisances: tuple[str, ...]
+    start: np.ndarray
+    scale: np.ndarray
+
+    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """Residuals (N,) of vertices at positions (V, 3), m, and own parameters (K,)."""
+
+    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+        """The same with derivatives."""
+
+
+def value(residuals: np.ndarray) -> float:
+    """What is minimised: half the sum of the squares of residuals (N,)."""
+    return 0.5 * float(residuals @ residuals)
+
+
+def huber(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals whose squares grow linearly beyond ``limit``, and their derivatives, both (N,).
+
+    Half of their squares is Huber's function of the residuals given.
+    """
+    size = np.abs(residuals)
+    far = size > limit
+    bent = np.sqrt(np.where(far, 2 * limit * size - limit**2, 1.0))
+    return (np.where(far, np.sign(residuals) * bent, residuals),
+            np.where(far, limit / bent, 1.0))
+
+
+def saturate(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals that never exceed ``limit``, and their derivatives, both (N,).
+
+    r / sqrt(1 + (r/limit)²), whose square is the function of Geman and McClure.
+    """
+    root = np.sqrt(1 + (residuals / limit) ** 2)
+    return residuals / root, root**-3
+
+
+class Sum:
+    """Several objectives at once; nuisances of the same name are one parameter.
+
+    Args:
+        parts: the objectives.
+        weights: their values' weights; 1 unless given.
+    """
+
+    def __init__(self, parts: Sequence[Objective], weights: Sequence[float] | None = None) -> None:
+        self.parts = tuple(parts)
+        self._roots = [w**0.5 for w in weights or [1.0] * len(self.parts)]
+        first: dict[str, tuple[float, float]] = {}
+        for part in self.parts:
+            for name, start, scale in zip(part.nuisances, part.start, part.scale, strict=True):
+                first.setdefault(name, (float(start), float(scale)))
+        self.nuisances = tuple(first)
+        self.start = np.array([start for start, _ in first.values()])
+        self.scale = np.array([scale for _, scale in first.values()])
+        self._own = [[self.nuisances.index(name) for name in part.nuisances]
+                     for part in self.parts]
+
+    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """Residuals (N,) of all parts."""
+        return np.concatenate([
+            root * part.residuals(positions, nuisance[own])
+            for part, root, own in zip(self.parts, self._roots, self._own, strict=True)])
+
+    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+        """The same with derivatives."""
+        parts = [Linearised(*part.linearised(positions, nuisance[own]))
+                 for part, own in zip(self.parts, self._own, strict=True)]
+
+        def along(moves: np.ndarray) -> np.ndarray:
+            return np.concatenate([root * part.along(moves)
+                                   for part, root in zip(parts, self._roots, strict=True)])
+
+        columns = []
+        for part, root, own in zip(parts, self._roots, self._own, strict=True):
+            block = np.zeros((len(part.residuals), len(self.nuisances)))
+            block[:, own] = root * part.by_nuisance
+            columns.append(block)
+        return Linearised(
+            np.concatenate([root * part.residuals
+                            for part, root in zip(parts, self._roots, strict=True)]),
+            along, np.concatenate(columns), sum(part.count for part in parts))
+
+
+def differences_along(
+    residuals: Callable[[np.ndarray], np.ndarray], positions: np.ndarray, *, move: float = 1e-5
+) -> Along:
+    """Derivatives by central differences, for an objective that has no better.
+
+    Args:
+        residuals: (N,) of positions (V, 3), as many for all.
+        positions: (V, 3) m, where the derivative is taken.
+        move: m, how far the vertex that moves most is moved to either side.
+    """
+    def along(moves: np.ndarray) -> np.ndarray:
+        columns = []
+        for direction in moves:
+            largest = np.linalg.norm(direction, axis=1).max()
+            step = move / largest if largest > 0 else 1.0
+            difference = residuals(positions + step * direction) - residuals(
+                positions - step * direction)
+            columns.append(difference / (2 * step))
+        return np.stack(columns, axis=1)
+
+    return along
+
+
+def fit_nuisances(
+    objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
+) -> np.ndarray:
+    """The nuisances (K,) that fit one shape (V, 3) best, from ``start`` (K,); no simulation."""
+    if not len(start):
+        return start
+    return minimise(_FixedShape(objective, positions, start), limits=Limits(
+        evaluations=evaluations, decrease=1e-3)).x * objective.scale
+
+
+class _FixedShape:
+    """Nuisances as unknowns, in their scales (:class:`.optimisers.LeastSquares`)."""
+
+    def __init__(self, objective: Objective, positions: np.ndarray, start: np.ndarray) -> None:
+        self._objective, self._positions = objective, positions
+        self.start = start / objective.scale
+        self.low, self.high = self.start - NUISANCE_REACH, self.start + NUISANCE_REACH
+
+    def value(self, x: np.ndarray) -> float:
+        scaled = x * self._objective.scale
+        return value(self._objective.residuals(self._positions, scaled))
+
+    def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        scale = self._objective.scale
+        found = Linearised(*self._objective.linearised(self._positions, x * scale))
+        return found.residuals, found.by_nuisance * scale

@@ -1,0 +1,192 @@
+"""``python infer.py scan=FILE refine=scan``: a scan in, moduli and their fidelity out."""
+
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from data.prior.files import load_prior
+from data.scans import LARGEST_SCAN, read_scan
+from drapenet.refine.captured import CapturedShape, Cloth, RobustPositions, Settled
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.problem import Gaussian
+from drapenet.refine.register import register
+from drapenet.refine.scan import Cloud
+from drapenet.refine.shape_search import search_cloth
+from sim.drape import drape
+from sim.errors import InputError, one_line
+from sim.files import replace_file
+from sim.material import DIRECTIONS, MICRO, NANO
+from sim.scene import Rig
+
+SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 1
+RAW = (".ply", ".obj")
+_START = "disc300_support180"
+_FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
+
+
+def refine_scan(
+    path: Path, *, rig: str = _START, solves: int = 25, resolution: int = 51
+) -> tuple[dict[str, Any], CapturedShape, Settled]:
+    """The content of ``estimate.json``, the captured shape and the best simulation.
+
+    Args:
+        path: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or a raw PLY or OBJ in
+            metres, z up, the plate's centre the origin.
+        rig: name of the rig.
+        solves: simulations at most.
+        resolution: vertices across the mesh that a raw scan is registered to.
+
+    Raises:
+        InputError: no such scan, or none of the simulations ended.
+    """
+    setting = Rig.from_name(rig)
+    prior = load_prior("gaussian")
+    start = Cloth(prior.mean.copy())
+    registered = None
+    if path.suffix.lower() in RAW:
+        cloud = read_cloud(path, setting)
+        first = drape(start.fabric, rig=setting, resolution=resolution)
+        if not first.converged:
+            raise InputError(f"no drape to register the scan with: {first.message}")
+        shape, distance = register(first, cloud)
+        registered = {"points": len(cloud.points),
+                      "mean_distance_mm": float(1e3 * distance[~shape.held].mean())}
+    else:
+        scan = read_scan(path, setting)
+        shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting)
+    objective = RobustPositions(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
+    with tqdm(total=solves, desc="refining", unit="drape") as bar:
+        def report(count: int, least: float) -> None:
+            bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
+            bar.update(count - bar.n)
+
+        best, problem = search_cloth(
+            shape, objective, start, prior=Gaussian(prior.mean, prior.covariance),
+            solves=solves, report=report)
+    if best is None:
+        reason = problem.failures[-1] if problem.failures else "interrupted"
+        raise InputError(f"no cloth settles from the shape of {path} ({reason})")
+    cloth, fabric = best.cloth, best.cloth.fabric
+    content = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "scan": {"file": str(path), "rig": rig, "registration": registered},
+        "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
+                      "shape does not say",
+        "moduli_at_300_g_m2": {
+            name: {"alpha_uN_m": float(alpha / MICRO), "beta_nN_m2": float(beta / NANO)}
+            for name, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True)},
+        "membrane_N_m": cloth.membrane,
+        "warp_direction_deg": math.degrees(cloth.warp) % 180,
+        "prior_moduli_at_300_g_m2": {
+            name: {"alpha_uN_m": float(alpha / MICRO), "beta_nN_m2": float(beta / NANO)}
+            for name, alpha, beta in zip(DIRECTIONS, start.fabric.alpha, start.fabric.beta,
+                                         strict=True)},
+        "simulations": problem.solves,
+        "failed_simulations": problem.failures,
+        "fidelity": fidelity(shape, best.drape).as_dict(),
+    }
+    return content, shape, best
+
+
+def infer_scan(config: dict[str, Any]) -> None:
+    """Refine what ``configs/infer.yaml`` names, write estimate and report, print a table.
+
+    Raises:
+        InputError: keys that do not go together, or see :func:`refine_scan`.
+    """
+    if config["capture"]:
+        raise InputError("give capture=DIR or scan=FILE, not both")
+    if config["refine"] not in ("none", "scan"):
+        raise InputError(f"refine={config['refine']} does not go with scan=FILE; use refine=scan")
+    path = Path(config["scan"])
+    out = Path(config["out"] or Path("outputs/infer") / path.stem)
+    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
+        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+    content, shape, best = refine_scan(path)
+    replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
+    print(format_scan(content))
+    print(f"estimate: {out / 'estimate.json'}")
+    replace_file(out / "report.png", draw(shape, best))
+    print(f"report:   {out / 'report.png'}")
+
+
+def format_scan(content: dict[str, Any]) -> str:
+    """The estimate as a few lines."""
+    lines = [f"{'at 300 g/m²':12}{'alpha µN·m':>12}{'beta nN·m²':>12}{'prior alpha':>13}"]
+    for name, row in content["moduli_at_300_g_m2"].items():
+        before = content["prior_moduli_at_300_g_m2"][name]["alpha_uN_m"]
+        lines.append(f"{name:12}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}{before:13.3g}")
+    f = content["fidelity"]
+    lines += [
+        f"membrane {content['membrane_N_m']:.3g} N/m, warp at "
+        f"{content['warp_direction_deg']:.0f}°, {content['simulations']} simulations",
+        f"from the captured shape to rest: {f['displacement_mm']:.1f} mm on average, "
+        f"{f['surface_mm']:.1f} mm from the surface; mean curvature {f['curvature']:.0%} different",
+        f"drape coefficient {f['coefficient']:.1f} %, captured {f['captured_coefficient']:.1f} %",
+    ]
+    return "\n".join(lines)
+
+
+def draw(shape: CapturedShape, best: Settled) -> bytes:
+    """PNG: the captured shape, the simulated one, and their distance on the flat specimen."""
+    from io import BytesIO
+
+    from matplotlib.figure import Figure
+
+    from data.picture import shade
+
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for axis, positions, title in zip(axes, (shape.positions, best.drape.positions),
+                                      ("captured", "simulated"), strict=False):
+        axis.imshow(shade(positions, shape.faces, plate_radius=shape.rig.plate_radius))
+        axis.set_title(title)
+    gap = 1e3 * np.linalg.norm(best.drape.positions - shape.positions, axis=1)
+    image = axes[2].tripcolor(*1e3 * shape.rest.T, shape.faces, gap, shading="gouraud",
+                              cmap="magma")
+    axes[2].set_aspect("equal")
+    axes[2].set_title("distance on the flat specimen")
+    figure.colorbar(image, ax=axes[2], label="mm")
+    for axis in axes:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()
+
+
+def read_cloud(path: Path, rig: Rig) -> Cloud:
+    """Read a raw scan, PLY or OBJ in metres, z up, the plate's centre the origin.
+
+    Raises:
+        InputError: no such file, no points, other units or axes.
+    """
+    import trimesh
+
+    try:
+        # In memory first: a scan may name other files, materials for example, which are not read.
+        with path.open("rb") as file:
+            loaded = trimesh.load(file, file_type=path.suffix[1:].lower(), process=False,
+                                  skip_materials=True, force=None)
+        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+        faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
+            UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot read the scan {path} ({one_line(error)})") from None
+    if not 200 <= len(points) <= LARGEST_SCAN or not np.isfinite(points).all():
+        raise InputError(f"{path}: a scan has from 200 to {LARGEST_SCAN} finite points, this one "
+                         f"{len(points)}")
+    reach = np.abs(points).max()
+    if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
+        raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "
+                         f"reach {reach:.3g} from it, a specimen {rig.specimen_size / 2:g} m")
+    middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
+    if not len(middle) or np.abs(np.median(middle[:, 2])) > _FLAT:
+        raise InputError(f"{path}: cloth on the plate must lie in the plane z = 0, z up")
+    return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

@@ -1,0 +1,184 @@
+"""Refinement of captured shapes: derivatives, recovery, fidelity, registration, the command."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.fabrics import fabric_from_theta, to_theta
+from drapenet.refine.captured import (
+    NAMES,
+    SCALE,
+    CapturedProblem,
+    CapturedShape,
+    Cloth,
+    RobustPositions,
+    cloth_moves,
+    turned_rest,
+)
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.scan_report import format_scan, read_cloud
+from drapenet.refine.shape_search import search_cloth
+from sim.drape import drape
+from sim.errors import InputError
+from sim.newton import NewtonOptions
+from sim.scene import DISC_RIG
+from sim.sensitivity import follow
+
+TIGHT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=300)
+THETA = to_theta(np.array([90e-6, 60e-6, 55e-6]), np.array([-150e-9, -80e-9, -90e-9]))
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def captured() -> CapturedShape:
+    """A simulated drape of THETA, its rest points turned by 0.3 rad against the warp."""
+    result = drape(fabric_from_theta(THETA), rig=DISC_RIG, resolution=23)
+    assert result.converged
+    return CapturedShape(result.positions, turned_rest(result.rest, -0.3), result.faces, DISC_RIG)
+
+
+def vertex_objective(shape: CapturedShape) -> RobustPositions:
+    return RobustPositions(shape.positions, vertices=~shape.held, sigma=1e-3, limit=2.0)
+
+
+def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) -> None:
+    settled = captured.settle(fabric_from_theta(THETA), warp=0.3)
+    assert settled.converged
+    found = fidelity(captured, settled)
+    assert found.largest_mm < 0.02
+    assert found.curvature < 0.01
+    assert found.coefficient == pytest.approx(found.captured_coefficient, abs=0.1)
+    np.testing.assert_array_equal(settled.positions[captured.held],
+                                  captured.positions[captured.held])
+
+
+def test_derivatives_match_tight_simulations(captured: CapturedShape) -> None:
+    cloth = Cloth(THETA - np.array([0.2, 0.1, 0.2, 0, 0, 0]), 150.0, 0.2, (1.5, -1.0, 0.5))
+    settled = captured.settle(cloth.fabric, warp=cloth.warp, laws=cloth.laws, options=TIGHT)
+    assert settled.converged
+    moves = cloth_moves(settled, cloth, np.ones(len(NAMES), dtype=bool))
+    values = np.concatenate([cloth.theta, [np.log(cloth.membrane), cloth.warp], cloth.curvature])
+    for k in (1, 5, 6, 7, 8, 10):
+        ends = []
+        for side in (1, -1):
+            other = values + side * 1e-4 * SCALE * np.eye(len(NAMES))[k]
+            there = Cloth(other[:6], float(np.exp(other[6])), other[7], tuple(other[8:]))
+            start = replace(settled, rest=turned_rest(captured.rest, there.warp))
+            ends.append(follow(start, there.fabric, laws=there.laws, options=TIGHT).positions)
+        expected = (ends[0] - ends[1]) / (2e-4 * SCALE[k])
+        gap = np.linalg.norm(moves[k] - expected) / np.linalg.norm(expected)
+        assert gap < 1e-4, NAMES[k]
+
+
+def test_robust_positions_have_exact_derivatives(captured: CapturedShape) -> None:
+    objective = vertex_objective(captured)
+    rng = np.random.default_rng(0)
+    positions = captured.positions + rng.normal(0, 2e-3, captured.positions.shape)
+    moves = rng.normal(0, 1.0, (3, *positions.shape))
+    h = 1e-7
+    expected = np.stack([(objective.residuals(positions + h * m, np.zeros(0))
+                          - objective.residuals(positions - h * m, np.zeros(0))) / (2 * h)
+                         for m in moves], axis=1)
+    found = objective.linearised(positions, np.zeros(0)).along(moves)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_search_recovers_the_moduli_and_the_direction(captured: CapturedShape) -> None:
+    start = Cloth(THETA + np.array([0.25, -0.1, 0.2, 4e-4, -4e-4, 3e-4]), 200.0, 0.15)
+    best, problem = search_cloth(captured, vertex_objective(captured), start, solves=20)
+    assert problem.solves <= 20
+    assert fidelity(captured, best.drape).displacement_mm < 0.1
+    np.testing.assert_allclose(best.cloth.theta[:3], THETA[:3], atol=0.05)
+    assert best.cloth.warp == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_failed_simulation_is_infinite_and_kept_as_a_message(captured: CapturedShape) -> None:
+    problem = CapturedProblem(captured, vertex_objective(captured), Cloth(THETA))
+    impossible = problem.start.copy()
+    impossible[1] -= 5.0  # no plate is as soft along the bias only
+    assert problem.value(impossible) == np.inf
+    assert problem.solves == 0
+    assert problem.linearised(problem.start) is None
+    first = problem.value(problem.start)
+    assert first == problem.value(problem.start)
+    assert problem.solves == 1
+
+
+def test_registration_puts_a_drape_onto_another_mesh() -> None:
+    from drapenet.refine.register import register
+    from drapenet.refine.scan import Cloud
+
+    fabric = fabric_from_theta(THETA)
+    scanned = drape(fabric, rig=DISC_RIG, resolution=33, mesh="unstructured", start="sine", seed=3)
+    noise = np.random.default_rng(4).normal(0, 3e-4, scanned.positions.shape)
+    cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces)
+    template = drape(fabric, rig=DISC_RIG, resolution=25, seed=3)
+    shape, distance = register(template, cloud)
+    assert 1e3 * np.mean(distance[~shape.held]) < 1.0
+    assert np.array_equal(shape.held, template.held)
+    truth = shape.settle(fabric, options=NewtonOptions(residual=1e-2, step=1e-2))
+    assert truth.converged
+
+
+def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
+    import trimesh
+
+    good = tmp_path / "good.ply"
+    trimesh.Trimesh(captured.positions, captured.faces, process=False).export(good)
+    assert len(read_cloud(good, DISC_RIG).hem) > 50
+    points = tmp_path / "points.ply"
+    trimesh.PointCloud(captured.positions).export(points)
+    assert len(read_cloud(points, DISC_RIG).points) == len(captured.positions)
+    millimetres = tmp_path / "mm.ply"
+    trimesh.Trimesh(1e3 * captured.positions, captured.faces, process=False).export(millimetres)
+    with pytest.raises(InputError, match="metres"):
+        read_cloud(millimetres, DISC_RIG)
+    lying = tmp_path / "lying.obj"
+    trimesh.Trimesh(captured.positions - [0, 0, 0.1], captured.faces, process=False).export(lying)
+    with pytest.raises(InputError, match="plane z = 0"):
+        read_cloud(lying, DISC_RIG)
+    for content in (b"", b"ply\nformat ascii 1.0\n", b"\x00\xff" * 50):
+        bad = tmp_path / "bad.ply"
+        bad.write_bytes(content)
+        with pytest.raises(InputError):
+            read_cloud(bad, DISC_RIG)
+    with pytest.raises(InputError, match="cannot read"):
+        read_cloud(tmp_path / "missing.ply", DISC_RIG)
+
+
+def test_command_says_what_is_wrong(tmp_path: Path) -> None:
+    from infer import main
+
+    bad = tmp_path / "bad.npz"
+    bad.write_bytes(b"nothing")
+    for words, message in (
+        ([f"scan={bad}"], "cannot read the scan"),
+        (["scan=x.npz", "capture=y"], "not both"),
+        (["scan=x.npz", "refine=depth"], "use refine=scan"),
+        ([f"scan={tmp_path / 'missing.obj'}"], "cannot read the scan"),
+        (["scan=x.npz", f"out={bad}"], "a file is in the way"),
+    ):
+        with pytest.raises(InputError, match=message) as error:
+            main([f"out={tmp_path / 'out'}", *words])
+        assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_command_refines_a_scan(tmp_path: Path, captured: CapturedShape) -> None:
+    scan = tmp_path / "scan.npz"
+    np.savez(scan, vertices=captured.positions, rest=captured.rest, faces=captured.faces)
+    done = subprocess.run(
+        [sys.executable, "infer.py", f"scan={scan}", "refine=scan", f"out={tmp_path / 'out'}"],
+        cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert content["fidelity"]["displacement_mm"] < 0.5
+    assert content["simulations"] <= 25
+    assert format_scan(content) in done.stdout
+    assert (tmp_path / "out" / "report.png").stat().st_size > 10_000

@@ -1,0 +1,186 @@
+"""Objectives: values that are known, and derivatives against differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from data.cameras import Camera, CameraRig
+from data.render import render_views
+from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights
+from drapenet.refine.guided import surface_positions
+from drapenet.refine.objective import (
+    Sum,
+    differences_along,
+    fit_nuisances,
+    huber,
+    saturate,
+    value,
+)
+from drapenet.refine.registered import VertexPositions
+from sim.mesh import grid_faces
+from sim.scene import Rig
+
+
+def dome(cells: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth bumpy sheet over the plate, without folds that hide others."""
+    side = np.linspace(-0.1, 0.1, cells + 1)
+    x, y = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    z = -3.0 * (x**2 + y**2) - 0.006 * np.sin(30 * x) * np.cos(25 * y + 0.4)
+    return np.column_stack([x, y, z]), grid_faces(np.eye(cells, dtype=bool))
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return CameraRig.load().nominal()
+
+
+@pytest.fixture(scope="module")
+def compared(camera: Camera) -> tuple[np.ndarray, DepthViews]:
+    positions, faces = dome()
+    views = render_views(positions, faces, camera, 0.3)
+    return positions, DepthViews(views, camera, faces, turn=0.3)
+
+
+@pytest.mark.parametrize(("bend", "limit"), [(huber, 2.0), (saturate, 3.0)])
+def test_robust_residuals_and_their_derivatives(bend, limit: float) -> None:
+    r = np.array([-7.0, -1.5, 0.0, 0.3, 1.9, 2.1, 40.0])
+    bent, slope = bend(r, limit)
+    step = 1e-6
+    differences = (bend(r + step, limit)[0] - bend(r - step, limit)[0]) / (2 * step)
+    assert slope == pytest.approx(differences, rel=1e-6, abs=1e-9)
+    expected = (np.where(np.abs(r) > limit, limit * (np.abs(r) - limit / 2), r**2 / 2)
+                if bend is huber else r**2 / 2 / (1 + (r / limit) ** 2))
+    assert bent**2 / 2 == pytest.approx(expected)
+
+
+def test_vertex_positions_have_exact_derivatives() -> None:
+    rng = np.random.default_rng(1)
+    target = rng.standard_normal((20, 3))
+    objective = VertexPositions(target, weight=rng.uniform(0.5, 2, 20), sigma=0.01)
+    moves = rng.standard_normal((4, 20, 3))
+    found = objective.linearised(target + 0.1, np.zeros(0))
+    along = differences_along(lambda p: objective.residuals(p, np.zeros(0)), target + 0.1)
+    assert found.along(moves) == pytest.approx(along(moves), rel=1e-6)
+    # Half a mean of squared distances in units of sigma, times the number of vertices.
+    weightless = VertexPositions(target, sigma=0.01)
+    shifted = weightless.residuals(target + np.array([0.03, 0.0, 0.04]), np.zeros(0))
+    assert value(shifted) == pytest.approx(0.5 * 20 * 25)
+
+
+def test_a_sum_shares_nuisances_by_name() -> None:
+    class Along:
+        def __init__(self, names: tuple[str, ...]) -> None:
+            self.nuisances = names
+            self.start, self.scale = np.zeros(len(names)), np.ones(len(names))
+
+        def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+            return positions[:, 0] * 0 + nuisance @ np.arange(1, 1 + len(nuisance))
+
+        def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> tuple:
+            ones = np.ones((len(positions), 1))
+            return (self.residuals(positions, nuisance),
+                    lambda moves: ones @ np.ones((1, len(moves))),
+                    ones * np.arange(1, 1 + len(nuisance)))
+
+    both = Sum([Along(("turn", "shift")), Along(("shift",))], [1.0, 4.0])
+    assert both.nuisances == ("turn", "shift")
+    found = both.linearised(np.zeros((2, 3)), np.array([1.0, 10.0]))
+    assert found.residuals.tolist() == [21.0, 21.0, 20.0, 20.0]
+    assert found.by_nuisance.tolist() == [[1, 2], [1, 2], [0, 2], [0, 2]]
+    assert found.along(np.zeros((3, 2, 3))).shape == (4, 3) and found.count == 4
+
+
+def test_a_drape_fits_its_own_views(compared: tuple[np.ndarray, DepthViews]) -> None:
+    positions, objective = compared
+    residuals = objective.residuals(positions, objective.start)
+    # Views are kept in single precision; the border is smoothed by a fraction of a pixel.
+    assert value(residuals) < 0.02 * len(residuals) / 10
+    moved = objective.residuals(positions + np.array([0, 0, 5e-3]), objective.start)
+    assert value(moved) > 100 * value(residuals)
+
+
+def test_what_is_compared_is_what_is_rendered(
+    compared: tuple[np.ndarray, DepthViews], camera: Camera
+) -> None:
+    positions, objective = compared
+    expected = render_views(positions, objective._faces, camera, 0.3)
+    rendered = objective.render(positions, objective.start)
+    both = (rendered > 0) & (expected > 0)
+    assert both.sum() > 0.999 * (expected > 0).sum()
+    assert np.abs(rendered - expected)[both].max() < 1e-5
+
+
+@pytest.mark.parametrize("name", [*POSE, FOCAL])
+def test_depth_derivatives_by_pose(compared: tuple[np.ndarray, DepthViews], name: str) -> None:
+    positions, objective = compared
+    k = objective.nuisances.index(name)
+    rng = np.random.default_rng(2)
+    there = objective.start + 0.3 * objective.scale * rng.uniform(-1, 1, len(objective.start))
+    found = objective.linearised(positions, there)
+    gradient = float(found.by_nuisance[:, k] @ found.residuals)
+    step = np.zeros(len(there))
+    step[k] = 0.05 * objective.scale[k]
+    difference = (value(objective.residuals(positions, there + step))
+                  - value(objective.residuals(positions, there - step))) / (2 * step[k])
+    # Pixels that come into sight or leave it are not in the derivative.
+    size = np.linalg.norm(found.by_nuisance[:, k]) * np.linalg.norm(found.residuals)
+    assert abs(gradient - difference) < 0.05 * size
+
+
+def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:
+    positions, faces = dome()
+    views = render_views(positions, faces, camera) + np.float32(0)
+    weights = DepthWeights(limit=1.0, border_sigma=np.inf, border_limit=np.inf)
+    objective = DepthViews(views, camera, faces, weights=weights)
+    x, y, _ = positions.T
+    moves = np.stack([np.column_stack([np.sin(20 * y), 0 * x, np.cos(15 * x)]), positions])
+    found = objective.linearised(positions, objective.start)
+    step = 1e-6
+    for move, column in zip(moves, found.along(moves).T, strict=True):
+        plus, minus = (objective.residuals(positions + sign * step * move, objective.start)
+                       for sign in (1, -1))
+        if not len(plus) == len(minus) == len(column):
+            continue
+        difference = (plus - minus) / (2 * step)
+        close = np.abs(difference - column) < 1e-3 * np.abs(column).max()
+        assert close.mean() > 0.99  # the others' rays change to the next triangle
+
+
+def test_turn_and_pose_are_found_from_one_shape(compared: tuple[np.ndarray, DepthViews]) -> None:
+    positions, objective = compared
+    off = np.array([0.05, 0.01, -0.008, 3e-3, -2e-3, 2e-3, 0, 0, 0, 0.01])
+    found = fit_nuisances(objective, positions, objective.start + off)
+    assert np.abs((found - objective.start) / objective.scale)[:6].max() < 0.15
+
+
+def test_points_of_the_views_lie_on_the_shape(compared: tuple[np.ndarray, DepthViews]) -> None:
+    _, objective = compared
+    points, normals = objective.points(objective.start)
+    x, y, z = points.T
+    height = -3.0 * (x**2 + y**2) - 0.006 * np.sin(30 * x) * np.cos(25 * y + 0.4)
+    assert np.abs(z - height).max() < 5e-4  # between the vertices the mesh is flat
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+    assert (normals[:, 2] > 0.3).mean() > 0.99  # seen from above
+
+
+def test_a_specimen_is_laid_on_a_cone_at_its_own_arc_lengths() -> None:
+    rig = Rig()
+    slope = math.radians(50)
+    rng = np.random.default_rng(3)
+    arc, azimuth = rng.uniform(0, 0.18, 60000), rng.uniform(0, 2 * np.pi, 60000)
+    radius = rig.plate_radius + arc * math.cos(slope)
+    cone = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth),
+                            -arc * math.sin(slope)])
+    disc = rng.uniform(0, rig.plate_radius, 20000), rng.uniform(0, 2 * np.pi, 20000)
+    top = np.column_stack([disc[0] * np.cos(disc[1]), disc[0] * np.sin(disc[1]), 0 * disc[0]])
+    side = np.linspace(-0.15, 0.15, 31)
+    rest = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    placed = surface_positions(rest, np.concatenate([cone, top]), rig)
+    beyond = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0)
+    reach = np.hypot(placed[:, 0], placed[:, 1])
+    outside = beyond > 0
+    expected = rig.plate_radius + beyond * math.cos(slope)
+    assert np.abs(reach - expected)[outside].max() < 3e-3
+    assert np.abs(placed[:, 2] + beyond * math.sin(slope))[outside].max() < 3e-3
+    assert placed[~outside, :2] == pytest.approx(rest[~outside])
