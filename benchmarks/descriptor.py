@@ -32,6 +32,7 @@ from sim.errors import InputError
 from sim.initial import interpolate_positions
 from sim.scene import Rig
 
+OTHER_FOLDS = 5e-3  # m, between two drapes of a fabric, where folds lie elsewhere
 STARTS = (("sine", 0), ("fold", 0), ("sine", 1), ("fold", 1), ("sine", 2), ("fold", 2))
 DESCRIPTIONS = {
     "positions": "vertex positions",
@@ -70,14 +71,20 @@ def descriptions(rest: np.ndarray, positions: np.ndarray, points: int = 41) -> d
     }
 
 
-def figures(described: np.ndarray, fabric: np.ndarray, log_alpha: np.ndarray) -> dict:
+def figures(
+    described: np.ndarray, fabric: np.ndarray, log_alpha: np.ndarray, elsewhere: np.ndarray
+) -> dict:
     """What descriptions (N, D) tell of drapes of fabrics (N,) with log alpha (F, 3).
+
+    Pairs ``elsewhere`` (N, N) are drapes of one fabric with other folds.
 
     Returns within, between: median distance of two drapes of one fabric and of two, mm. positive:
     share of Larionov's differences (a drape to another fabric's, less the distance within the
     fabric) above 0. nearest: share of drapes whose nearest other drape is of the same fabric.
-    rank: Spearman's correlation of the distance between two fabrics (mean over their drapes) with
-    that of their log alpha.
+    elsewhere_mm: median distance of pairs with other folds; nearest_elsewhere: share of the drapes
+    that have such a partner, and lie nearer to one than to any drape of another fabric. rank:
+    Spearman's correlation of the distance between two fabrics (mean over their drapes) with that
+    of their log alpha.
     """
     distance = np.linalg.norm(described[:, None] - described, axis=-1)
     same = fabric[:, None] == fabric
@@ -88,6 +95,8 @@ def figures(described: np.ndarray, fabric: np.ndarray, log_alpha: np.ndarray) ->
     relative = [distance[i, j] - own[fabric[i]]
                 for i, j in product(range(len(fabric)), repeat=2) if fabric[i] != fabric[j]]
     nearest = np.where(other, distance, np.inf).argmin(axis=1)
+    folded = elsewhere.any(axis=1)
+    candidates = np.where(~same | elsewhere, distance, np.inf)[folded].argmin(axis=1)
     pairs = [(a, b) for a in names for b in names if a < b]
     apart = [distance[np.ix_(fabric == a, fabric == b)].mean() for a, b in pairs]
     moduli = [np.linalg.norm(log_alpha[a] - log_alpha[b]) for a, b in pairs]
@@ -96,6 +105,9 @@ def figures(described: np.ndarray, fabric: np.ndarray, log_alpha: np.ndarray) ->
         "between_mm": float(1e3 * np.median(distance[~same])),
         "positive": float(np.mean(np.array(relative) > 0)),
         "nearest": float(np.mean(fabric[nearest] == fabric)),
+        "elsewhere_mm": float(1e3 * np.median(distance[elsewhere])) if folded.any() else None,
+        "nearest_elsewhere": (float(np.mean(fabric[candidates] == fabric[folded]))
+                              if folded.any() else None),
         "rank": float(spearmanr(apart, moduli).statistic),
     }
 
@@ -125,16 +137,22 @@ def main(argv: list[str]) -> None:
         for key, values in descriptions(arrays["rest"], arrays["positions"]).items():
             described[key].append(values)
     fabric = np.array(fabric)
-    rows = {key: figures(np.array(values), fabric, thetas[:, :3])
+    shapes = np.array(described["positions"])
+    moved = np.linalg.norm(shapes[:, None] - shapes, axis=-1) > OTHER_FOLDS
+    elsewhere = moved & (fabric[:, None] == fabric)
+    rows = {key: figures(np.array(values), fabric, thetas[:, :3], elsewhere)
             for key, values in described.items()}
     chance = float(np.mean([(fabric == f).sum() - 1 for f in fabric]) / (len(fabric) - 1))
     print(table(
         ["description", "within a fabric, mm", "between fabrics, mm", "ratio",
-         "differences > 0", "nearest drape is of the same fabric", "rank correlation with log α"],
+         "differences > 0", "nearest drape is of the same fabric", "with other folds, mm",
+         "nearest of these", "rank correlation with log α"],
         [[DESCRIPTIONS[key], row["within_mm"], row["between_mm"],
           row["between_mm"] / row["within_mm"], f"{row['positive']:.0%}", f"{row['nearest']:.0%}",
+          row["elsewhere_mm"] or "-", f"{row['nearest_elsewhere'] or 0:.0%}",
           f"{row['rank']:.2f}"] for key, row in rows.items()]))
-    print(f"nearest by chance: {chance:.0%}; {len(fabric)} of {len(found)} drapes are equilibria")
+    print(f"{int(elsewhere.any(axis=1).sum())} drapes have a partner with other folds; nearest by "
+          f"chance: {chance:.0%}; {len(fabric)} of {len(found)} drapes are equilibria")
     out = Path(config["out"])
     write_report(out, {
         "settings": {k: config[k] for k in ("fabrics", "starts", "resolution", "seed")},
