@@ -1,6 +1,7 @@
 """Estimate the six bending moduli of a fabric from a capture: four depth images of its drape.
 
-    python infer.py capture=DIR [out=DIR] [checkpoint=FILE]
+    python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
+    python infer.py scan=FILE refine=scan [out=DIR]
 
 Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. The formats of a
 capture are described in ``data/captures.py``, all keys in ``configs/infer.yaml``.
@@ -20,7 +21,8 @@ from sim.files import replace_file
 
 
 def infer(
-    capture: Capture, header: Header, *, drapes: int = 2, resolution: int = 41
+    capture: Capture, header: Header, *, refine: str = "none", drapes: int = 2,
+    resolution: int = 41,
 ) -> tuple[dict, bytes | None]:
     """The content of ``estimate.json`` and, unless ``drapes`` is 0, the bytes of ``report.png``."""
     # Imported here because torch takes seconds, and a bad capture should be told at once.
@@ -33,7 +35,17 @@ def infer(
     views = to_camera(capture, rig)
     prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
     estimate = make_estimate(prediction, capture=capture, header=header)
+    refined = None
+    if refine == "depth":
+        from drapenet.refine.capture_report import refine_capture
+
+        refined = refine_capture(estimate, capture, views, rig, resolution=resolution)
+        estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
+    if refined:
+        content |= refined.content
+    elif refine == "depth":
+        content["warnings"].append("no drape of the estimate converged; it is not refined")
     if not drapes:
         return content, None
 
@@ -41,8 +53,9 @@ def infer(
     from drapenet.resimulate import resimulate
     from sim.scene import Rig
 
-    drape = resimulate(estimate.fabric, views, rig=Rig.from_name(header.rig),
-                       nominal=rig.nominal(), resolution=resolution, drapes=drapes)
+    drape = refined.resimulation if refined else resimulate(
+        estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
+        resolution=resolution, drapes=drapes)
     if drape is None:
         content["warnings"].append("no drape of the estimate converged; the report shows none")
     else:
@@ -55,6 +68,11 @@ def infer(
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/infer.yaml``."""
     config = parse_overrides(read_config("infer"), argv)
+    if config["scan"]:
+        from drapenet.refine.scan_report import infer_scan
+
+        infer_scan(config)
+        return
     if not config["capture"]:
         raise InputError("no capture; give capture=DIR, a folder with four depth images")
     header = read_header(config["checkpoint"] or BUNDLED)
@@ -62,13 +80,15 @@ def main(argv: list[str]) -> None:
     if capture.rig != header.rig:
         raise InputError(f"the capture is of the rig '{capture.rig}' but the checkpoint of "
                          f"'{header.rig}'; choose a checkpoint trained for this rig")
+    if config["refine"] not in ("none", "depth"):
+        raise InputError(f"refine={config['refine']}: a capture takes none or depth")
     if not 0 <= config["drapes"] <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     out = Path(config["out"] or Path("outputs/infer") / capture.path.resolve().name)
     if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
         raise InputError(f"out={out} cannot be a folder: a file is in the way")
 
-    content, picture = infer(capture, header, drapes=config["drapes"],
+    content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
                              resolution=config["resolution"])
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_table(content))

@@ -15,6 +15,15 @@ def format_table(content: dict[str, Any]) -> str:
         lines.append(f"{name:8}{own['alpha_uN_m']:14.2f}{own['beta_nN_m2']:15.1f}"
                      f"{at_reference['alpha_uN_m']:14.2f}{at_reference['beta_nN_m2']:15.1f}"
                      f"{error:11.0f}%")
+    if refined := content.get("refined"):
+        before = ", ".join(f"{name} {change['alpha_before_uN_m']:.2f} "
+                           f"({change['alpha_percent']:+.0f}%)"
+                           for name, change in refined["change"].items())
+        lines.append(f"alpha before refinement: {before}")
+        first = refined["misfit_before"]
+        lines.append(f"misfit {'-' if first is None else format(first, '.0f')} before, "
+                     f"{refined['misfit']:.0f} after {refined['simulations']} simulations "
+                     f"({refined['status']})")
     axis = content["stiff_axis"]
     lines.append(f"stiff axis {axis['direction_deg']:.0f}° in the first view "
                  f"(confidence {axis['confidence']:.2f}), convention {content['convention']}")

@@ -122,7 +122,8 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
 @pytest.mark.parametrize(("word", "message"), [
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
     ("resolution=3", "resolution"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
-    ("checkpoint=7", "no checkpoint file 7.safetensors")])
+    ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
+    ("refine=scan", "none or depth")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -206,6 +207,24 @@ def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -
     with Image.open(out / "report.png") as picture:
         assert picture.size[0] > 1000
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page
+
+
+@pytest.mark.slow
+def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth"])
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    refined = content["refined"]
+    assert refined["misfit"] <= refined["misfit_before"]
+    truth = json.loads((folder / "truth.json").read_text())["moduli"]
+    for name, moduli in content["moduli"].items():
+        assert moduli["alpha_uN_m"] == pytest.approx(truth[name]["alpha_uN_m"], rel=0.3)
+        before = refined["change"][name]["alpha_before_uN_m"]
+        change = refined["change"][name]["alpha_percent"]
+        assert moduli["alpha_uN_m"] == pytest.approx(before * (1 + change / 100))
+        assert content["typical_error"][name]["alpha_percent"] > 0
+    assert content["resimulation"]["silhouette_overlap"] > 0.95
+    assert "alpha before refinement" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")

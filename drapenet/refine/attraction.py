@@ -117,19 +117,37 @@ def pulled(
     pulls: Sequence[float],
 ) -> tuple[State, NewtonResult]:
     """``state`` under springs, whose ends are sought again for each of ``pulls``."""
-    mesh = scene.mesh
-    tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
-    weight = fabric.density * scene.gravity * mesh.vertex_areas
-    free = np.flatnonzero(~scene.held)
     for pull in pulls:
-        own = _normals(mesh, state.positions)[free]
-        distance, nearest = tree.query(np.hstack([state.positions[free], NORMAL_LENGTH * own]))
-        near = distance < REACH
-        springs = Springs(free[near], points[nearest[near]], normals[nearest[near]],
-                          pull / 1e-3 * weight[free[near]])
+        springs = nearest_springs(scene, state.positions, points, normals, pull=pull, reach=REACH)
         state, result = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
                                          options=OPTIONS)
     return state, result
+
+
+def nearest_springs(
+    scene: Scene,
+    positions: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    pull: float,
+    reach: float,
+) -> Springs:
+    """Springs from the free vertices at positions (V, 3), m, to the nearest points.
+
+    Args:
+        points, normals: (N, 3) m and (N, 3) of the captured surface.
+        pull: force at a distance of 1 mm, over the cloth's weight at the reference density.
+        reach: m, from which distance on a vertex is left alone.
+    """
+    tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
+    free = np.flatnonzero(~scene.held)
+    own = _normals(scene.mesh, positions)[free]
+    distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
+    near = distance < reach
+    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free[near]]
+    return Springs(free[near], points[nearest[near]], normals[nearest[near]],
+                   pull / 1e-3 * weight)
 
 
 def _normals(mesh: Mesh, positions: np.ndarray) -> np.ndarray:

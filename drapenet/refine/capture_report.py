@@ -15,8 +15,9 @@ from drapenet.convention import LINEAR, RATIO
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
+from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.problem import Gaussian
-from drapenet.refine.views import ROUNDS, RefinedViews, refine_views
+from drapenet.refine.views import FREE_ROUNDS, HELD_ROUNDS, SPREAD, RefinedViews, refine_views
 from drapenet.registration import (
     count_folds,
     locate_camera,
@@ -71,7 +72,9 @@ def refine_capture(
     known = load_prior(prior)
     belief = Gaussian(known.mean, known.covariance)
     turns = specimen_turns(estimate, capture, DepthViews(views, camera, np.zeros((0, 3), int)), rig)
-    total = sum(ROUNDS) + 6 * len(turns) + 4
+    # Each round comes with a shape and up to two simulations of its own.
+    total = (sum(FREE_ROUNDS) + sum(3 + evaluations for evaluations, _ in HELD_ROUNDS)
+             + (len(SPREAD) + 2) * len(turns) + 3)
     with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
         def progress(simulations: int, value: float) -> None:
             bar.update(simulations - bar.n)
@@ -159,10 +162,11 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
 
 def _resimulation(views: np.ndarray, refined: RefinedViews) -> Resimulation:
     """The refined drape, seen as it was compared."""
-    best, objective = refined.best, refined.objective
-    simulated = objective.render(best.drape.positions, best.nuisance).astype(np.float32)
+    objective = refined.objective
+    nuisance = fit_nuisances(objective, refined.drape.positions, refined.best.nuisance)
+    simulated = objective.render(refined.drape.positions, nuisance).astype(np.float32)
     profiles = tuple(radius_profile(v, objective.camera, height=PROFILE_HEIGHT)
                      for v in (views, simulated))
     return Resimulation(
         views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
-        overlap=silhouette_overlap(views, simulated), statuses=(best.drape.status.value,))
+        overlap=silhouette_overlap(views, simulated), statuses=(refined.drape.status.value,))

@@ -8,17 +8,19 @@ and an equilibrium costs a few Newton steps.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from drapenet.refine.objective import NUISANCE_REACH, Linearised, Objective, value
+from sim import sensitivity
 from sim.drape import DrapeResult
 from sim.laws import Laws
-from sim.material import MICRO, is_admissible
-from sim.sensitivity import Sensitivities, follow, sensitivities
+from sim.material import MICRO, Fabric, is_admissible
+from sim.sensitivity import Sensitivities
 
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
 RATIO_RANGE = (-10e-3, 2e-3)  # m; 99 of 100 fabrics of the prior lie within
@@ -26,6 +28,19 @@ MEMBRANE_RANGE = (math.log(0.05), math.log(20.0))  # times the law's own stiffne
 ALPHA_SCALE = 1.0  # of log alpha: what counts as 1
 RATIO_SCALE = 2e-3  # m
 MEMBRANE = "log_membrane"
+
+
+class Simulator(Protocol):
+    """Makes equilibria and their derivatives; the module :mod:`sim.sensitivity` is one."""
+
+    def follow(
+        self, result: DrapeResult, fabric: Fabric, *, laws: Laws | None = None,
+        sensitivities: Sensitivities | None = None,
+    ) -> DrapeResult: ...
+
+    def sensitivities(
+        self, result: DrapeResult, *, laws: Laws | None = None, parameters: Sequence[str] = ...
+    ) -> Sensitivities: ...
 
 
 @dataclass(frozen=True)
@@ -72,6 +87,7 @@ class DrapeProblem:
         prior: known beforehand; None for nothing.
         origin: where every simulation starts; None: at the best drape so far. The captured shape,
             where it is known.
+        simulator: of the cloth; free unless given.
 
     Attributes:
         names: (n,) of the unknowns.
@@ -95,8 +111,10 @@ class DrapeProblem:
         laws: Laws | None = None,
         prior: Gaussian | None = None,
         origin: DrapeResult | None = None,
+        simulator: Simulator = sensitivity,
     ) -> None:
         self.objective, self.prior, self.origin = objective, prior, origin
+        self._simulator = simulator
         self._laws, self._membrane = laws or Laws(), membrane
         self._first = drape, np.array(theta, dtype=np.float64)
         own = objective.start if nuisance is None else np.asarray(nuisance, dtype=np.float64)
@@ -179,7 +197,7 @@ class DrapeProblem:
         near = self.origin or (drape if self.best is None else self.best.drape)
         self.solves += 1
         known = self._known[1] if self._known and self._known[0] is near else None
-        new = self._timed("simulation", follow, near, fabric_from_theta(theta),
+        new = self._timed("simulation", self._simulator.follow, near, fabric_from_theta(theta),
                           laws=self._laws_at(log_membrane), sensitivities=known)
         if not new.converged:
             self.failures.append(f"{new.status.value}: {new.message}")
@@ -191,7 +209,7 @@ class DrapeProblem:
         if self._known is None or self._known[0] is not trial.drape:
             self.derivatives += 1
             parameters = ("log_alpha", "ratio", *(["membrane"] if self._membrane else []))
-            found = self._timed("derivatives", sensitivities, trial.drape,
+            found = self._timed("derivatives", self._simulator.sensitivities, trial.drape,
                                 laws=self._laws_at(trial.log_membrane), parameters=parameters)
             if not found.ok:
                 self.failures.append(found.message)

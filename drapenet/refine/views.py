@@ -1,15 +1,17 @@
-"""Refinement from four depth views: where the folds are found, and the moduli corrected.
+"""Refinement from four depth views: the captured folds are found, and the moduli corrected.
 
 1. A specimen is pulled onto the captured surface (:mod:`.guided`, :mod:`.attraction`): the
    captured fold configuration.
 2. It is released with several fabrics around the first estimate, and the one whose equilibrium
    the views fit best goes on: the multiple starts, which cost one simulation each.
-3. Levenberg-Marquardt on theta, the specimen's turn and the camera's pose.
-4. With the better fabric and pose, a specimen is pulled and released again, and 3 goes on from it
-   if it is the better one: the first shape was that of the wrong fabric, seen from a little
-   beside. ``ROUNDS`` times in all.
+3. Levenberg-Marquardt on theta, the specimen's turn and the camera's pose brings these near.
+   Then a specimen is pulled and released again, for the first shape was that of the wrong fabric,
+   seen from a little beside.
+4. Twice more a specimen is pulled onto the surface, and Levenberg-Marquardt goes on while weak
+   springs hold the cloth to it (:mod:`.held`), weaker the second time. Its value is the misfit.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,8 +22,9 @@ from data.cameras import Camera
 from data.fabrics import fabric_from_theta, from_theta
 from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews, DepthWeights
+from drapenet.refine.held import HeldCloth
 from drapenet.refine.objective import fit_nuisances
-from drapenet.refine.optimisers import Limits, Point, Status, minimise
+from drapenet.refine.optimisers import Limits, Outcome, Status, minimise
 from drapenet.refine.problem import DrapeProblem, Gaussian, Trial
 from drapenet.refine.uncertainty import Uncertainty, laplace
 from sim.drape import DrapeResult, drape
@@ -31,13 +34,14 @@ from sim.scene import Rig
 from sim.sensitivity import follow
 from sim.specimens import make_specimen
 
-ROUNDS = (4, 5, 9)
-"""Simulations of each round's Levenberg-Marquardt."""
+FREE_ROUNDS = (4, 5)
+"""Simulations of each Levenberg-Marquardt of free cloth."""
+HELD_ROUNDS = ((8, 0.3), (10, 0.1))
+"""The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
 SPREAD = (0.0, 0.7, -0.7)
 """What is added to log alpha for the starts."""
 SHAPES = ("captured", "sine", "fold")
 """Initial states: the captured shape, or made at random as for any drape."""
-
 RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)
 """When a released shape is at rest well enough to be compared and improved."""
 
@@ -50,9 +54,11 @@ class RefinedViews:
     """What a refinement found.
 
     Attributes:
-        start: theta (6,) that it began with, drawn in to the bounds.
-        start_value: of the objective there; None if that fabric's drape did not converge.
-        best: the best trial; its drape, turn and pose (:data:`.depth.POSE`) go with it.
+        start: theta (6,) that it began with.
+        start_value: of the last objective there; None if that cloth did not converge.
+        best: the best trial; turn and pose (:data:`.depth.POSE`) go with it. Its drape is held.
+        drape: the free drape of the best fabric, next to it; ``best.drape`` if that did not
+            converge.
         objective: that was minimised.
         uncertainty: None where the drape has no derivatives, or after an interruption.
         simulations: equilibria computed.
@@ -63,6 +69,7 @@ class RefinedViews:
     start: np.ndarray
     start_value: float | None
     best: Trial
+    drape: DrapeResult
     objective: DepthViews
     uncertainty: Uncertainty | None
     simulations: int
@@ -83,13 +90,13 @@ def refine_views(
     shape: str = "captured",
     prior: Gaussian | None = None,
     others: Sequence[np.ndarray] = (),
-    rounds: Sequence[int] = ROUNDS,
     weights: DepthWeights | None = None,
     progress: Progress | None = None,
 ) -> RefinedViews | None:
     """Refine theta (6,) so that its drape looks like the views; None if no drape converges.
 
-    Interrupted from the keyboard, it hands back the best so far.
+    Interrupted from the keyboard, it hands back the best so far. What is handed back is never
+    worse than ``theta`` by the objective that was under way.
 
     Args:
         views: (4, H, W) z-depth, m, background 0.
@@ -99,132 +106,178 @@ def refine_views(
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
         prior: what is known of theta beforehand.
         others: more fabrics (6,) to start from.
-        rounds: simulations of each round.
     """
-    run = _Run(views, camera, np.asarray(theta, np.float64), rig or Rig(), resolution, seed, shape,
-               prior, weights, progress)
-    status, message = Status.FAILED, "no drape converges"
+    faces = make_specimen(rig or Rig(), resolution=resolution, seed=seed).mesh.faces
+    run = _Run(DepthViews(views, camera, faces, weights=weights), np.asarray(theta, np.float64),
+               {"rig": rig or Rig(), "resolution": resolution, "seed": seed}, prior, progress)
+    began = time.perf_counter()
     try:
         for initial in dict.fromkeys((shape, *SHAPES)):
-            run.shape = initial
-            run.start(turns, others)
+            run.start(initial, turns, others)
             if run.best is not None:
                 break
         else:
             return None
-        for number, evaluations in enumerate(rounds):
-            if number:
+        for number, evaluations in enumerate(FREE_ROUNDS):
+            if number and initial == "captured":
                 run.pull_again()
-            status, message = run.round(evaluations)
-            if status is Status.INTERRUPTED:
-                break
+            run.improve(run.problem(run.best), evaluations)
+        for evaluations, pull in HELD_ROUNDS:
+            run.hold(evaluations, pull)
+        run.conclude()
     except KeyboardInterrupt:
         if run.best is None:
             raise
-        status, message = Status.INTERRUPTED, "interrupted; the best so far"
-    return run.result(status, message)
+        run.status, run.message = Status.INTERRUPTED, "interrupted; the best so far"
+    return RefinedViews(
+        run.theta, run.start_value if math.isfinite(run.start_value) else None, run.best,
+        run.drape or run.best.drape, run.objective, run.uncertainty, run.simulations,
+        time.perf_counter() - began, run.status, run.message)
 
 
 class _Run:
-    """One refinement: its objective, its mesh, and the best trial over all rounds."""
+    """One refinement: its objective, its mesh, and the best trial of what is under way."""
 
     def __init__(
         self,
-        views: np.ndarray,
-        camera: Camera,
+        objective: DepthViews,
         theta: np.ndarray,
-        rig: Rig,
-        resolution: int,
-        seed: int,
-        shape: str,
+        specimen: dict,
         prior: Gaussian | None,
-        weights: DepthWeights | None,
         progress: Progress | None,
     ) -> None:
-        self.began = time.perf_counter()
-        faces = make_specimen(rig, resolution=resolution, seed=seed).mesh.faces
-        self.objective = DepthViews(views, camera, faces, weights=weights)
-        self.rig, self.resolution, self.seed, self.shape = rig, resolution, seed, shape
-        self.prior, self.progress = prior, progress
-        self.theta = theta
+        self.objective, self.theta = objective, theta
+        self.specimen, self.prior, self.progress = specimen, prior, progress
         self.simulations = 0
         self.best: Trial | None = None
-        self.start_value: float | None = None
+        self.held: DrapeProblem | None = None
+        self.drape: DrapeResult | None = None
+        self.start_value = math.inf
+        self.uncertainty: Uncertainty | None = None
+        self.status, self.message = Status.FAILED, ""
 
-    def start(self, turns: Sequence[float], others: Sequence[np.ndarray]) -> None:
-        """Release the captured shape with several fabrics, in every turn."""
+    def start(self, initial: str, turns: Sequence[float], others: Sequence[np.ndarray]) -> None:
+        """Release the initial shape with several fabrics, in every turn."""
         wide = [self.theta + np.repeat([shift, 0.0], 3) for shift in SPREAD]
         for turn in turns:
             nuisance = self.objective.start.copy()
             nuisance[0] = turn
-            shape = self._shape(self.theta, nuisance)
+            if initial == "captured":
+                shape = self.shape(self.theta, nuisance)
+            else:
+                self.simulations += 1
+                shape = drape(fabric_from_theta(self.theta), start=initial, **self.specimen)
             for theta in (*wide, *others):
-                self._try(shape, theta, nuisance)
+                self.release(shape, theta, nuisance)
 
-    def pull_again(self) -> None:
-        """Release the captured shape of the best fabric, seen from where it fits best."""
-        if self.shape == "captured":
-            theta, nuisance = self.best.theta, self.best.nuisance
-            self._try(self._shape(theta, nuisance), theta, nuisance)
-
-    def round(self, evaluations: int) -> tuple[Status, str]:
-        """Improve on the best trial."""
-        before, problem = self.simulations, self._problem(self.best)
-        outcome = minimise(
-            problem, limits=Limits(evaluations=evaluations),
-            report=lambda point, _: self._report(before + problem.solves, point))
-        self.simulations = before + problem.solves
-        self._keep(problem.best)
-        return outcome.status, outcome.message
-
-    def result(self, status: Status, message: str) -> RefinedViews:
-        """The best of all, and how certain it is."""
-        uncertainty = None
-        if status is not Status.INTERRUPTED:
-            problem = self._problem(self.best)
-            problem.value(problem.start)
-            uncertainty = laplace(problem, problem.last)
-        return RefinedViews(
-            self.theta, self.start_value, self.best, self.objective, uncertainty,
-            self.simulations, time.perf_counter() - self.began, status, message)
-
-    def _problem(self, trial: Trial) -> DrapeProblem:
-        return DrapeProblem(trial.drape, trial.theta, self.objective, nuisance=trial.nuisance,
-                            prior=self.prior)
-
-    def _shape(self, theta: np.ndarray, nuisance: np.ndarray) -> DrapeResult:
-        """Where simulations start: the captured shape, or a drape of ``theta``."""
-        fabric = fabric_from_theta(theta)
-        self._report(self.simulations + 1)
+    def shape(self, theta: np.ndarray, nuisance: np.ndarray) -> DrapeResult:
+        """The captured shape, as a specimen of ``theta`` takes it."""
         self.simulations += 1
-        options = {"rig": self.rig, "resolution": self.resolution, "seed": self.seed}
-        if self.shape == "captured":
-            return captured_shape(fabric, *self.objective.points(nuisance), **options)
-        return drape(fabric, start=self.shape, **options)
+        self.report()
+        return captured_shape(fabric_from_theta(theta), *self.objective.points(nuisance),
+                              **self.specimen)
 
-    def _try(self, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray) -> None:
+    def release(self, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray) -> None:
         """Let ``shape`` go with the fabric ``theta``, and keep it if it is the best."""
         if not is_admissible(*from_theta(theta)):
             return
         self.simulations += 1
         released = follow(shape, fabric_from_theta(theta), options=RELEASE)
         if released.converged:
-            nuisance = fit_nuisances(self.objective, released.positions, nuisance)
-            problem = DrapeProblem(released, theta, self.objective, nuisance=nuisance,
-                                   prior=self.prior)
-            problem.value(problem.start)
-            self.simulations += problem.solves
-            self._keep(problem.best)
-            if problem.best and np.array_equal(theta, self.theta):
-                known = float("inf") if self.start_value is None else self.start_value
-                self.start_value = min(known, problem.best.value)
-        self._report(self.simulations)
+            problem = self.refit(self.problem(released, theta, nuisance))
+            if problem.best:
+                self.keep(problem.best)
+                if np.array_equal(theta, self.theta):
+                    self.start_value = min(self.start_value, problem.best.value)
+        self.report()
 
-    def _keep(self, trial: Trial | None) -> None:
+    def pull_again(self) -> None:
+        """Release the captured shape of the best fabric, seen from where it fits best."""
+        theta, nuisance = self.best.theta, self.best.nuisance
+        self.release(self.shape(theta, nuisance), theta, nuisance)
+
+    def problem(
+        self, drape: DrapeResult | Trial, theta: np.ndarray | None = None,
+        nuisance: np.ndarray | None = None, **more: object,
+    ) -> DrapeProblem:
+        """The problem that starts at a trial, or at a drape of theta."""
+        if isinstance(drape, Trial):
+            drape, theta, nuisance = drape.drape, drape.theta, drape.nuisance
+        return DrapeProblem(drape, theta, self.objective, nuisance=nuisance, prior=self.prior,
+                            **more)
+
+    def refit(self, problem: DrapeProblem) -> DrapeProblem:
+        """``problem``, its start evaluated, and again with the nuisances that fit that best."""
+        problem.value(problem.start)
+        self.simulations += problem.solves
+        if problem.best:
+            trial = problem.best
+            nuisance = fit_nuisances(self.objective, trial.drape.positions, trial.nuisance)
+            problem.value(np.concatenate([trial.x[: -len(nuisance)],
+                                          nuisance / self.objective.scale]))
+        return problem
+
+    def improve(self, problem: DrapeProblem, evaluations: int) -> Outcome:
+        """Minimise from where ``problem`` starts; the best is kept."""
+        before = self.simulations
+
+        def report(*_: object) -> None:
+            self.simulations = before + problem.solves
+            self.report(problem.best)
+
+        outcome = minimise(problem, limits=Limits(evaluations=evaluations), report=report)
+        self.simulations = before + problem.solves
+        self.keep(problem.best)
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        self.status, self.message = outcome.status, outcome.message
+        return outcome
+
+    def hold(self, evaluations: int, pull: float) -> None:
+        """A round with springs to the surface as the best trial sees it."""
+        trial = self.best
+        shape = self.shape(trial.theta, trial.nuisance)
+        cloth = HeldCloth.to_surface(shape, *self.objective.points(trial.nuisance), pull=pull)
+        found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
+                        for theta in (trial.theta, self.theta))
+        trials = [t for t in (found, first) if t is not None]
+        if trials:
+            # Values with other springs are not compared.
+            self.best = min(trials, key=lambda t: t.value)
+            self.start_value = math.inf if first is None else first.value
+            self.held = self.problem(self.best, simulator=cloth)
+            self.improve(self.held, evaluations)
+
+    def held_trial(
+        self, cloth: HeldCloth, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray
+    ) -> Trial | None:
+        """The fabric ``theta`` held to the surface; None where that does not converge."""
+        if not is_admissible(*from_theta(theta)):
+            return None
+        self.simulations += 1
+        held = cloth.follow(shape, fabric_from_theta(theta))
+        self.report()
+        if not held.converged:
+            return None
+        return self.refit(self.problem(held, theta, nuisance, simulator=cloth)).best
+
+    def conclude(self) -> None:
+        """The free drape of what was found, and how certain it is."""
+        found = self.held or self.problem(self.best)
+        if found.best is None:
+            found.value(found.start)
+        self.uncertainty = laplace(found, found.best)
+        self.simulations += 1
+        free = follow(self.best.drape, fabric_from_theta(self.best.theta), options=RELEASE)
+        self.drape = free if free.converged else None
+
+    def keep(self, trial: Trial | None) -> None:
+        """Take ``trial`` if it is better than the best."""
         if trial is not None and (self.best is None or trial.value < self.best.value):
             self.best = trial
 
-    def _report(self, simulations: int, point: Point | None = None) -> None:
+    def report(self, trial: Trial | None = None) -> None:
+        """Tell the progress."""
         if self.progress:
-            values = [t.value for t in (self.best, point) if t is not None]
-            self.progress(simulations, min(values, default=float("inf")))
+            values = [t.value for t in (self.best, trial) if t is not None]
+            self.progress(self.simulations, min(values, default=math.inf))

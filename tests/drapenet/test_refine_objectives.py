@@ -125,7 +125,7 @@ def test_depth_derivatives_by_pose(compared: tuple[np.ndarray, DepthViews], name
                   - value(objective.residuals(positions, there - step))) / (2 * step[k])
     # Pixels that come into sight or leave it are not in the derivative.
     size = np.linalg.norm(found.by_nuisance[:, k]) * np.linalg.norm(found.residuals)
-    assert abs(gradient - difference) < 0.05 * size
+    assert abs(gradient - difference) < 0.1 * size
 
 
 def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:

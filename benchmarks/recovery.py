@@ -1,0 +1,371 @@
+"""Do refinements find moduli that are known? ``python -m benchmarks.recovery [key=value ...]``.
+
+Registered: a drape of a known fabric, its vertices known, and a start whose six moduli are the
+true ones times random factors in [0.5, 2]. Every optimiser begins there; every simulation begins
+at the known shape. How many simulations until each alpha is within 2 % and each beta/alpha within
+10 %?
+
+Views: four noisy depth views of a known fabric, from a camera beside its nominal place, of a drape
+on a finer mesh and in other folds than those of the fabric first estimated. The network estimates,
+the refinement starts from there, and both are compared with the truth, and with the prior's mean.
+The direction of the warp is known to a degree.
+
+Keys (``key=value``):
+
+    part          registered, views or all
+    fabrics       number of fabrics, drawn from the prior
+    resolution    vertices a side of the registered drapes
+    methods       optimisers
+    gradient_free fabrics on which the gradient-free ones are tried too
+    evaluations   simulations of methods with derivatives; of the others: ``evaluations_free``
+    noise         of the registered vertices, mm
+    views_resolution   vertices a side of the refined drape; of the captured one: ``truth``
+    sensor        noise of the views, a file of configs/sensor
+    seed          of everything
+    workers       processes, one thread each
+    cases         folder of finished cases; an interrupted run goes on from there
+    out           the report, JSON; a picture of the same name beside it
+"""
+
+import hashlib
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import REPORTS, ROOT, run_cases, table, write_figure, write_report
+from data.fabrics import fabric_from_theta, from_theta
+from data.prior import load_prior, sample_admissible
+from sim.cli import parse_overrides, run_command
+from sim.comparison import same_folds
+from sim.drape import DrapeResult, drape
+from sim.errors import InputError
+from sim.material import is_admissible
+from sim.measures import fold_outline
+from sim.scene import Rig
+
+WITH_DERIVATIVES = ("lm", "gauss_newton", "lbfgs")
+GOAL_ALPHA, GOAL_RATIO, GOAL_FABRICS, GOAL_VIEWS = 0.02, 0.10, 0.9, 0.15
+SOURCES = {
+    "registered": ("objective", "optimisers", "problem", "registered"),
+    "views": ("objective", "optimisers", "problem", "depth", "guided", "attraction", "held",
+              "views"),
+}
+DEFAULTS = {
+    "part": "all",
+    "fabrics": 20,
+    "resolution": 50,
+    "methods": "lm,gauss_newton,lbfgs,cmaes,one_plus_one",
+    "gradient_free": 5,
+    "evaluations": 40,
+    "evaluations_free": 500,
+    "noise": 0.0,
+    "views_resolution": 41,
+    "truth": 51,
+    "sensor": "tof",
+    "seed": 77,
+    "workers": 2,
+    "cases": "outputs/validation/recovery",
+    "out": str(REPORTS / "recovery.json"),
+}
+
+
+def known_drape(seed: int, number: int, resolution: int) -> tuple[np.ndarray, DrapeResult]:
+    """A fabric of the prior, theta (6,), within the bounds of a refinement, and its drape."""
+    from drapenet.refine.problem import ALPHA_RANGE, RATIO_RANGE
+
+    rng = np.random.default_rng([seed, number, 0])
+    low, high = (np.repeat([math.log(alpha), ratio], 3)
+                 for alpha, ratio in zip(ALPHA_RANGE, RATIO_RANGE, strict=True))
+    while True:
+        theta, _ = sample_admissible(load_prior("gaussian"), rng)
+        start, start_seed = ("sine", "fold")[number % 2], int(rng.integers(2**31))
+        if not ((low < theta) & (theta < high)).all():
+            continue
+        result = drape(fabric_from_theta(theta), resolution=resolution, start=start,
+                       seed=start_seed)
+        if result.converged:
+            return theta, result
+
+
+def disturbed(theta: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """theta (6,) of moduli times factors in [0.5, 2], each on its own, as far as possible."""
+    alpha, beta = from_theta(theta)
+    while True:
+        factors = 2 ** rng.uniform(-1, 1, (2, 3))
+        start = np.concatenate([np.log(alpha * factors[0]), beta * factors[1] / alpha / factors[0]])
+        if is_admissible(*from_theta(start)):
+            return start
+
+
+def errors(theta: np.ndarray, truth: np.ndarray) -> tuple[list[float], list[float]]:
+    """Relative errors of the three alphas and of the three beta/alpha."""
+    return (np.abs(np.expm1(theta[:3] - truth[:3])).tolist(),
+            np.abs(theta[3:] / truth[3:] - 1).tolist())
+
+
+def registered_case(
+    *, number: int, method: str, resolution: int, evaluations: int, noise: float, seed: int,
+    sources: str,
+) -> dict:
+    """One optimiser on one registered drape."""
+    from drapenet.refine.optimisers import Limits, minimise
+    from drapenet.refine.problem import DrapeProblem
+    from drapenet.refine.registered import VertexPositions
+    from sim.sensitivity import follow
+
+    truth, shape = known_drape(seed, number, resolution)
+    rng = np.random.default_rng([seed, number, 1])
+    theta = disturbed(truth, rng)
+    target = shape.positions + noise * 1e-3 * rng.standard_normal(shape.positions.shape)
+    target[shape.held] = shape.positions[shape.held]
+    # Whoever knows the vertices does not know how the bending law splits the angles.
+    origin = replace(shape, positions=target, rotations=np.zeros_like(shape.rotations))
+    first = follow(origin, fabric_from_theta(theta))
+    if not first.converged:
+        return {"start": first.status.value}
+    problem = DrapeProblem(first, theta, VertexPositions(target), origin=origin)
+    floor = 0.5 * target.size * max(noise, 1e-3) ** 2
+    outcome = minimise(problem, method=method, seed=number, limits=Limits(
+        evaluations=evaluations, decrease=1e-6, step=1e-4,
+        target=0.0 if noise else floor))
+    trace = []
+    for point in outcome.trace:
+        alpha, ratio = errors(problem.split(point.x)[0], truth)
+        trace.append({"simulations": point.evaluations, "seconds": point.seconds,
+                      "value": point.value, "alpha": max(alpha), "ratio": max(ratio)})
+    reached = next((t for t in trace
+                    if t["alpha"] <= GOAL_ALPHA and t["ratio"] <= GOAL_RATIO), None)
+    return {
+        "start": "converged", "status": outcome.status.value, "message": outcome.message,
+        "iterations": outcome.iterations, "simulations": outcome.evaluations,
+        "derivatives": problem.derivatives, "failures": len(problem.failures),
+        "seconds": trace[-1]["seconds"], "reached": reached, "last": trace[-1],
+        "start_mm": 1e3 * float(np.linalg.norm(first.positions - shape.positions, axis=1).mean()),
+        "trace": trace,
+    }
+
+
+def views_case(
+    *, number: int, resolution: int, truth: int, sensor: str, seed: int, sources: str
+) -> dict:
+    """The network and the refinement on one capture."""
+    import torch
+
+    from data.cameras import CameraRig
+    from data.rasterise import camera_tensors
+    from data.render import render_views
+    from data.sensor import SensorNoise
+    from drapenet.checkpoint import BUNDLED, load_model, read_header
+    from drapenet.predict import predict
+    from drapenet.refine.problem import Gaussian
+    from drapenet.refine.views import refine_views
+    from drapenet.registration import locate_camera
+
+    known, shape = known_drape(seed, number, truth)
+    rng = np.random.default_rng([seed, number, 2])
+    rig = CameraRig.load()
+    camera, turn = rig.sample(rng), float(rng.uniform(0, 2 * np.pi))
+    views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
+    intrinsics, _ = camera_tensors([camera])
+    generator = torch.Generator().manual_seed(number)
+    views = SensorNoise.load(sensor)(views, intrinsics[0], generator).numpy()
+
+    header = read_header(BUNDLED)
+    found = predict(load_model(header), views, form=header.form, scale=header.scale)
+    turned = (found.axis - turn) % np.pi
+    order = [0, 1, 2] if min(turned, np.pi - turned) <= np.pi / 4 else [2, 1, 0]
+    network = found.targets[[*order, *(3 + k for k in order)]]
+    if not is_admissible(*from_theta(network)):
+        network[1] = np.log(1.01 * np.exp(network[1]))
+    prior = load_prior("gaussian")
+    mean = prior.mean
+    first = drape(fabric_from_theta(network if is_admissible(*from_theta(network)) else mean),
+                  resolution=resolution, seed=number)
+    outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
+    refined = refine_views(
+        views, locate_camera(views, rig.nominal()), network,
+        turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
+        prior=Gaussian(prior.mean, prior.covariance), others=[mean])
+    theta = network if refined is None else refined.best.theta
+    result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
+              for name, values in (("refined", theta), ("network", network), ("prior", mean))}
+    result |= {"theta": known.tolist(), "found": theta.tolist(), "estimated": network.tolist(),
+               "other_folds": not same_folds(*outlines)}
+    if refined is not None:
+        deviation = refined.uncertainty.theta.tolist() if refined.uncertainty else None
+        result |= {"status": refined.status.value, "simulations": refined.simulations,
+                   "seconds": refined.seconds, "start_value": refined.start_value,
+                   "value": refined.best.value, "deviation": deviation}
+    return result
+
+
+def summarise_registered(results: dict[str, dict]) -> dict[str, dict]:
+    """Figures of each optimiser, over fabrics."""
+    summary = {}
+    for method in dict.fromkeys(name.split("_", 2)[2] for name in results):
+        own = [r for name, r in results.items() if name.split("_", 2)[2] == method]
+        own = [r for r in own if r["start"] == "converged"]
+        reached = [r["reached"] for r in own if r["reached"]]
+        within = sum(r["last"]["alpha"] <= GOAL_ALPHA and r["last"]["ratio"] <= GOAL_RATIO
+                     for r in own)
+
+        def median(values: list[float]) -> float | None:
+            return float(np.median(values)) if values else None
+
+        summary[method] = {
+            "fabrics": len(own), "within": within, "reached": len(reached),
+            "iterations": median([r["iterations"] for r in own]),
+            "simulations": median([r["simulations"] for r in own]),
+            "simulations_to_goal": median([r["simulations"] for r in reached]),
+            "seconds_to_goal": median([r["seconds"] for r in reached]),
+            "alpha_error": median([r["last"]["alpha"] for r in own]),
+            "ratio_error": median([r["last"]["ratio"] for r in own]),
+        }
+    return summary
+
+
+def speed_up(results: dict[str, dict], slow: str, fast: str = "lm") -> dict[str, float] | None:
+    """How many times the simulations and seconds of ``fast`` the method ``slow`` takes.
+
+    Median over the fabrics on which both were tried; where the slow one did not reach the goal,
+    all it was allowed count, so that the true figure is larger.
+    """
+    ratios = []
+    for name, own in results.items():
+        other = results.get(name.replace(f"_{slow}", f"_{fast}"))
+        if not name.endswith(f"_{slow}") or not other or not other.get("reached"):
+            continue
+        spent = own["reached"] or {"simulations": own["simulations"], "seconds": own["seconds"]}
+        ratios.append([spent[key] / max(other["reached"][key], 1e-9)
+                       for key in ("simulations", "seconds")])
+    if not ratios:
+        return None
+    middle = np.median(ratios, axis=0)
+    return {"simulations": float(middle[0]), "seconds": float(middle[1]), "fabrics": len(ratios)}
+
+
+def summarise_views(results: dict[str, dict]) -> dict[str, dict]:
+    """Median errors over all alphas of all fabrics, of each way to estimate them."""
+    summary = {}
+    for name in ("refined", "network", "prior"):
+        alpha = np.array([r[name]["alpha"] for r in results.values()])
+        found = {"refined": "found", "network": "estimated"}.get(name)
+        mean = load_prior("gaussian").mean
+        gap = np.abs([np.array(r[found] if found else mean)[3:] - np.array(r["theta"])[3:]
+                      for r in results.values()])
+        summary[name] = {
+            "alpha_median": float(np.median(alpha)),
+            "alpha_by_direction": np.median(alpha, axis=0).tolist(),
+            "alpha_worst_fabric": float(np.median(alpha, axis=1).max()),
+            "ratio_median_mm": 1e3 * float(np.median(gap)),
+        }
+    return summary
+
+
+def picture(views: dict[str, dict], registered: dict[str, dict], path: Path) -> None:
+    """True against found alpha, and the way of each optimiser to the goal."""
+    figure = Figure(figsize=(5.5 * (bool(views) + bool(registered)), 4.6), layout="constrained")
+    axes = list(figure.subplots(1, bool(views) + bool(registered), squeeze=False)[0])
+    if views:
+        left = axes.pop(0)
+        for name, key, colour in (("network", "estimated", "0.6"), ("refined", "found", "C1")):
+            for k, marker in enumerate("os^"):
+                left.plot([1e6 * math.exp(r["theta"][k]) for r in views.values()],
+                          [1e6 * math.exp(r[key][k]) for r in views.values()], marker,
+                          color=colour, ms=4, label=f"{name}, {('warp', 'bias', 'weft')[k]}")
+        left.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]",
+                 title="from four noisy views")
+        ends = np.array(left.get_xlim())
+        left.plot(ends, ends, color="k", lw=0.8)
+        left.legend(fontsize=7, frameon=False)
+    if registered:
+        right = axes.pop(0)
+        methods = list(dict.fromkeys(name.split("_", 2)[2] for name in registered))
+        for name, result in registered.items():
+            method = name.split("_", 2)[2]
+            if result["start"] == "converged":
+                right.plot([t["simulations"] for t in result["trace"]],
+                           [100 * t["alpha"] for t in result["trace"]], lw=0.8,
+                           color=f"C{methods.index(method)}",
+                           label=method if name.startswith("registered_0") else None)
+        right.axhline(100 * GOAL_ALPHA, color="k", lw=0.8, ls=":")
+        right.legend(fontsize=7, frameon=False)
+        right.set(xscale="log", yscale="log", xlabel="simulations",
+                  ylabel="largest error of alpha [%]", title="registered drape")
+    write_figure(path, figure)
+
+
+def digest(part: str) -> str:
+    """Of the refinement's own sources, so that figures of other sources are made anew."""
+    content = b"".join((ROOT / "drapenet" / "refine" / f"{name}.py").read_bytes()
+                       for name in SOURCES[part])
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def main(argv: list[str]) -> None:
+    """Run what is missing, print the tables, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    if config["part"] not in ("all", *SOURCES):
+        raise InputError(f"part={config['part']}: choose registered, views or all")
+    folder, registered, views = Path(config["cases"]), {}, {}
+    report = {"settings": {k: v for k, v in config.items()
+                           if k not in ("out", "cases", "workers")}}
+    if config["part"] != "views":
+        cases = {}
+        for method in config["methods"].split(","):
+            free = method not in WITH_DERIVATIVES
+            for k in range(min(config["fabrics"], config["gradient_free"]) if free
+                           else config["fabrics"]):
+                cases[f"registered_{k}_{method}"] = {
+                    "number": k, "method": method, "resolution": config["resolution"],
+                    "evaluations": config["evaluations_free" if free else "evaluations"],
+                    "noise": config["noise"], "seed": config["seed"],
+                    "sources": digest("registered")}
+        registered = run_cases(registered_case, cases, folder=folder, workers=config["workers"])
+        summary = summarise_registered(registered)
+        speed = {slow: speed_up(registered, slow) for slow in summary if slow != "lm"}
+        report |= {"registered": {"methods": summary, "speed_up_of_lm": speed,
+                                  "cases": registered}}
+        print(f"\nRegistered drapes, {config['resolution']} vertices a side, medians over fabrics; "
+              f"goal: alpha {GOAL_ALPHA:.0%}, beta/alpha {GOAL_RATIO:.0%}\n")
+        print(table(
+            ["method", "fabrics", "at the goal", "iterations", "simulations", "to the goal",
+             "s to the goal", "alpha", "beta/alpha", "simulations over lm's"],
+            [[name, *(m[key] if m[key] is not None else "-" for key in
+                      ("fabrics", "within", "iterations", "simulations", "simulations_to_goal",
+                       "seconds_to_goal", "alpha_error", "ratio_error")),
+              speed[name]["simulations"] if speed.get(name) else "-"]
+             for name, m in summary.items()]))
+        if "lm" in summary:
+            share = summary["lm"]["within"] / max(summary["lm"]["fabrics"], 1)
+            print(f"lm: {share:.0%} of the fabrics at the goal "
+                  f"({'passed' if share >= GOAL_FABRICS else 'not passed'})")
+    if config["part"] != "registered":
+        cases = {f"views_{k}": {
+            "number": k, "resolution": config["views_resolution"], "truth": config["truth"],
+            "sensor": config["sensor"], "seed": config["seed"], "sources": digest("views")}
+            for k in range(config["fabrics"])}
+        views = run_cases(views_case, cases, folder=folder, workers=config["workers"])
+        summary = summarise_views(views)
+        report |= {"views": {"summary": summary, "cases": views,
+                             "other_folds": sum(r["other_folds"] for r in views.values())}}
+        print("\nFour noisy views, median errors\n")
+        print(table(["estimate", "alpha", "warp", "bias", "weft", "worst fabric",
+                     "beta/alpha, mm"],
+                    [[name, m["alpha_median"], *m["alpha_by_direction"], m["alpha_worst_fabric"],
+                      m["ratio_median_mm"]] for name, m in summary.items()]))
+        print(f"{report['views']['other_folds']} of {len(views)} captured drapes have other folds "
+              "than a drape of the network's estimate")
+        worst = summary["refined"]["alpha_median"]
+        print(f"refined: median error of alpha {worst:.1%} "
+              f"({'passed' if worst <= GOAL_VIEWS else 'not passed'}: {GOAL_VIEWS:.0%})")
+    out = Path(config["out"])
+    write_report(out, report)
+    picture(views, registered, out.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

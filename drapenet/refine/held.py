@@ -1,0 +1,97 @@
+"""Simulations of a cloth that stays held, weakly, to the captured surface.
+
+On a mesh a drape has many equilibria close to each other, a millimetre or two apart: its folds
+stick where the mesh lets them. A free simulation ends in one of them, the captured cloth in none,
+and the difference would be charged to the moduli. Weak springs towards the captured points leave
+one equilibrium. The right fabric hardly needs them; a wrong one pulls at them, which shows in the
+same residuals, only smaller.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drapenet.refine.attraction import Springs, nearest_springs
+from sim.drape import FINE_OPTIONS, DrapeResult
+from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY, Fabric
+from sim.newton import NewtonOptions
+from sim.scene import State
+from sim.self_contact import find_free_equilibrium
+from sim.sensitivity import Sensitivities, Tangent
+from sim.sensitivity.forward import tangent_sensitivities
+from sim.sensitivity.tangent import scene_of
+
+PULL = 0.3
+"""Force of the springs at a distance of 1 mm, over the cloth's weight."""
+REACH = 6e-3  # m
+
+
+class HeldCloth:
+    """The simulator of :class:`.problem.DrapeProblem` with springs that stay.
+
+    Args:
+        springs: their vertices are those of the mesh that will be simulated.
+    """
+
+    def __init__(self, springs: Springs) -> None:
+        self._springs = springs
+
+    @classmethod
+    def to_surface(
+        cls, shape: DrapeResult, points: np.ndarray, normals: np.ndarray, *, pull: float = PULL
+    ) -> "HeldCloth":
+        """Held across a captured surface, free along it.
+
+        Args:
+            shape: the captured shape, as :func:`.attraction.captured_shape` gives it.
+            points, normals: (N, 3) m and (N, 3) of the surface, specimen's axes.
+            pull: see :data:`PULL`.
+        """
+        return cls(nearest_springs(scene_of(shape), shape.positions, points, normals, pull=pull,
+                                   reach=REACH))
+
+    @classmethod
+    def to_vertices(cls, shape: DrapeResult, *, pull: float = PULL) -> "HeldCloth":
+        """Held to the vertices of a registered ``shape``."""
+        scene = scene_of(shape)
+        free = np.repeat(np.flatnonzero(~scene.held), 3)
+        weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free]
+        axes = np.tile(np.eye(3), (len(free) // 3, 1))
+        return cls(Springs(free, shape.positions[free], axes, pull / 1e-3 * weight))
+
+    def follow(
+        self,
+        result: DrapeResult,
+        fabric: Fabric,
+        *,
+        laws: Laws | None = None,
+        options: NewtonOptions | None = None,
+        sensitivities: Sensitivities | None = None,
+    ) -> DrapeResult:
+        """As :func:`sim.sensitivity.follow`; what is known of derivatives is not used."""
+        began = time.perf_counter()
+        state, found = find_free_equilibrium(
+            scene_of(result), fabric.at_density(REFERENCE_DENSITY),
+            State(result.positions, result.rotations), laws=laws or Laws(),
+            extra=[self._springs], options=options or FINE_OPTIONS)
+        return replace(
+            result, fabric=fabric, positions=state.positions, rotations=state.rotations,
+            status=found.status, message=found.message, residual=found.residual, step=found.step,
+            positive_definite=found.positive_definite, iterations=found.iterations,
+            seconds=time.perf_counter() - began, time_spent=found.seconds)
+
+    def sensitivities(
+        self,
+        result: DrapeResult,
+        *,
+        laws: Laws | None = None,
+        parameters: Sequence[str] = ("log_alpha", "ratio"),
+    ) -> Sensitivities:
+        """As :func:`sim.sensitivity.sensitivities`."""
+        tangent = Tangent(scene_of(result), result.fabric.at_density(REFERENCE_DENSITY),
+                          State(result.positions, result.rotations), laws=laws,
+                          extra=[self._springs])
+        return tangent_sensitivities(tangent, result.fabric, parameters)
