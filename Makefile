@@ -50,7 +50,9 @@ dataset: $(STAMP)  ## simulate a dataset of 2048 drapes, resumes when interrupte
 	$(BIN)/python -m data.generate out=$(DATASET) dataset=fresh drapes=2048 seed=10
 
 train: $(STAMP)  ## go on training the bundled weights on this dataset, resumes when interrupted
-	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train
+	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train/more
+	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train/last \
+	  initial=outputs/train/more/drapenet.safetensors seed=1 epochs=7
 
 evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
 	$(BIN)/python -m drapenet.evaluate
