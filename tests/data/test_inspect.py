@@ -274,7 +274,7 @@ def settings(folder):
         (lambda folder: rewrite(folder, outcomes={"converged": 24}), "counts other outcomes"),
         (lambda folder: rewrite(folder, hash="0" * 64), "contradicts itself"),
         (lambda folder: rewrite(folder, complete=False), "unfinished"),
-        (lambda folder: write_manifest(folder, {"schema_version": 2}), "contradicts itself"),
+        (lambda folder: write_manifest(folder, {"schema_version": 3}), "contradicts itself"),
         (lambda folder: rewrite(folder, schema_version=99), "schema version"),
         (lambda folder: (folder / "dataset.json").unlink(), "no dataset"),
     ],
