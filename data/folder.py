@@ -134,10 +134,9 @@ class DatasetFolder:
     def write(self, shard: int, records: list[Record]) -> None:
         """Write a shard; InputError where the system refuses."""
         name = shard_name(shard)
-        finest = max(int(record["resolution"]) for record in records)
         try:
             remove_partial(self.root, name)
-            write_shard(self.root / name, records, layout=self.config.layout(finest), attributes={
+            write_shard(self.root / name, records, layout=self.config.layout, attributes={
                 "schema_version": SCHEMA_VERSION,
                 "identity": self.identity,
                 "config": json_text(self._settings),

@@ -72,10 +72,10 @@ class DatasetConfig:
         if not 1 <= self.compression <= 9:
             raise InputError(f"compression={self.compression} must lie between 1 and 9")
 
-    def layout(self, resolution: int) -> Layout:
-        """Sizes of the arrays in a shard whose finest mesh has ``resolution`` vertices a side."""
+    @property
+    def layout(self) -> Layout:
+        """Sizes of the arrays in a shard."""
         return Layout(
-            resolution=resolution,
             orientations=self.sampling.orientations,
             height=self.cameras.intrinsics.height,
             width=self.cameras.intrinsics.width,
@@ -145,7 +145,7 @@ def simulate(
     fabric = fabric_from_theta(plan.theta)
     resolution = config.resolution or _own_resolution(fabric, config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
-             for name, field in fields(config.layout(resolution)).items()}
+             for name, field in fields(config.layout, resolution).items()}
     record = empty | {
         "index": plan.index,
         "fabric": plan.fabric,

@@ -9,7 +9,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -28,16 +28,14 @@ DEPTH_UNIT = 1e-4  # m per count of stored depth
 
 @dataclass(frozen=True)
 class Layout:
-    """Sizes of a dataset's arrays.
+    """Sizes of a dataset's arrays that are the same for all drapes.
 
     Attributes:
-        resolution: vertices along a side of the finest specimen, n.
         orientations: sets of four views of a drape, K.
         height, width: pixels of a view, H and W.
         compression: gzip level, 1 to 9.
     """
 
-    resolution: int
     orientations: int
     height: int
     width: int
@@ -58,9 +56,13 @@ MESH = ("positions", "rest", "diagonals")
 """Arrays whose row is as long as a drape's own mesh asks; in a file, zeros follow."""
 
 
-def fields(layout: Layout) -> dict[str, Field]:
-    """The arrays of a shard; each has the drape in the shard as its first axis."""
-    n, k = layout.resolution, layout.orientations
+def fields(layout: Layout, resolution: int) -> dict[str, Field]:
+    """The arrays of a shard; each has the drape in the shard as its first axis.
+
+    Args:
+        resolution: vertices along a side of the specimen, n; of a shard, of its finest one.
+    """
+    n, k = resolution, layout.orientations
     vertices, cells = n * n, (n - 1) ** 2
     image = (VIEWS, layout.height, layout.width)
     return {
@@ -132,8 +134,8 @@ def write_shard(
 ) -> None:
     """Write ``records`` (one mapping from each name of :func:`fields` to its row) to ``path``.
 
-    The mesh of a record has the record's own resolution, at most the layout's. The file appears
-    under its name only when it is complete; several processes may write it.
+    The mesh of a record has the record's own resolution. The file appears under its name only when
+    it is complete; several processes may write it.
 
     Raises:
         InputError: the system refuses to write.
@@ -155,8 +157,9 @@ def shard_bytes(
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        own = [fields(replace(layout, resolution=int(record["resolution"]))) for record in records]
-        for name, field in fields(layout).items():
+        own = [fields(layout, int(record["resolution"])) for record in records]
+        finest = max(int(record["resolution"]) for record in records)
+        for name, field in fields(layout, finest).items():
             for record, expected in zip(records, own, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "

@@ -7,6 +7,7 @@ import numpy as np
 from data.shards import DEPTH_UNIT, SCHEMA_VERSION, Layout, fields, write_manifest, write_shard
 
 HEIGHT, WIDTH, ORIENTATIONS = 60, 80, 2
+RESOLUTION = 3  # vertices a side of the meshes, which nothing looks at
 
 
 def blob_views(theta: np.ndarray, psi: float) -> np.ndarray:
@@ -32,16 +33,16 @@ def blob_views(theta: np.ndarray, psi: float) -> np.ndarray:
 def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0) -> Path:
     """A dataset of blobs, one fabric each, in two shards."""
     rng = np.random.default_rng(seed)
-    layout = Layout(resolution=3, orientations=ORIENTATIONS, height=HEIGHT, width=WIDTH)
+    layout = Layout(orientations=ORIENTATIONS, height=HEIGHT, width=WIDTH)
     root.mkdir(parents=True)
     rows = []
     for index in range(drapes):
-        row = {name: np.zeros(f.shape, f.dtype) for name, f in fields(layout).items()}
+        row = {name: np.zeros(f.shape, f.dtype) for name, f in fields(layout, RESOLUTION).items()}
         theta = np.concatenate([rng.normal(-10.4, 0.9, 3), rng.normal(-0.003, 0.002, 3)])
         psi = rng.uniform(0, 2 * np.pi, ORIENTATIONS)
         views = np.stack([blob_views(theta, angle) for angle in psi])
         row |= {"index": index, "fabric": index, "theta": theta, "status": b"converged",
-                "start": b"sine", "rendered": 1, "resolution": 3, "orientations": psi,
+                "start": b"sine", "rendered": 1, "resolution": RESOLUTION, "orientations": psi,
                 "views": np.rint(views / DEPTH_UNIT)}
         rows.append(row)
     half = drapes // 2

@@ -46,8 +46,7 @@ def write_dataset(
     root.mkdir(parents=True)
     for shard in range(config.shards):
         records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
-        finest = max(record["resolution"] for record in records)
-        write_shard(root / shard_name(shard), records, layout=config.layout(finest),
+        write_shard(root / shard_name(shard), records, layout=config.layout,
                     attributes={"schema_version": SCHEMA_VERSION})
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,

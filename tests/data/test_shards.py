@@ -25,21 +25,21 @@ from data.shards import (
 from sim.errors import InputError
 from sim.mesh import grid_faces
 
-LAYOUT = Layout(resolution=9, orientations=3, height=6, width=8)
+LAYOUT, RESOLUTION = Layout(orientations=3, height=6, width=8), 9
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
 
 
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(LAYOUT).items():
+    for name, field in fields(LAYOUT, RESOLUTION).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
             record[name] = rng.normal(size=field.shape)
         else:
             record[name] = rng.integers(0, 100, field.shape)
-    return record | {"resolution": LAYOUT.resolution}
+    return record | {"resolution": RESOLUTION}
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def shard(tmp_path):
 
 def test_every_field_comes_back(shard):
     assert len(shard) == 2
-    for name in fields(LAYOUT):
+    for name in fields(LAYOUT, RESOLUTION):
         rows = shard.column(name)
         for row, seed in enumerate((0, 1)):
             expected = random_record(seed)[name]
@@ -172,4 +172,4 @@ def test_manifest(tmp_path):
 def test_the_documentation_lists_every_field():
     text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `(\w+)` \| (?:u?int|float|text)", text, flags=re.MULTILINE)
-    assert documented == list(fields(LAYOUT))
+    assert documented == list(fields(LAYOUT, RESOLUTION))
