@@ -106,7 +106,7 @@ def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnkno
             state = State.at(mesh, positions)
         scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
         potential = build_potential(scene, fabric, state)
-        q = np.concatenate([state.positions.ravel(), state.rotations])
+        q = state.unknowns
         chosen = potential.free_part(np.arange(len(q)))
         mask = np.zeros(len(q), dtype=bool)
         mask[chosen] = True

@@ -70,7 +70,7 @@ def cloth_terms(
     # A convex membrane alone nearly always makes the whole Hessian positive definite.
     return Terms(
         stages=[[membrane], energies],
-        template=np.concatenate([state.positions.ravel(), state.rotations]),
+        template=state.unknowns,
         free=used,
         force_scale=np.repeat([weight, weight * edge_length], [coordinates, edges]),
         length_scale=np.repeat([STEP_UNIT, STEP_UNIT / edge_length], [coordinates, edges]),
@@ -112,7 +112,7 @@ def find_equilibrium(
     ``laws`` and ``extra`` as for :func:`build_potential`.
     """
     potential = build_potential(scene, fabric, start, laws=laws, extra=extra)
-    q = np.concatenate([start.positions.ravel(), start.rotations])
+    q = start.unknowns
     result = minimise(potential, potential.free_part(q), options)
     q = potential.full(result.y)
     vertices = len(scene.mesh.rest)

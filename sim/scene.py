@@ -123,6 +123,11 @@ class State:
     positions: np.ndarray
     rotations: np.ndarray
 
+    @property
+    def unknowns(self) -> np.ndarray:
+        """(3 V + E,) all of them in the order of the energies: x, y, z by vertex, rotations."""
+        return np.concatenate([self.positions.ravel(), self.rotations])
+
     @staticmethod
     def at(mesh: Mesh, positions: np.ndarray) -> "State":
         """State with positions (V, 3) and all dihedral angles split evenly."""

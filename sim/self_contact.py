@@ -154,7 +154,7 @@ def _continue_with_contact(
         iterations += max(result.iterations, 1)  # rounds without a step must end, too
         factorisations += result.factorisations
         seconds.update(result.seconds)
-        exact = contact.is_complete(np.concatenate([state.positions.ravel(), state.rotations]))
+        exact = contact.is_complete(state.unknowns)
         ended = result.status is not Status.MAX_ITERATIONS and exact
         if ended or iterations >= options.max_iterations:
             break

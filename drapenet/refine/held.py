@@ -9,7 +9,6 @@ same residuals, only smaller.
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from sim.newton import NewtonOptions
 from sim.scene import State
 from sim.self_contact import find_free_equilibrium
 from sim.sensitivity import Sensitivities, Tangent
+from sim.sensitivity.follow import followed
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.tangent import scene_of
 
@@ -77,11 +77,7 @@ class HeldCloth:
             scene_of(result), fabric.at_density(REFERENCE_DENSITY),
             State(result.positions, result.rotations), laws=laws or Laws(),
             extra=[self._springs], options=options or FINE_OPTIONS)
-        return replace(
-            result, fabric=fabric, positions=state.positions, rotations=state.rotations,
-            status=found.status, message=found.message, residual=found.residual, step=found.step,
-            positive_definite=found.positive_definite, iterations=found.iterations,
-            seconds=time.perf_counter() - began, time_spent=found.seconds)
+        return followed(result, fabric, state, found, seconds=time.perf_counter() - began)
 
     def sensitivities(
         self,

@@ -51,6 +51,13 @@ def follow(
     state, found = _found(
         scene, simulated, start, laws, options or FINE_OPTIONS, self_contact(result, laws=laws)
     )
+    return followed(result, fabric, state, found, seconds=time.perf_counter() - began)
+
+
+def followed(
+    result: DrapeResult, fabric: Fabric, state: State, found: NewtonResult, *, seconds: float
+) -> DrapeResult:
+    """``result`` with the equilibrium ``state`` of ``fabric``, ``found`` in ``seconds``."""
     return replace(
         result,
         fabric=fabric,
@@ -61,9 +68,9 @@ def follow(
         residual=found.residual,
         step=found.step,
         positive_definite=found.positive_definite,
-        self_intersections=len(self_intersections(state.positions, scene.mesh.faces)),
+        self_intersections=len(self_intersections(state.positions, result.faces)),
         iterations=found.iterations,
-        seconds=time.perf_counter() - began,
+        seconds=seconds,
         time_spent=found.seconds,
     )
 
@@ -80,7 +87,7 @@ def _found(
     if contact:
         state, found = find_equilibrium(scene, fabric, start, laws=laws, options=options,
                                         extra=contact)
-        q = np.concatenate([state.positions.ravel(), state.rotations])
+        q = state.unknowns
         if found.status is Status.CONVERGED and all(energy.is_complete(q) for energy in contact):
             message = f"{found.message}; self-contact took {found.iterations} iterations"
             return state, replace(found, message=message)
@@ -109,7 +116,7 @@ def _better(scene: Scene, fabric: Fabric, laws: Laws, here: State, there: State)
     """``there`` if the energy allows going there and is lower than ``here``."""
     terms = cloth_terms(scene, fabric, here, laws=laws)
     energies = [energy for stage in terms.stages for energy in stage]
-    old, new = (np.concatenate([s.positions.ravel(), s.rotations]) for s in (here, there))
+    old, new = here.unknowns, there.unknowns
     with np.errstate(all="ignore"):
         falls = sum(e.value(new) for e in energies) < sum(e.value(old) for e in energies)
     return there if falls and all(e.allows(old, new) for e in energies) else here

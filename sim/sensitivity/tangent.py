@@ -66,7 +66,7 @@ class Tangent:
         _require_energy(self.laws)
         self._potential = build_potential(scene, fabric, state, laws=self.laws, extra=extra)
         self._solver = make_solver(self._potential.pattern)
-        self.q = np.concatenate([state.positions.ravel(), state.rotations])
+        self.q = state.unknowns
         self.softest = 0.0
         self.ok, self.message = self._approach()
 

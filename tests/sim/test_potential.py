@@ -18,7 +18,7 @@ def crumpled():
     scene = Scene(mesh=mesh, held=held, obstacles=Rig().obstacles)
     state = State(positions, rng.normal(0, 0.2, len(mesh.edges)))
     potential = build_potential(scene, Fabric(np.full(3, 2e-5)), state)
-    q = np.concatenate([state.positions.ravel(), state.rotations])
+    q = state.unknowns
     return potential, potential.free_part(q), rng
 
 
