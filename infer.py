@@ -17,7 +17,7 @@ from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file
+from sim.files import replace_file, require_folder
 
 
 def infer(
@@ -85,8 +85,7 @@ def main(argv: list[str]) -> None:
     if not 0 <= config["drapes"] <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     out = Path(config["out"] or Path("outputs/infer") / capture.path.resolve().name)
-    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
-        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+    require_folder(out)
 
     content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
                              resolution=config["resolution"])

@@ -160,7 +160,6 @@ def views_case(
     from data.sensor import SensorNoise
     from drapenet.checkpoint import BUNDLED, load_model, read_header
     from drapenet.predict import predict
-    from drapenet.refine.problem import Gaussian
     from drapenet.refine.views import refine_views
     from drapenet.registration import locate_camera
 
@@ -188,7 +187,7 @@ def views_case(
     refined = refine_views(
         views, locate_camera(views, rig.nominal()), network,
         turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
-        prior=Gaussian(prior.mean, prior.covariance), others=[mean])
+        prior=prior, others=[mean])
     theta = network if refined is None else refined.best.theta
     result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
               for name, values in (("refined", theta), ("network", network), ("prior", mean))}

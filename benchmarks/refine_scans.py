@@ -36,11 +36,11 @@ from data.prior.files import load_prior
 from data.scans import Scan, read_scan, read_scans
 from drapenet.refine.captured import CapturedShape, Cloth, RobustPositions, Settled
 from drapenet.refine.fidelity import fidelity
-from drapenet.refine.problem import Gaussian
 from drapenet.refine.shape_search import search_cloth, search_curvature, stiffness_only
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO
+from sim.mesh import vertex_normals
 from sim.scene import DISC_RIG
 
 _STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
@@ -58,10 +58,6 @@ DEFAULTS = {
 }
 
 
-def _objective(shape: CapturedShape) -> RobustPositions:
-    return RobustPositions(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
-
-
 def _read(path: str) -> CapturedShape:
     return shape_of(read_scan(Path(path), DISC_RIG))
 
@@ -71,26 +67,21 @@ def shape_of(scan: Scan) -> CapturedShape:
     return CapturedShape(scan.positions, scan.rest, scan.faces, DISC_RIG)
 
 
-def _prior() -> Gaussian:
-    prior = load_prior("gaussian")
-    return Gaussian(prior.mean, prior.covariance)
-
-
 def best_isotropic(path: str, count: int) -> dict:
     """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
     shape = _read(path)
     alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
     tried = [(settled, fidelity(shape, settled.drape))
-             for settled in stiffness_only(shape, _objective(shape), alphas)]
+             for settled in stiffness_only(shape, RobustPositions.of(shape), alphas)]
     settled, best = min(tried, key=lambda pair: pair[1].displacement_mm)
     return {**_result(settled, best.as_dict()), "tried": len(alphas)}
 
 
 def refined(path: str, solves: int) -> dict:
     """The refinement of a scan."""
-    shape, prior = _read(path), _prior()
-    best, problem = search_cloth(shape, _objective(shape), Cloth(prior.mean.copy()), prior=prior,
-                                 solves=solves)
+    shape, prior = _read(path), load_prior("gaussian")
+    best, problem = search_cloth(shape, RobustPositions.of(shape), Cloth(prior.mean.copy()),
+                                 prior=prior, solves=solves)
     if best is None:
         raise InputError(f"{path}: no simulation ended: {problem.failures}")
     return {**_result(best, fidelity(shape, best.drape).as_dict()), "solves": problem.solves,
@@ -101,8 +92,8 @@ def curved(path: str, solves: int, cloth: dict) -> dict:
     """The refinement of a scan continued with a natural curvature."""
     shape = _read(path)
     start = Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"])
-    best, problem = search_curvature(shape, _objective(shape), start, prior=_prior(),
-                                     solves=solves)
+    best, problem = search_curvature(shape, RobustPositions.of(shape), start,
+                                     prior=load_prior("gaussian"), solves=solves)
     if best is None:
         raise InputError(f"{path}: no simulation ended: {problem.failures}")
     return {**_result(best, fidelity(shape, best.drape).as_dict()), "solves": problem.solves}
@@ -171,11 +162,7 @@ def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
     radius = np.linalg.norm(shape.rest, axis=1)
     gap = 1e3 * (positions - shape.positions)
     hanging = ~shape.held
-    a, b, c = (shape.positions[shape.faces[:, k]] for k in range(3))
-    normal = np.zeros_like(gap)
-    for k in range(3):
-        np.add.at(normal, shape.faces[:, k], np.cross(b - a, c - a))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = vertex_normals(shape.positions, shape.faces)
     across = (normal * gap).sum(1)
     along = np.linalg.norm(gap - across[:, None] * normal, axis=1)
     low, high = radius[hanging].min(), radius.max()

@@ -3,6 +3,7 @@
 import numpy as np
 
 from data.render import import_open3d
+from sim.mesh import vertex_normals
 
 # Colours and brightnesses are linear, 0 to 1.
 _CLOTH = np.array([0.42, 0.55, 0.72])
@@ -50,7 +51,7 @@ def shade(
             open3d.core.Tensor(points.astype(np.float32)),
             open3d.core.Tensor(triangles.astype(np.uint32)),
         )
-    normals = [_vertex_normals(*mesh) for mesh in meshes]
+    normals = [vertex_normals(*mesh) for mesh in meshes]
     width, height = size[0] * supersampling, size[1] * supersampling
     origin, right, up, forward = _view(azimuth, elevation)
     pixel = field / width
@@ -133,12 +134,3 @@ def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
     )
     return points, faces
 
-
-def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3): those of the faces around, weighted with their areas."""
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(points)
-    for i in range(3):
-        np.add.at(normals, faces[:, i], face_normals)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

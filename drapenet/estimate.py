@@ -10,7 +10,8 @@ from data.captures import Capture
 from drapenet.checkpoint import Header
 from drapenet.convention import LINEAR, RATIO, STIFF_SOFT
 from drapenet.predict import Prediction
-from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric, bias_limit
+from drapenet.table import error_table, moduli_table
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bias_limit
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 1
@@ -109,18 +110,6 @@ def _name_directions(
 def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str, Any]:
     """The content of ``estimate.json``; every key names its unit."""
     prediction, names = estimate.prediction, estimate.names
-
-    def moduli(fabric: Fabric) -> dict[str, dict[str, float]]:
-        return {name: {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO}
-                for name, alpha, beta in zip(names, fabric.alpha.tolist(), fabric.beta.tolist(),
-                                             strict=True)}
-
-    def deviations(errors: np.ndarray) -> dict[str, dict[str, float]]:
-        return {name: {"alpha_percent": 100 * math.expm1(log_alpha),
-                       "beta_over_alpha_mm": 1e3 * ratio}
-                for name, log_alpha, ratio in zip(names, errors[LINEAR].tolist(),
-                                                  errors[RATIO].tolist(), strict=True)}
-
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -130,10 +119,10 @@ def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str
             "density_g_m2": round(capture.density * 1e3, 6),
             "rig": capture.rig,
         },
-        "moduli": moduli(estimate.fabric),
-        "moduli_at_300_g_m2": moduli(estimate.fabric.at_density(REFERENCE_DENSITY)),
-        "spread_over_view_orders": deviations(prediction.spread),
-        "typical_error": deviations(_typical_errors(header)),
+        "moduli": moduli_table(names, estimate.fabric),
+        "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
+        "spread_over_view_orders": error_table(names, prediction.spread),
+        "typical_error": error_table(names, _typical_errors(header)),
         "stiff_axis": {
             "direction_deg": math.degrees(prediction.axis),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",

@@ -1,6 +1,27 @@
-"""The estimate as a table on the terminal."""
+"""Estimates in the units that people see, for files and for the terminal."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
+
+from drapenet.convention import LINEAR, RATIO
+from sim.material import MICRO, NANO, Fabric
+
+
+def moduli_table(names: Sequence[str], fabric: Fabric) -> dict[str, dict[str, float]]:
+    """The moduli by direction, in the units that people see."""
+    return {name: {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO}
+            for name, alpha, beta in zip(names, fabric.alpha.tolist(), fabric.beta.tolist(),
+                                         strict=True)}
+
+
+def error_table(names: Sequence[str], errors: np.ndarray) -> dict[str, dict[str, float]]:
+    """Standard errors (6,) of theta by direction, in the units that people see."""
+    return {name: {"alpha_percent": 100 * math.expm1(log_alpha), "beta_over_alpha_mm": 1e3 * ratio}
+            for name, log_alpha, ratio in zip(names, errors[LINEAR].tolist(),
+                                              errors[RATIO].tolist(), strict=True)}
 
 
 def format_table(content: dict[str, Any]) -> str:

@@ -38,6 +38,12 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def require_folder(out: Path) -> None:
+    """InputError where ``out`` cannot be made a folder: to be told before long work, not after."""
+    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
+        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+
+
 def replace_file(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` in one step, see :func:`replacing`."""
     with replacing(path) as temporary:

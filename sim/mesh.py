@@ -93,6 +93,16 @@ def grid_faces(diagonals: np.ndarray) -> np.ndarray:
     return np.where(diagonals[..., None], main, cross).reshape(-1, 3)
 
 
+def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) at positions (V, 3): of the faces (F, 3) around, weighted by area."""
+    a, b, c = (positions[faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    total = np.zeros_like(positions)
+    for k in range(3):
+        np.add.at(total, faces[:, k], across)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+
+
 def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator) -> np.ndarray:
     """Diagonals (nx-1, ny-1) bool of a grid of ``shape`` (nx, ny) vertices; see DIAGONALS."""
     cells = (shape[0] - 1, shape[1] - 1)

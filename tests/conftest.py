@@ -1,5 +1,6 @@
 """Fixtures that several folders of tests share."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cloths
@@ -17,6 +18,17 @@ def blob_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cloth_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a dataset of 40 pieces of cloth without views."""
     return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=40, seed=8)
+
+
+@pytest.fixture(scope="module")
+def one_thread() -> Iterator[None]:
+    """Sums of several threads of torch may differ by rounding from run to run."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import Mesh
+from sim.mesh import vertex_normals
 from sim.newton import NewtonOptions, NewtonResult
 from sim.scene import Rig, Scene, State
 from sim.specimens import make_specimen
@@ -142,18 +142,10 @@ def nearest_springs(
     """
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
     free = np.flatnonzero(~scene.held)
-    own = _normals(scene.mesh, positions)[free]
+    own = vertex_normals(positions, scene.mesh.faces)[free]
     distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
     near = distance < reach
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free[near]]
     return Springs(free[near], points[nearest[near]], normals[nearest[near]],
                    pull / 1e-3 * weight)
 
-
-def _normals(mesh: Mesh, positions: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) of the upper side."""
-    a, b, c = (positions[mesh.faces[:, i]] for i in range(3))
-    total = np.zeros_like(positions)
-    for i in range(3):
-        np.add.at(total, mesh.faces[:, i], np.cross(b - a, c - a))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)

@@ -11,12 +11,10 @@ from data.cameras import CameraRig
 from data.captures import Capture
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior import load_prior
-from drapenet.convention import LINEAR, RATIO
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
 from drapenet.refine.objective import fit_nuisances
-from drapenet.refine.problem import Gaussian
 from drapenet.refine.views import FREE_ROUNDS, HELD_ROUNDS, SPREAD, RefinedViews, refine_views
 from drapenet.registration import (
     count_folds,
@@ -25,6 +23,7 @@ from drapenet.registration import (
     silhouette_overlap,
 )
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
+from drapenet.table import error_table
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.scene import Rig
 
@@ -53,7 +52,6 @@ def refine_capture(
     cameras: CameraRig,
     *,
     resolution: int,
-    prior: str = "gaussian",
 ) -> RefinedEstimate | None:
     """Refine the network's estimate until its drape looks like the views, with a progress bar.
 
@@ -63,14 +61,12 @@ def refine_capture(
         estimate: in the order stiff, bias, soft; stiff lies along the x axis of the specimen.
         views: (4, H, W) z-depth, m, as the nominal camera of ``cameras`` would show them.
         resolution: vertices a side of the simulated specimen.
-        prior: name or file of what is known of fabrics beforehand.
     """
     rig = Rig.from_name(cameras.name)
     camera = locate_camera(views, cameras.nominal())
     fabric = estimate.fabric.at_density(REFERENCE_DENSITY)
     theta = to_theta(fabric.alpha, fabric.beta)
-    known = load_prior(prior)
-    belief = Gaussian(known.mean, known.covariance)
+    prior = load_prior("gaussian")
     turns = specimen_turns(estimate, capture, DepthViews(views, camera, np.zeros((0, 3), int)), rig)
     # Each round comes with a shape and up to two simulations of its own.
     total = (sum(FREE_ROUNDS) + sum(3 + evaluations for evaluations, _ in HELD_ROUNDS)
@@ -81,7 +77,7 @@ def refine_capture(
             bar.set_postfix(misfit=f"{value:.0f}")
 
         refined = refine_views(views, camera, theta, turns=turns, rig=rig, resolution=resolution,
-                               prior=belief, others=[known.mean], progress=progress)
+                               prior=prior, others=[prior.mean], progress=progress)
     if refined is None:
         return None
     corrected = _corrected(estimate, refined, capture.density)
@@ -151,10 +147,7 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
     else:
         theta = refined.best.theta
         errors = refined.uncertainty.theta[_SWAPPED if theta[0] < theta[2] else slice(None)]
-        content["typical_error"] = {
-            name: {"alpha_percent": 100 * math.expm1(alpha), "beta_over_alpha_mm": 1e3 * ratio}
-            for name, alpha, ratio in zip(after.names, errors[LINEAR].tolist(),
-                                          errors[RATIO].tolist(), strict=True)}
+        content["typical_error"] = error_table(after.names, errors)
         content["refined"]["reduced_chi2"] = refined.uncertainty.reduced_chi2
     content["warnings"] = warnings
     return content

@@ -13,8 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.fabrics import fabric_from_theta, from_theta
+from data.prior.gaussian import GaussianPrior
 from drapenet.refine.objective import Linearised, Objective, value
-from drapenet.refine.problem import ALPHA_RANGE, RATIO_RANGE, RATIO_SCALE, Gaussian
+from drapenet.refine.problem import (
+    ALPHA_RANGE,
+    RATIO_RANGE,
+    RATIO_SCALE,
+    prior_value,
+    with_prior,
+)
 from sim.drape import DrapeResult
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.laws import Laws
@@ -159,7 +166,7 @@ class CapturedProblem:
         objective: Objective,
         start: Cloth,
         *,
-        prior: Gaussian | None = None,
+        prior: GaussianPrior | None = None,
         free: np.ndarray | None = None,
     ) -> None:
         self.shape, self.objective, self.prior = shape, objective, prior
@@ -203,7 +210,7 @@ class CapturedProblem:
             self.failures.append(f"{drape.status.value}: {drape.message}")
             return math.inf
         total = value(self.objective.residuals(drape.positions, np.zeros(0)))
-        total += value(self._prior_residuals(cloth.theta))
+        total += prior_value(self.prior, cloth.theta)
         self.last = Settled(np.array(x), cloth, drape, total)
         if self.best is None or total < self.best.value:
             self.best = self.last
@@ -221,16 +228,10 @@ class CapturedProblem:
         if moves is None:
             return None
         found = self.objective.linearised(here.drape.positions, np.zeros(0))
-        residuals, jacobian = found.residuals, found.along(moves)
-        if self.prior is not None:
-            rows = np.zeros((6, len(NAMES)))
-            rows[:, :6] = self.prior.whiten(np.eye(6))
-            residuals = np.concatenate([residuals, self._prior_residuals(here.cloth.theta)])
-            jacobian = np.concatenate([jacobian, rows[:, self.free]])
+        residuals, jacobian = with_prior(
+            self.prior, here.cloth.theta, found.residuals, found.along(moves),
+            np.eye(len(NAMES))[:6, self.free])
         return residuals, jacobian * SCALE[self.free]
-
-    def _prior_residuals(self, theta: np.ndarray) -> np.ndarray:
-        return np.zeros(0) if self.prior is None else self.prior.whiten(theta - self.prior.mean)
 
 
 def cloth_moves(drape: DrapeResult, cloth: Cloth, free: np.ndarray) -> np.ndarray | None:
@@ -290,6 +291,11 @@ class RobustPositions:
         self._target, self._vertices = target, np.flatnonzero(vertices)
         self._sigma, self._limit = sigma, limit
         self._factor = math.sqrt(independent / len(self._vertices))
+
+    @classmethod
+    def of(cls, shape: CapturedShape) -> "RobustPositions":
+        """For a registered scan: its hanging vertices, whose distances of 2 mm already are far."""
+        return cls(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """Residuals (3 N,)."""

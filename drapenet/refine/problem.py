@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
+from data.prior.gaussian import GaussianPrior
 from drapenet.refine.objective import NUISANCE_REACH, Linearised, Objective, value
 from sim import sensitivity
 from sim.drape import DrapeResult
@@ -44,18 +45,6 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
-class Gaussian:
-    """What is known of theta beforehand: mean (6,) and covariance (6, 6)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    def whiten(self, values: np.ndarray) -> np.ndarray:
-        """values (6, ...) in standard deviations."""
-        return np.linalg.solve(np.linalg.cholesky(self.covariance), values)
-
-
-@dataclass(frozen=True)
 class Trial:
     """One evaluated point.
 
@@ -72,6 +61,26 @@ class Trial:
     nuisance: np.ndarray
     drape: DrapeResult
     value: float
+
+
+def prior_value(prior: GaussianPrior | None, theta: np.ndarray) -> float:
+    """What theta (6,) itself costs: half its squared distance from the prior's mean."""
+    return 0.0 if prior is None else value(prior.whiten(theta - prior.mean))
+
+
+def with_prior(
+    prior: GaussianPrior | None, theta: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray,
+    by_unknowns: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (N,) and their derivatives (N, n) with those of the prior, six more.
+
+    Args:
+        by_unknowns: (6, n) derivatives of theta.
+    """
+    if prior is None:
+        return residuals, jacobian
+    return (np.concatenate([residuals, prior.whiten(theta - prior.mean)]),
+            np.concatenate([jacobian, prior.whiten(by_unknowns)]))
 
 
 class DrapeProblem:
@@ -109,7 +118,7 @@ class DrapeProblem:
         nuisance: np.ndarray | None = None,
         membrane: bool = False,
         laws: Laws | None = None,
-        prior: Gaussian | None = None,
+        prior: GaussianPrior | None = None,
         origin: DrapeResult | None = None,
         simulator: Simulator = sensitivity,
     ) -> None:
@@ -152,7 +161,7 @@ class DrapeProblem:
         if drape is None:
             return math.inf
         residuals = self._timed("objective", self.objective.residuals, drape.positions, nuisance)
-        total = value(residuals) + value(self._prior_residuals(theta))
+        total = value(residuals) + prior_value(self.prior, theta)
         self.last = Trial(np.array(x), theta, log_membrane, nuisance, drape, total)
         if math.isfinite(total) and (self.best is None or total < self.best.value):
             self.best = self.last
@@ -171,16 +180,9 @@ class DrapeProblem:
         began = time.perf_counter()
         jacobian = np.concatenate([found.along(moves), found.by_nuisance], axis=1)
         self.seconds["objective"] += time.perf_counter() - began
-        residuals = found.residuals
-        if self.prior is not None:
-            rows = np.zeros((6, len(x)))
-            rows[:, :6] = self.prior.whiten(np.eye(6))
-            residuals = np.concatenate([residuals, self._prior_residuals(trial.theta)])
-            jacobian = np.concatenate([jacobian, rows])
+        residuals, jacobian = with_prior(
+            self.prior, trial.theta, found.residuals, jacobian, np.eye(len(x))[:6])
         return residuals, jacobian * self.scale
-
-    def _prior_residuals(self, theta: np.ndarray) -> np.ndarray:
-        return np.zeros(0) if self.prior is None else self.prior.whiten(theta - self.prior.mean)
 
     def _drape(self, theta: np.ndarray, log_membrane: float) -> DrapeResult | None:
         """The equilibrium of these moduli next to the best drape so far; None: no such thing."""

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from drapenet.refine.objective import Linearised, Objective, huber
 from sim.errors import InputError
+from sim.mesh import vertex_normals
 
 NEIGHBOURS = 20  # that a raw point's normal is taken from
 _GAP = math.radians(130)  # without a neighbour: where a raw cloud ends
@@ -41,7 +42,7 @@ class Cloud:
 
         The hem is the mesh's border, so a scan with holes must be given as points.
         """
-        vertices = _vertex_normals(positions, faces)
+        vertices = vertex_normals(positions, faces)
         pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
         edges, count = np.unique(pairs, axis=0, return_counts=True)
         points = [positions, positions[edges].mean(axis=1), positions[faces].mean(axis=1)]
@@ -305,13 +306,6 @@ def _rotation(turn: float) -> np.ndarray:
 def _move(positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     return positions @ _rotation(nuisance[0]).T + np.array([nuisance[1], nuisance[2], 0.0])
 
-
-def _vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (positions[faces[:, k]] for k in range(3))
-    total = np.zeros_like(positions)
-    for k in range(3):
-        np.add.at(total, faces[:, k], np.cross(b - a, c - a))
-    return _unit(total)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -13,14 +13,14 @@ from data.prior.files import load_prior
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.captured import CapturedShape, Cloth, RobustPositions, Settled
 from drapenet.refine.fidelity import fidelity
-from drapenet.refine.problem import Gaussian
 from drapenet.refine.register import register
 from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import search_cloth
+from drapenet.table import moduli_table
 from sim.drape import drape
 from sim.errors import InputError, one_line
-from sim.files import replace_file
-from sim.material import DIRECTIONS, MICRO, NANO
+from sim.files import replace_file, require_folder
+from sim.material import DIRECTIONS
 from sim.scene import Rig
 
 SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 1
@@ -59,34 +59,28 @@ def refine_scan(
     else:
         scan = read_scan(path, setting)
         shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting)
-    objective = RobustPositions(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
+    objective = RobustPositions.of(shape)
     with tqdm(total=solves, desc="refining", unit="drape") as bar:
         def report(count: int, least: float) -> None:
             bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
             bar.update(count - bar.n)
 
         best, problem = search_cloth(
-            shape, objective, start, prior=Gaussian(prior.mean, prior.covariance),
-            solves=solves, report=report)
+            shape, objective, start, prior=prior, solves=solves, report=report)
     if best is None:
         reason = problem.failures[-1] if problem.failures else "interrupted"
         raise InputError(f"no cloth settles from the shape of {path} ({reason})")
-    cloth, fabric = best.cloth, best.cloth.fabric
+    cloth = best.cloth
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
         "scan": {"file": str(path), "rig": rig, "registration": registered},
         "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
                       "shape does not say",
-        "moduli_at_300_g_m2": {
-            name: {"alpha_uN_m": float(alpha / MICRO), "beta_nN_m2": float(beta / NANO)}
-            for name, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True)},
+        "moduli_at_300_g_m2": moduli_table(DIRECTIONS, cloth.fabric),
         "membrane_N_m": cloth.membrane,
         "warp_direction_deg": math.degrees(cloth.warp) % 180,
-        "prior_moduli_at_300_g_m2": {
-            name: {"alpha_uN_m": float(alpha / MICRO), "beta_nN_m2": float(beta / NANO)}
-            for name, alpha, beta in zip(DIRECTIONS, start.fabric.alpha, start.fabric.beta,
-                                         strict=True)},
+        "prior_moduli_at_300_g_m2": moduli_table(DIRECTIONS, start.fabric),
         "simulations": problem.solves,
         "failed_simulations": problem.failures,
         "fidelity": fidelity(shape, best.drape).as_dict(),
@@ -106,8 +100,7 @@ def infer_scan(config: dict[str, Any]) -> None:
         raise InputError(f"refine={config['refine']} does not go with scan=FILE; use refine=scan")
     path = Path(config["scan"])
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
-    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
-        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+    require_folder(out)
     content, shape, best = refine_scan(path)
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_scan(content))

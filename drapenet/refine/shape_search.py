@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from data.prior.gaussian import GaussianPrior
 from drapenet.refine.captured import SCALE, CapturedProblem, CapturedShape, Cloth, Settled
 from drapenet.refine.objective import Objective
 from drapenet.refine.optimisers import Limits, minimise
-from drapenet.refine.problem import Gaussian
 
 STRIDE = 0.4  # of log alpha, in the walk
 WALK = 6  # simulations at most
@@ -27,7 +27,7 @@ def search_cloth(
     objective: Objective,
     start: Cloth,
     *,
-    prior: Gaussian | None = None,
+    prior: GaussianPrior | None = None,
     solves: int = 25,
     report: Callable[[int, float], None] | None = None,
 ) -> tuple[Settled | None, CapturedProblem]:
@@ -69,7 +69,7 @@ def search_cloth(
 
 def search_curvature(
     shape: CapturedShape, objective: Objective, start: Cloth, *,
-    prior: Gaussian | None = None, solves: int = 12,
+    prior: GaussianPrior | None = None, solves: int = 12,
 ) -> tuple[Settled | None, CapturedProblem]:
     """As :func:`search_cloth`, with a natural curvature, from a cloth that has been found."""
     problem = CapturedProblem(shape, objective, start, prior=prior, free=np.ones(11, dtype=bool))

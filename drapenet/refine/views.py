@@ -20,12 +20,13 @@ import numpy as np
 
 from data.cameras import Camera
 from data.fabrics import fabric_from_theta, from_theta
+from data.prior.gaussian import GaussianPrior
 from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.held import HeldCloth
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.optimisers import Limits, Outcome, Status, minimise
-from drapenet.refine.problem import DrapeProblem, Gaussian, Trial
+from drapenet.refine.problem import DrapeProblem, Trial
 from drapenet.refine.uncertainty import Uncertainty, laplace
 from sim.drape import DrapeResult, drape
 from sim.material import is_admissible
@@ -88,7 +89,7 @@ def refine_views(
     resolution: int = 41,
     seed: int = 0,
     shape: str = "captured",
-    prior: Gaussian | None = None,
+    prior: GaussianPrior | None = None,
     others: Sequence[np.ndarray] = (),
     weights: DepthWeights | None = None,
     progress: Progress | None = None,
@@ -143,7 +144,7 @@ class _Run:
         objective: DepthViews,
         theta: np.ndarray,
         specimen: dict,
-        prior: Gaussian | None,
+        prior: GaussianPrior | None,
         progress: Progress | None,
     ) -> None:
         self.objective, self.theta = objective, theta

@@ -10,6 +10,7 @@ import pytest
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior import load_prior
+from data.prior.gaussian import GaussianPrior
 from data.render import render_views
 from drapenet.refine import problem as problems
 from drapenet.refine.attraction import Springs
@@ -17,7 +18,7 @@ from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
 from drapenet.refine.held import HeldCloth
 from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.problem import ALPHA_RANGE, DrapeProblem, Gaussian
+from drapenet.refine.problem import ALPHA_RANGE, DrapeProblem
 from drapenet.refine.registered import VertexPositions
 from drapenet.refine.uncertainty import laplace
 from drapenet.refine.views import refine_views
@@ -56,7 +57,7 @@ def test_a_registered_drape_gives_its_moduli(shape: DrapeResult, away: DrapeResu
 
 def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult) -> None:
     problem = DrapeProblem(away, AWAY, VertexPositions(shape.positions), membrane=True,
-                           prior=Gaussian(THETA, np.diag([0.1] * 3 + [1e-6] * 3)))
+                           prior=GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7))
     problem.value(problem.start)
     residuals, jacobian = problem.linearised(problem.start)
     gradient = jacobian.T @ residuals
@@ -173,7 +174,7 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     prior = load_prior("gaussian")
     values = []
     found = refine_views(views, camera, prior.mean, turns=[1.02], resolution=41, seed=2,
-                         prior=Gaussian(prior.mean, prior.covariance),
+                         prior=prior,
                          progress=lambda _, value: values.append(value))
     assert found.best.value <= found.start_value
     assert found.status is not Status.INTERRUPTED and found.uncertainty is not None

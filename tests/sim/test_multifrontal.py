@@ -15,17 +15,11 @@ from sim.material import Fabric
 from sim.scene import Rig, Scene, State
 from sim.specimens import make_specimen
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 ISOTROPIC = Fabric(density=0.3, alpha=np.full(3, 1e-4), beta=np.full(3, -1e-7))
 RIG = Rig()
 N = 21
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def grid_graph(n):
@@ -150,7 +144,7 @@ def states(samples):
             positions = initial_positions(specimen.mesh.rest, rig=RIG, start="fold", rng=rng)
             positions[specimen.held] = RIG.place(specimen.mesh.rest[specimen.held])
             state = State.at(specimen.mesh, positions)
-        q = np.concatenate([state.positions.ravel(), state.rotations])
+        q = state.unknowns
         yield specimen, build_potential(scene, ISOTROPIC, state), q
 
 

@@ -19,20 +19,14 @@ from sim.scene import DISC_RIG, HUNG_SQUARE, Rig, Scene, State
 from sim.self_contact import self_intersections
 from sim.specimens import make_specimen
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 N = 16
 TIGHT = NewtonOptions(residual=1e-7, step=1e-6, max_iterations=300)
 STIFF = Fabric(alpha=np.array([120.0, 90.0, 60.0]) * MICRO)
 SOFTENING = Fabric(alpha=np.array([50.0, 60.0, 40.0]) * MICRO, beta=np.array([-1e-7, 0, -6e-8]))
 SOFT = Fabric(alpha=np.full(3, 8 * MICRO), beta=np.full(3, -2e-8))
 ABSURD = Fabric(alpha=np.full(3, 1e300))  # its energy overflows
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def apart(a, b):
