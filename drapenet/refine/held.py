@@ -7,21 +7,16 @@ one equilibrium. The right fabric hardly needs them; a wrong one pulls at them, 
 same residuals, only smaller.
 """
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from drapenet.refine.attraction import Springs, nearest_springs
-from sim.drape import FINE_OPTIONS, DrapeResult
+from sim.drape import DrapeResult
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.newton import NewtonOptions
-from sim.scene import State
-from sim.self_contact import find_free_equilibrium
-from sim.sensitivity import Sensitivities, Tangent
-from sim.sensitivity.follow import followed
-from sim.sensitivity.forward import tangent_sensitivities
+from sim.sensitivity import Sensitivities, follow, sensitivities
 from sim.sensitivity.tangent import scene_of
 
 PULL = 0.3
@@ -71,13 +66,9 @@ class HeldCloth:
         options: NewtonOptions | None = None,
         sensitivities: Sensitivities | None = None,
     ) -> DrapeResult:
-        """As :func:`sim.sensitivity.follow`; what is known of derivatives is not used."""
-        began = time.perf_counter()
-        state, found = find_free_equilibrium(
-            scene_of(result), fabric.at_density(REFERENCE_DENSITY),
-            State(result.positions, result.rotations), laws=laws or Laws(),
-            extra=[self._springs], options=options or FINE_OPTIONS)
-        return followed(result, fabric, state, found, seconds=time.perf_counter() - began)
+        """As :func:`sim.sensitivity.follow`."""
+        return follow(result, fabric, laws=laws, extra=[self._springs], options=options,
+                      sensitivities=sensitivities)
 
     def sensitivities(
         self,
@@ -87,7 +78,4 @@ class HeldCloth:
         parameters: Sequence[str] = ("log_alpha", "ratio"),
     ) -> Sensitivities:
         """As :func:`sim.sensitivity.sensitivities`."""
-        tangent = Tangent(scene_of(result), result.fabric.at_density(REFERENCE_DENSITY),
-                          State(result.positions, result.rotations), laws=laws,
-                          extra=[self._springs])
-        return tangent_sensitivities(tangent, result.fabric, parameters)
+        return sensitivities(result, laws=laws, extra=[self._springs], parameters=parameters)

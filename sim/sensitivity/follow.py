@@ -1,11 +1,13 @@
 """The equilibrium of other moduli next to a drape, on the same mesh."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sim.drape import FINE_OPTIONS, DrapeResult
+from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import cloth_terms, find_equilibrium
 from sim.lagged import find_settled_equilibrium
@@ -23,6 +25,7 @@ def follow(
     fabric: Fabric,
     *,
     laws: Laws | None = None,
+    extra: Sequence[Energy] = (),
     options: NewtonOptions | None = None,
     sensitivities: Sensitivities | None = None,
 ) -> DrapeResult:
@@ -33,6 +36,8 @@ def follow(
 
     Args:
         laws: of bending and membrane.
+        extra: more energies, such as springs that hold the cloth; ``result`` is in balance with
+            them if it is in balance at all.
         options: of the minimisation; None for those of a drape.
         sensitivities: of ``result``, by "log_alpha" and "ratio" among others: the search starts at
             the linear prediction where its energy is lower than that of ``result``'s shape.
@@ -47,17 +52,11 @@ def follow(
     start = here
     if sensitivities is not None and sensitivities.ok:
         there = _predicted(here, result.fabric, fabric, sensitivities)
-        start = _better(scene, simulated, laws, here, there)
+        start = _better(scene, simulated, laws, extra, here, there)
     state, found = _found(
-        scene, simulated, start, laws, options or FINE_OPTIONS, self_contact(result, laws=laws)
+        scene, simulated, start, laws, extra, options or FINE_OPTIONS,
+        self_contact(result, laws=laws, extra=extra),
     )
-    return followed(result, fabric, state, found, seconds=time.perf_counter() - began)
-
-
-def followed(
-    result: DrapeResult, fabric: Fabric, state: State, found: NewtonResult, *, seconds: float
-) -> DrapeResult:
-    """``result`` with the equilibrium ``state`` of ``fabric``, ``found`` in ``seconds``."""
     return replace(
         result,
         fabric=fabric,
@@ -68,9 +67,9 @@ def followed(
         residual=found.residual,
         step=found.step,
         positive_definite=found.positive_definite,
-        self_intersections=len(self_intersections(state.positions, result.faces)),
+        self_intersections=len(self_intersections(state.positions, scene.mesh.faces)),
         iterations=found.iterations,
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
         time_spent=found.seconds,
     )
 
@@ -80,19 +79,20 @@ def _found(
     fabric: Fabric,
     start: State,
     laws: Laws,
+    extra: Sequence[Energy],
     options: NewtonOptions,
     contact: list[SelfContact],
 ) -> tuple[State, NewtonResult]:
     """Equilibrium next to ``start``, if there is ``contact`` of cloth with itself, with that."""
     if contact:
         state, found = find_equilibrium(scene, fabric, start, laws=laws, options=options,
-                                        extra=contact)
+                                        extra=[*extra, *contact])
         q = state.unknowns
         if found.status is Status.CONVERGED and all(energy.is_complete(q) for energy in contact):
             message = f"{found.message}; self-contact took {found.iterations} iterations"
             return state, replace(found, message=message)
     state, found, _ = find_settled_equilibrium(
-        scene, fabric, start, laws=laws, options=options, find=find_free_equilibrium
+        scene, fabric, start, laws=laws, extra=extra, options=options, find=find_free_equilibrium
     )
     return state, found
 
@@ -112,10 +112,12 @@ def _predicted(
     )
 
 
-def _better(scene: Scene, fabric: Fabric, laws: Laws, here: State, there: State) -> State:
+def _better(
+    scene: Scene, fabric: Fabric, laws: Laws, extra: Sequence[Energy], here: State, there: State
+) -> State:
     """``there`` if the energy allows going there and is lower than ``here``."""
     terms = cloth_terms(scene, fabric, here, laws=laws)
-    energies = [energy for stage in terms.stages for energy in stage]
+    energies = [*(energy for stage in terms.stages for energy in stage), *extra]
     old, new = here.unknowns, there.unknowns
     with np.errstate(all="ignore"):
         falls = sum(e.value(new) for e in energies) < sum(e.value(old) for e in energies)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.drape import DrapeResult
+from sim.energies.base import Energy
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.sensitivity.parameters import combinations
@@ -37,12 +38,14 @@ def sensitivities(
     result: DrapeResult,
     *,
     laws: Laws | None = None,
+    extra: Sequence[Energy] = (),
     parameters: Sequence[str] = ("log_alpha", "ratio"),
 ) -> Sensitivities:
     """Derivatives of a drape by parameters of its fabric, on the mesh it has.
 
     Args:
         laws: with which it was made.
+        extra: more energies that it is in balance with.
         parameters: any of :data:`sim.sensitivity.parameters.PARAMETERS`, three each for warp,
             bias and weft, others constant:
 
@@ -58,7 +61,8 @@ def sensitivities(
     Raises:
         InputError: unknown parameter, or a law that has no derivative.
     """
-    return tangent_sensitivities(Tangent.of(result, laws=laws), result.fabric, parameters)
+    return tangent_sensitivities(
+        Tangent.of(result, laws=laws, extra=extra), result.fabric, parameters)
 
 
 def tangent_sensitivities(

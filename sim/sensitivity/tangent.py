@@ -71,17 +71,19 @@ class Tangent:
         self.ok, self.message = self._approach()
 
     @classmethod
-    def of(cls, result: DrapeResult, *, laws: Laws | None = None) -> "Tangent":
-        """The tangent of a drape made with ``laws``; not ok where it did not converge.
+    def of(
+        cls, result: DrapeResult, *, laws: Laws | None = None, extra: Sequence[Energy] = ()
+    ) -> "Tangent":
+        """The tangent of a drape made with ``laws`` and, where it was, ``extra`` energies.
 
-        Like the drape it is that of the fabric at the reference density, the membrane's stiffness
-        that of ``laws`` there.
+        Not ok where it did not converge. Like the drape it is that of the fabric at the reference
+        density, the membrane's stiffness that of ``laws`` there.
         """
         scene, fabric = scene_of(result), result.fabric.at_density(REFERENCE_DENSITY)
         _require_energy(laws or Laws())
-        contact = self_contact(result, laws=laws)
+        contact = self_contact(result, laws=laws, extra=extra)
         state = State(result.positions, result.rotations)
-        tangent = cls(scene, fabric, state, laws=laws, extra=contact)
+        tangent = cls(scene, fabric, state, laws=laws, extra=[*extra, *contact])
         if not result.converged:
             tangent._fail(f"the drape is no equilibrium: {result.message}")
         elif not all(energy.is_complete(tangent.q) for energy in contact):
@@ -179,7 +181,9 @@ def scene_of(result: DrapeResult) -> Scene:
     return Scene(mesh=mesh, held=result.held, obstacles=result.rig.obstacles)
 
 
-def self_contact(result: DrapeResult, *, laws: Laws | None = None) -> list[SelfContact]:
+def self_contact(
+    result: DrapeResult, *, laws: Laws | None = None, extra: Sequence[Energy] = ()
+) -> list[SelfContact]:
     """The contact with itself that holds a converged drape in balance; none for most.
 
     A drape that met itself on its way is in equilibrium only together with the contact energy of
@@ -187,11 +191,12 @@ def self_contact(result: DrapeResult, *, laws: Laws | None = None) -> list[SelfC
 
     Args:
         laws: those of the drape, or not far from them.
+        extra: more energies that it is in balance with.
     """
     scene, fabric = scene_of(result), result.fabric.at_density(REFERENCE_DENSITY)
     state = State(result.positions, result.rotations)
     terms = cloth_terms(scene, fabric, state, laws=laws)
-    energies = [energy for stage in terms.stages for energy in stage]
+    energies = [*(energy for stage in terms.stages for energy in stage), *extra]
 
     def unbalanced(energies: Sequence[Energy]) -> np.ndarray:
         return (forces(energies, terms.template) / terms.force_scale)[terms.free]

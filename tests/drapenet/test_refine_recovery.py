@@ -156,6 +156,26 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
         assert error < 1e-2
 
 
+@pytest.mark.slow
+def test_held_cloth_that_meets_itself_has_derivatives() -> None:
+    alpha = np.array([2.0, 2.2, 1.8]) * MICRO
+    theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
+    soft = drape(fabric_from_theta(theta), resolution=31, seed=0, start="fold")
+    assert soft.converged and "self-contact" in soft.message
+    cloth = HeldCloth.to_vertices(soft)
+    other = theta + np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
+    held = cloth.follow(soft, fabric_from_theta(other), options=TIGHT)
+    assert held.converged and "self-contact" in held.message
+    found = cloth.sensitivities(held)
+    assert found.ok
+    step = np.array([1e-4, 0, 0, 0, 0, 0])
+    plus, minus = (cloth.follow(held, fabric_from_theta(other + sign * step), options=TIGHT)
+                   for sign in (1, -1))
+    difference = (plus.positions - minus.positions) / 2e-4
+    error = np.linalg.norm(found.positions[0] - difference) / np.linalg.norm(difference)
+    assert error < 1e-2
+
+
 def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
     camera = CameraRig.load().nominal()
     for turn in (0.2, 1.3, 2.5):
