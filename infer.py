@@ -46,20 +46,26 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
+    drape = refined.resimulation if refined else None
+    if drapes and not drape:
+        from drapenet.resimulate import resimulate
+        from sim.scene import Rig
+
+        drape = resimulate(
+            estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
+            resolution=resolution, drapes=drapes)
+    if drape:
+        from drapenet.limits import add_limits
+
+        content["resimulation"] = drape.as_dict()
+        add_limits(content, drape)
     if not drapes:
         return content, None
 
     from drapenet.report import draw_report
-    from drapenet.resimulate import resimulate
-    from sim.scene import Rig
 
-    drape = refined.resimulation if refined else resimulate(
-        estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
-        resolution=resolution, drapes=drapes)
-    if drape is None:
+    if not drape:
         content["warnings"].append("no drape of the estimate converged; the report shows none")
-    else:
-        content["resimulation"] = drape.as_dict()
     picture = draw_report(estimate, views, drape, typical_error=content["typical_error"],
                           title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
     return content, picture

@@ -13,7 +13,7 @@ import numpy as np
 from data.cameras import Camera
 from data.render import DepthRenderer
 from drapenet.registration import count_folds, locate_camera, radius_profile, silhouette_overlap
-from sim.drape import drape
+from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.scene import Rig
 
@@ -32,6 +32,8 @@ class Resimulation:
         folds: captured and simulated.
         overlap: mean intersection over union of the silhouettes.
         statuses: of all drapes made, in the order of :data:`STARTS`.
+        drape: the one shown, or its mirror image.
+        camera: that sees it, and turn: rad, how ``drape`` lies in the first view.
     """
 
     views: np.ndarray
@@ -39,6 +41,9 @@ class Resimulation:
     folds: tuple[int, int]
     overlap: float
     statuses: tuple[str, ...]
+    drape: DrapeResult
+    camera: Camera
+    turn: float
 
     def as_dict(self) -> dict:
         """The figures, in JSON's types."""
@@ -77,10 +82,10 @@ def resimulate(
             renderer = DepthRenderer(result.positions * [side, 1, 1], result.faces)
             overlap, orientation = _fit_orientation(renderer, small, captured)
             if best is None or overlap > best[0]:
-                best = overlap, renderer, orientation
+                best = overlap, renderer, orientation, side, result
     if best is None:
         return None
-    _, renderer, orientation = best
+    _, renderer, orientation, side, result = best
     simulated = renderer.views(camera, orientation)
     profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT) for v in (views, simulated))
     return Resimulation(
@@ -89,6 +94,10 @@ def resimulate(
         folds=(count_folds(profiles[0]), count_folds(profiles[1])),
         overlap=silhouette_overlap(views, simulated),
         statuses=tuple(statuses),
+        drape=result,
+        camera=camera,
+        # The camera looks along y: mirrored in x, a drape that is turned back looks the same.
+        turn=side * orientation,
     )
 
 

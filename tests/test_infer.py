@@ -204,6 +204,9 @@ def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -
     content = json.loads((out / "estimate.json").read_text())
     assert content["resimulation"]["statuses"] == ["converged"]
     assert 0.3 < content["resimulation"]["silhouette_overlap"] <= 1
+    for name, limit in content["limits"].items():
+        for what, error in content["typical_error"][name].items():
+            assert 0 < limit[what] <= error
     with Image.open(out / "report.png") as picture:
         assert picture.size[0] > 1000
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page

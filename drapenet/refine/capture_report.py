@@ -162,4 +162,5 @@ def _resimulation(views: np.ndarray, refined: RefinedViews) -> Resimulation:
                      for v in (views, simulated))
     return Resimulation(
         views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
-        overlap=silhouette_overlap(views, simulated), statuses=(refined.drape.status.value,))
+        overlap=silhouette_overlap(views, simulated), statuses=(refined.drape.status.value,),
+        drape=refined.drape, camera=objective.camera, turn=float(nuisance[0]))
