@@ -13,11 +13,13 @@ import numpy as np
 
 from drapenet.refine.attraction import Springs, nearest_springs
 from sim.drape import DrapeResult
+from sim.energies.self_contact import SelfContact
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.newton import NewtonOptions
+from sim.scene import State
 from sim.sensitivity import Sensitivities, follow, sensitivities
-from sim.sensitivity.tangent import scene_of
+from sim.sensitivity.tangent import possible_contact, scene_of
 
 PULL = 0.3
 """Force of the springs at a distance of 1 mm, over the cloth's weight."""
@@ -29,10 +31,11 @@ class HeldCloth:
 
     Args:
         springs: their vertices are those of the mesh that will be simulated.
+        contact: of the cloth with itself, if it is known to touch itself.
     """
 
-    def __init__(self, springs: Springs) -> None:
-        self._springs = springs
+    def __init__(self, springs: Springs, contact: SelfContact | None = None) -> None:
+        self._extra = [springs] if contact is None else [springs, contact]
 
     @classmethod
     def to_surface(
@@ -50,12 +53,19 @@ class HeldCloth:
 
     @classmethod
     def to_vertices(cls, shape: DrapeResult, *, pull: float = PULL) -> "HeldCloth":
-        """Held to the vertices of a registered ``shape``."""
+        """Held to the vertices of a registered ``shape``.
+
+        Where that touches itself, so does the held cloth: springs would keep cloth apart that the
+        contact has to, and the moduli would pay for it.
+        """
         scene = scene_of(shape)
         free = np.repeat(np.flatnonzero(~scene.held), 3)
         weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free]
         axes = np.tile(np.eye(3), (len(free) // 3, 1))
-        return cls(Springs(free, shape.positions[free], axes, pull / 1e-3 * weight))
+        springs = Springs(free, shape.positions[free], axes, pull / 1e-3 * weight)
+        contact = possible_contact(shape)
+        touches = 0 < contact.value(State(shape.positions, shape.rotations).unknowns) < np.inf
+        return cls(springs, contact if touches else None)
 
     def follow(
         self,
@@ -67,7 +77,7 @@ class HeldCloth:
         sensitivities: Sensitivities | None = None,
     ) -> DrapeResult:
         """As :func:`sim.sensitivity.follow`."""
-        return follow(result, fabric, laws=laws, extra=[self._springs], options=options,
+        return follow(result, fabric, laws=laws, extra=self._extra, options=options,
                       sensitivities=sensitivities)
 
     def sensitivities(
@@ -78,4 +88,4 @@ class HeldCloth:
         parameters: Sequence[str] = ("log_alpha", "ratio"),
     ) -> Sensitivities:
         """As :func:`sim.sensitivity.sensitivities`."""
-        return sensitivities(result, laws=laws, extra=[self._springs], parameters=parameters)
+        return sensitivities(result, laws=laws, extra=self._extra, parameters=parameters)

@@ -181,6 +181,16 @@ def scene_of(result: DrapeResult) -> Scene:
     return Scene(mesh=mesh, held=result.held, obstacles=result.rig.obstacles)
 
 
+def possible_contact(result: DrapeResult) -> SelfContact:
+    """The contact of a drape with itself, as :mod:`sim.self_contact` would add it; zero for most
+    drapes."""
+    scene = scene_of(result)
+    distance = contact_distance(scene.mesh)
+    return SelfContact(scene.mesh, result.positions, distance=distance,
+                       pressure=CONTACT_PRESSURE * REFERENCE_DENSITY * scene.gravity,
+                       reach=_REACH * distance)
+
+
 def self_contact(
     result: DrapeResult, *, laws: Laws | None = None, extra: Sequence[Energy] = ()
 ) -> list[SelfContact]:
@@ -204,9 +214,6 @@ def self_contact(
     without = unbalanced(energies)
     if not result.converged or np.abs(without).max() < _BALANCED:
         return []
-    distance = contact_distance(scene.mesh)
-    pressure = CONTACT_PRESSURE * fabric.density * scene.gravity
-    contact = SelfContact(scene.mesh, state.positions, distance=distance, pressure=pressure,
-                          reach=_REACH * distance)
+    contact = possible_contact(result)
     rest = without + unbalanced([contact])
     return [contact] if np.linalg.norm(rest) < 0.5 * np.linalg.norm(without) else []
