@@ -28,7 +28,7 @@ def infer(
     # Imported here because torch takes seconds, and a bad capture should be told at once.
     from data.cameras import CameraRig
     from data.captures import to_camera
-    from drapenet.estimate import make_estimate, to_json
+    from drapenet.estimate import belief, make_estimate, to_json
     from drapenet.predict import predict
 
     rig = CameraRig.load(header.rig)
@@ -39,7 +39,8 @@ def infer(
     if refine == "depth":
         from drapenet.refine.capture_report import refine_capture
 
-        refined = refine_capture(estimate, capture, views, rig, resolution=resolution)
+        refined = refine_capture(estimate, capture, views, rig, known=belief(prediction, header),
+                                 resolution=resolution)
         estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
     if refined:

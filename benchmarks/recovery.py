@@ -39,6 +39,7 @@ from matplotlib.figure import Figure
 from benchmarks.common import REPORTS, ROOT, run_cases, table, write_figure, write_report
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
+from data.prior.gaussian import GaussianPrior
 from sim.cli import parse_overrides, run_command
 from sim.comparison import same_folds
 from sim.drape import DrapeResult, drape
@@ -163,6 +164,7 @@ def views_case(
     from data.render import render_views
     from data.sensor import SensorNoise
     from drapenet.checkpoint import BUNDLED, load_model, read_header
+    from drapenet.estimate import belief
     from drapenet.predict import predict
     from drapenet.refine.views import refine_views
     from drapenet.registration import locate_camera
@@ -180,18 +182,18 @@ def views_case(
     found = predict(load_model(header), views, form=header.form, scale=header.scale)
     turned = (found.axis - turn) % np.pi
     order = [0, 1, 2] if min(turned, np.pi - turned) <= np.pi / 4 else [2, 1, 0]
-    network = found.targets[[*order, *(3 + k for k in order)]]
+    order += [3 + k for k in order]
+    network, said = found.targets[order], belief(found, header)
     if not is_admissible(*from_theta(network)):
         network[1] = np.log(1.01 * np.exp(network[1]))
-    prior = load_prior("gaussian")
-    mean = prior.mean
+    mean = load_prior("gaussian").mean
     first = drape(fabric_from_theta(network if is_admissible(*from_theta(network)) else mean),
                   resolution=resolution, seed=number)
     outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
     refined = refine_views(
         views, locate_camera(views, rig.nominal()), network,
         turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
-        prior=prior, others=[mean])
+        prior=GaussianPrior(network, said.covariance[np.ix_(order, order)], fabrics=0))
     theta = network if refined is None else refined.best.theta
     result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
               for name, values in (("refined", theta), ("network", network), ("prior", mean))}

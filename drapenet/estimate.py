@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from data.captures import Capture
+from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header
 from drapenet.convention import LINEAR, RATIO, STIFF_SOFT
 from drapenet.predict import Prediction
@@ -70,14 +71,24 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
             directions = ", ".join(np.array(STIFF_SOFT)[outside])
             doubts.append(f"{what} ({directions}) lies outside the fabrics of the training set: "
                           "an extrapolation")
-    errors = _typical_errors(header)
+    errors = typical_errors(header)
     if (prediction.spread[LINEAR] > errors[LINEAR]).any():
         doubts.append("the view orders disagree more than the network's usual error: look for "
                       "a wrong view order, a wrong turn, or noise")
     return doubts
 
 
-def _typical_errors(header: Header) -> np.ndarray:
+def belief(prediction: Prediction, header: Header) -> GaussianPrior:
+    """What the network's word says of theta: its usual error around it.
+
+    Beyond the fabrics it was trained on, the distance to them is added to the error.
+    """
+    targets, values = header.content["targets"], prediction.targets
+    beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
+    return GaussianPrior(values, np.diag(typical_errors(header) ** 2 + beyond**2), fabrics=0)
+
+
+def typical_errors(header: Header) -> np.ndarray:
     """(6,) held-out errors in the targets' units."""
     content = header.content
     rmse = [content["validation"]["rmse"][name] for name in content["targets"]["names"]]
@@ -122,7 +133,7 @@ def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str
         "moduli": moduli_table(names, estimate.fabric),
         "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
         "spread_over_view_orders": error_table(names, prediction.spread),
-        "typical_error": error_table(names, _typical_errors(header)),
+        "typical_error": error_table(names, typical_errors(header)),
         "stiff_axis": {
             "direction_deg": math.degrees(prediction.axis),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",

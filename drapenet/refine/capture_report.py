@@ -10,7 +10,7 @@ from tqdm import tqdm
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.fabrics import fabric_from_theta, to_theta
-from data.prior import load_prior
+from data.prior.gaussian import GaussianPrior
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
@@ -51,6 +51,7 @@ def refine_capture(
     views: np.ndarray,
     cameras: CameraRig,
     *,
+    known: GaussianPrior,
     resolution: int,
 ) -> RefinedEstimate | None:
     """Refine the network's estimate until its drape looks like the views, with a progress bar.
@@ -60,24 +61,24 @@ def refine_capture(
     Args:
         estimate: in the order stiff, bias, soft; stiff lies along the x axis of the specimen.
         views: (4, H, W) z-depth, m, as the nominal camera of ``cameras`` would show them.
+        known: what the network's word says of theta, see :func:`drapenet.estimate.belief`.
         resolution: vertices a side of the simulated specimen.
     """
     rig = Rig.from_name(cameras.name)
     camera = locate_camera(views, cameras.nominal())
     fabric = estimate.fabric.at_density(REFERENCE_DENSITY)
     theta = to_theta(fabric.alpha, fabric.beta)
-    prior = load_prior("gaussian")
     turns = specimen_turns(estimate, capture, DepthViews(views, camera, np.zeros((0, 3), int)), rig)
     # Each round comes with a shape and up to two simulations of its own.
     total = (sum(FREE_ROUNDS) + sum(3 + evaluations for evaluations, _ in HELD_ROUNDS)
-             + (len(SPREAD) + 2) * len(turns) + 3)
+             + (len(SPREAD) + 1) * len(turns) + 3)
     with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
         def progress(simulations: int, value: float) -> None:
             bar.update(simulations - bar.n)
             bar.set_postfix(misfit=f"{value:.0f}")
 
         refined = refine_views(views, camera, theta, turns=turns, rig=rig, resolution=resolution,
-                               prior=prior, others=[prior.mean], progress=progress)
+                               prior=known, progress=progress)
     if refined is None:
         return None
     corrected = _corrected(estimate, refined, capture.density)

@@ -14,7 +14,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from data.prior.gaussian import GaussianPrior
 from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.held import HeldCloth
-from drapenet.refine.objective import fit_nuisances
+from drapenet.refine.objective import fit_nuisances, value
 from drapenet.refine.optimisers import Limits, Outcome, Status, minimise
 from drapenet.refine.problem import DrapeProblem, Trial
 from drapenet.refine.uncertainty import Uncertainty, laplace
@@ -90,7 +90,6 @@ def refine_views(
     seed: int = 0,
     shape: str = "captured",
     prior: GaussianPrior | None = None,
-    others: Sequence[np.ndarray] = (),
     weights: DepthWeights | None = None,
     progress: Progress | None = None,
 ) -> RefinedViews | None:
@@ -105,8 +104,7 @@ def refine_views(
         turns: possible directions of the warp in the first view, rad; all are tried.
         resolution: vertices a side of the specimen; seed: of its mesh, and of the other shapes.
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
-        prior: what is known of theta beforehand.
-        others: more fabrics (6,) to start from.
+        prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
     """
     faces = make_specimen(rig or Rig(), resolution=resolution, seed=seed).mesh.faces
     run = _Run(DepthViews(views, camera, faces, weights=weights), np.asarray(theta, np.float64),
@@ -114,7 +112,7 @@ def refine_views(
     began = time.perf_counter()
     try:
         for initial in dict.fromkeys((shape, *SHAPES)):
-            run.start(initial, turns, others)
+            run.start(initial, turns)
             if run.best is not None:
                 break
         else:
@@ -148,7 +146,8 @@ class _Run:
         progress: Progress | None,
     ) -> None:
         self.objective, self.theta = objective, theta
-        self.specimen, self.prior, self.progress = specimen, prior, progress
+        self.specimen, self.progress = specimen, progress
+        self.known = self.prior = prior
         self.simulations = 0
         self.best: Trial | None = None
         self.held: DrapeProblem | None = None
@@ -157,7 +156,7 @@ class _Run:
         self.uncertainty: Uncertainty | None = None
         self.status, self.message = Status.FAILED, ""
 
-    def start(self, initial: str, turns: Sequence[float], others: Sequence[np.ndarray]) -> None:
+    def start(self, initial: str, turns: Sequence[float]) -> None:
         """Release the initial shape with several fabrics, in every turn."""
         wide = [self.theta + np.repeat([shift, 0.0], 3) for shift in SPREAD]
         for turn in turns:
@@ -168,7 +167,7 @@ class _Run:
             else:
                 self.simulations += 1
                 shape = drape(fabric_from_theta(self.theta), start=initial, **self.specimen)
-            for theta in (*wide, *others):
+            for theta in wide:
                 self.release(shape, theta, nuisance)
 
     def shape(self, theta: np.ndarray, nuisance: np.ndarray) -> DrapeResult:
@@ -239,6 +238,7 @@ class _Run:
         trial = self.best
         shape = self.shape(trial.theta, trial.nuisance)
         cloth = HeldCloth.to_surface(shape, *self.objective.points(trial.nuisance), pull=pull)
+        self.weigh_prior(trial)
         found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
                         for theta in (trial.theta, self.theta))
         trials = [t for t in (found, first) if t is not None]
@@ -248,6 +248,13 @@ class _Run:
             self.start_value = math.inf if first is None else first.value
             self.held = self.problem(self.best, simulator=cloth)
             self.improve(self.held, evaluations)
+
+    def weigh_prior(self, trial: Trial) -> None:
+        """Let the prior count as much as the views do: they say less, the less they are met."""
+        if self.known is not None:
+            found = self.objective.linearised(trial.drape.positions, trial.nuisance)
+            misfit = max(2 * value(found.residuals) / found.count, 1.0)
+            self.prior = replace(self.known, covariance=self.known.covariance / misfit)
 
     def held_trial(
         self, cloth: HeldCloth, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray
