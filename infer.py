@@ -67,7 +67,7 @@ def infer(
 
     if not drape:
         content["warnings"].append("no drape of the estimate converged; the report shows none")
-    picture = draw_report(estimate, views, drape, typical_error=content["typical_error"],
+    picture = draw_report(estimate, views, drape, content=content,
                           title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
     return content, picture
 

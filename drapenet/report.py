@@ -2,6 +2,7 @@
 
 import io
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,14 +24,14 @@ def draw_report(
     resimulation: Resimulation | None,
     *,
     title: str,
-    typical_error: dict[str, dict[str, float]],
+    content: dict[str, Any],
 ) -> bytes:
     """The report as a PNG file.
 
     Args:
         views: (4, H, W) captured z-depth, m.
         resimulation: None if the estimate could not be draped.
-        typical_error: as in ``estimate.json``, for the bands of the curves.
+        content: of ``estimate.json``: typical errors, for the bands of the curves, and warnings.
     """
     figure = Figure(figsize=(13, 12.5), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
@@ -54,12 +55,12 @@ def draw_report(
         _silhouettes(pictures[2, k], captured, drape)
     upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
     grid = lower.add_gridspec(1, 3, width_ratios=(2, 1.2, 1))
-    _torques(lower.add_subplot(grid[0]), estimate, typical_error)
+    _torques(lower.add_subplot(grid[0]), estimate, content["typical_error"])
     _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
     _figures(lower.add_subplot(grid[2]), estimate, resimulation)
     figure.suptitle(title, fontsize=14)
-    if estimate.warnings:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in estimate.warnings),
+    if content["warnings"]:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in content["warnings"]),
                          x=0.01, ha="left", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
