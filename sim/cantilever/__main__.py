@@ -13,10 +13,12 @@ Keys of estimate:
 
     warp, bias, weft   curves of each direction, any subset
     density            g/m²
-    method             table (nearest computed curve, for measured curves) or regression
-                       (torque on curvature, for clean ones)
+    method             table (nearest computed curve, for measured curves), regression (torque on
+                       curvature, for clean ones) or spline (a free curve of torque against
+                       curvature in place of the moduli, for a level clamp)
     slope              angle of the clamp below the horizontal, degrees
     degree             of the Bézier curves, 0 chooses it for each
+    knots              of the spline, beside that at 0
     rounds             of simulated correction, at most (6 is enough); needs all three directions
     width              of the strips, mm, for the correction
     out                JSON file with the result
@@ -34,11 +36,13 @@ from sim.cantilever.curves import read_curve
 from sim.cantilever.elastica import aspect_ratio, elastica
 from sim.cantilever.fabric import correct, estimate
 from sim.cantilever.tester import fabric_of_gamma, hang
+from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
 from sim.files import replace_file
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
+from sim.scene import GRAVITY
 
 LENGTH = 0.09  # m; only gamma matters
 LARGEST_SIMULATED_GAMMA = 2000.0
@@ -50,6 +54,7 @@ DEFAULTS = {
     "method": "table",
     "slope": 0.0,
     "degree": 0,
+    "knots": KNOTS,
     "rounds": 0,
     "width": 30.0,
     "out": "",
@@ -117,6 +122,9 @@ def print_estimate(config: dict) -> None:
     if config["rounds"] < 0 or not 0 < config["width"] <= 500:
         raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
+    if config["method"] == "spline":
+        print_torque_curves(strips, config)
+        return
     options = {
         "density": 1e-3 * config["density"],
         "method": config["method"],
@@ -148,6 +156,28 @@ def print_estimate(config: dict) -> None:
     if config["out"]:
         report = {"density_g_m2": config["density"], "method": config["method"],
                   "rounds": config["rounds"], "moduli": rows}
+        replace_file(Path(config["out"]), (json.dumps(report, indent=2) + "\n").encode())
+
+
+def print_torque_curves(strips: dict[str, list[np.ndarray]], config: dict) -> None:
+    """Fit a torque curve to the strips of each direction, print its knots, write JSON."""
+    if config["slope"] or config["rounds"]:
+        raise InputError("method=spline is for a level clamp and has no rounds of correction")
+    rows = {}
+    for direction, curves in strips.items():
+        found = fit_torque_curve(curves, weight=1e-3 * config["density"] * GRAVITY,
+                                 knots=config["knots"], degree=config["degree"] or None)
+        rows[direction] = {
+            "curvature_1_m": found.curvature.tolist(),
+            "torque_mN": (1e3 * found.torque).tolist(),
+            "misfit": found.misfit,
+            "largest_curvature_1_m": found.reached,
+        }
+        print(f"{direction}: misfit {100 * found.misfit:.2f} %, bent up to {found.reached:.0f} 1/m")
+        print(f"  curvature 1/m {''.join(f'{k:9.1f}' for k in found.curvature)}")
+        print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in found.torque)}")
+    if config["out"]:
+        report = {"density_g_m2": config["density"], "method": "spline", "torque_curves": rows}
         replace_file(Path(config["out"]), (json.dumps(report, indent=2) + "\n").encode())
 
 

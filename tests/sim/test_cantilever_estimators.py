@@ -219,6 +219,21 @@ def test_estimate_reads_files_and_writes_moduli(tmp_path, capsys):
     assert "weft" in capsys.readouterr().out
 
 
+def test_estimate_reads_files_and_writes_a_torque_curve(tmp_path, capsys):
+    alpha, beta = LAWS[0]
+    files = [write_curve(tmp_path / f"{k}.csv", c) for k, c in enumerate(curves_of(alpha, beta))]
+    out = tmp_path / "torque.json"
+    main(["estimate", f"weft={files[0]},{files[1]}", "density=300", "method=spline", "knots=5",
+          f"out={out}"])
+    weft = json.loads(out.read_text())["torque_curves"]["weft"]
+    kappa, torque = np.array(weft["curvature_1_m"]), np.array(weft["torque_mN"])
+    assert len(kappa) == 6 and kappa[0] == torque[0] == 0
+    inside = (kappa > 0) & (kappa < 0.9 * weft["largest_curvature_1_m"])
+    expected = 1e3 * (alpha * kappa + beta * kappa**2)
+    assert torque[inside] == pytest.approx(expected[inside], rel=0.03)
+    assert "torque mN" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "words",
     [["--gamma"], ["--gamma", "x"], ["--gamma", "0"], ["--gamma", "nan"], ["--json", "-"],
@@ -235,6 +250,7 @@ def test_mistakes_are_one_line(words):
 
 def test_unknown_methods_and_rounds_without_all_directions_are_refused(tmp_path):
     file = write_curve(tmp_path / "w.csv", curves_of(*LAWS[0])[0])
-    for word in ("method=guess", "rounds=1", "degree=50", "slope=95"):
+    for words in (["method=guess"], ["rounds=1"], ["degree=50"], ["slope=95"],
+                  ["method=spline", "slope=5"], ["method=spline", "knots=1"]):
         with pytest.raises(InputError):
-            main(["estimate", f"warp={file}", "density=300", word])
+            main(["estimate", f"warp={file}", "density=300", *words])
