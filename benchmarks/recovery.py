@@ -270,6 +270,17 @@ def summarise_views(results: dict[str, dict]) -> dict[str, dict]:
     return summary
 
 
+def spreads(results: dict[str, dict]) -> dict[str, list[float]]:
+    """Usual errors (6,) of log alpha and, in m, of beta/alpha, of refinement and network.
+
+    1.48 times the median of their sizes: the standard deviation of a normal distribution.
+    """
+    theta = np.array([r["theta"] for r in results.values()])
+    return {name: (1.4826 * np.median(np.abs([r[key] for r in results.values()] - theta),
+                                      axis=0)).tolist()
+            for name, key in (("refined from views", "found"), ("network", "estimated"))}
+
+
 def picture(views: dict[str, dict], registered: dict[str, dict], path: Path) -> None:
     """True against found alpha, and the way of each optimiser to the goal."""
     figure = Figure(figsize=(5.5 * (bool(views) + bool(registered)), 4.6), layout="constrained")
@@ -355,8 +366,9 @@ def main(argv: list[str]) -> None:
             for k in range(config["fabrics"])}
         views = run_cases(views_case, cases, folder=folder, workers=config["workers"])
         summary = summarise_views(views)
-        report |= {"views": {"summary": summary, "cases": views,
-                             "other_folds": sum(r["other_folds"] for r in views.values())}}
+        report |= {"spread": spreads(views), "views": {
+            "summary": summary, "cases": views,
+            "other_folds": sum(r["other_folds"] for r in views.values())}}
         print("\nFour noisy views, median errors\n")
         print(table(["estimate", "alpha", "warp", "bias", "weft", "worst fabric",
                      "beta/alpha, mm"],

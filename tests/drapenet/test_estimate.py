@@ -8,7 +8,7 @@ import pytest
 from data.cameras import CameraRig
 from data.captures import Capture
 from drapenet.checkpoint import Header, read_header
-from drapenet.estimate import make_estimate, to_json
+from drapenet.estimate import belief, make_estimate, to_json
 from drapenet.predict import Prediction
 from drapenet.table import format_table
 from sim.material import MICRO, is_admissible
@@ -90,3 +90,14 @@ def test_errors_are_in_percent_and_millimetres(header: Header) -> None:
     error = to_json(estimate, capture=CAPTURE, header=header)["typical_error"]["stiff"]
     assert error["alpha_percent"] == pytest.approx(100 * (math.exp(0.5 * 0.9) - 1))
     assert error["beta_over_alpha_mm"] == pytest.approx(0.5 * 2.0)
+
+
+def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Header) -> None:
+    inside, outside = (belief(predicted(alpha), header)
+                       for alpha in ([60, 40, 20], [60, 40, 0.2]))
+    assert inside.mean == pytest.approx(predicted([60, 40, 20]).targets)
+    usual = np.sqrt(np.diag(inside.covariance))
+    assert usual[:3] == pytest.approx(0.5 * np.array([0.9, 0.8, 0.8]))
+    beyond = -12.4 - math.log(0.2 * MICRO)  # the softest of the training set is at -10.8 - 2 * 0.8
+    assert np.sqrt(np.diag(outside.covariance)) == pytest.approx(
+        [*usual[:2], math.hypot(usual[2], beyond), *usual[3:]])
