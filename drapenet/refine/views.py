@@ -123,6 +123,7 @@ def refine_views(
         for number, evaluations in enumerate(FREE_ROUNDS):
             if number and initial == "captured":
                 run.pull_again()
+            run.weigh_prior(run.best)
             run.improve(run.problem(run.best), evaluations)
         for evaluations, pull in HELD_ROUNDS:
             run.hold(evaluations, pull)
@@ -239,12 +240,15 @@ class _Run:
     def hold(self, evaluations: int, pull: float) -> None:
         """A round with springs to the surface as the best trial sees it."""
         trial = self.best
-        shape = self.shape(trial.theta, trial.nuisance)
-        cloth = HeldCloth.to_surface(shape, *self.objective.points(trial.nuisance), pull=pull)
         self.weigh_prior(trial)
-        found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
-                        for theta in (trial.theta, self.theta))
-        trials = [t for t in (found, first) if t is not None]
+        # Pulled from afar, the specimen may end entangled; the best drape has the folds as well.
+        for shape in (self.shape(trial.theta, trial.nuisance), trial.drape):
+            cloth = HeldCloth.to_surface(shape, *self.objective.points(trial.nuisance), pull=pull)
+            found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
+                            for theta in (trial.theta, self.theta))
+            trials = [t for t in (found, first) if t is not None]
+            if trials:
+                break
         if trials:
             # Values with other springs are not compared.
             self.best = min(trials, key=lambda t: t.value)
@@ -258,6 +262,7 @@ class _Run:
             found = self.objective.linearised(trial.drape.positions, trial.nuisance)
             misfit = max(2 * value(found.residuals) / found.count, 1.0)
             self.prior = replace(self.known, covariance=self.known.covariance / misfit)
+            self.best = self.refit(self.problem(trial)).best or trial
 
     def held_trial(
         self, cloth: HeldCloth, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray
