@@ -16,8 +16,8 @@ Keys (``key=value``):
     views     sets of four views an epoch
     epochs    of each training
     seeds     trainings of each size, with seeds 0, 1, ...
-    threads   of the network
-    work      folder of the trainings
+    workers   trainings at a time, each in a process of one thread
+    work      folder of the trainings and their results
     out       the report, JSON; the picture lies beside it
 """
 
@@ -31,7 +31,7 @@ import torch
 from matplotlib.figure import Figure
 
 import train
-from benchmarks.common import REPORTS, table, write_figure, write_report
+from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
 from data.fresh import open_views
 from data.sensor import SensorNoise
 from data.splits import SplitDataset, finished_manifest
@@ -51,7 +51,7 @@ DEFAULTS = {
     "views": 14400,
     "epochs": 4,
     "seeds": 1,
-    "threads": 2,
+    "workers": 2,
     "work": "outputs/learning_curve",
     "out": str(REPORTS / "learning_curve.json"),
 }
@@ -71,24 +71,32 @@ def plan(config: dict) -> list[dict]:
     return [size | {"seed": seed} for size in sizes for seed in range(config["seeds"])]
 
 
-def learn(case: dict, unseen: SplitDataset, config: dict) -> dict:
+def learn(
+    *, curve: str, data: str, fabrics: int, drapes_each: int, seed: int, out: str, unseen: str,
+    views: int, epochs: int,
+) -> dict:
     """Train on a part of a dataset; the errors on unseen fabrics, in their standard deviations."""
-    drapes = case["fabrics"] * case["drapes_each"]
-    out = Path(config["work"]) / "{curve}_{fabrics}x{drapes_each}_{seed}".format(**case)
+    drapes = fabrics * drapes_each
     train.main([
-        "experiment=cpu_small", f"data={case['data']}", f"out={out}", f"seed={case['seed']}",
-        f"fabrics={case['fabrics']}", f"drapes_each={case['drapes_each']}", "views=cached",
-        f"orientations_per_epoch={max(1, config['views'] // drapes)}",
-        f"epochs={config['epochs']}", f"validation_fraction={HELD_OUT}",
-        f"threads={config['threads']}",
+        "experiment=cpu_small", f"data={data}", f"out={out}", f"seed={seed}",
+        f"fabrics={fabrics}", f"drapes_each={drapes_each}", "views=cached",
+        f"orientations_per_epoch={max(1, views // drapes)}", f"epochs={epochs}",
+        f"validation_fraction={HELD_OUT}", "threads=1",
     ])
-    header = read_header(out / "drapenet")
-    spread = to_stiff_soft(torch.from_numpy(unseen.theta)).std(dim=0).numpy()
-    rmse = evaluate(header, unseen)["network"]["rmse"]
+    others = open_unseen(unseen)
+    header = read_header(Path(out) / "drapenet")
+    spread = to_stiff_soft(torch.from_numpy(others.theta)).std(dim=0).numpy()
+    rmse = evaluate(header, others)["network"]["rmse"]
     share = np.array([rmse[name] for name in TARGET_NAMES]) * header.scale.std.numpy() / spread
-    return case | {"drapes": drapes} | {
+    return {"curve": curve, "fabrics": fabrics, "drapes_each": drapes_each, "seed": seed,
+            "drapes": drapes} | {
         name: float(np.sqrt(np.mean(share[part] ** 2)))
         for name, part in (("log_alpha", LINEAR), ("beta_over_alpha", RATIO))}
+
+
+def open_unseen(folder: str) -> SplitDataset:
+    """Two captures of each drape of a dataset."""
+    return open_views(folder, noise=SensorNoise.load("smooth"), orientations_per_epoch=2)
 
 
 def picture(results: list[dict], out: Path) -> None:
@@ -99,7 +107,7 @@ def picture(results: list[dict], out: Path) -> None:
                          ("starts", "more drapes of the same fabrics")):
         points = [(row["drapes"], row["log_alpha"]) for row in results if row["curve"] == curve]
         if points:
-            axes.loglog(*np.array(points).T, "o-", label=label)
+            axes.semilogx(*np.array(points).T, "o-", label=label)
     axes.set_xlabel("drapes")
     axes.set_ylabel("error of log α on unseen fabrics, in their deviations")
     axes.legend()
@@ -109,12 +117,16 @@ def picture(results: list[dict], out: Path) -> None:
 def main(argv: list[str]) -> None:
     """Train, print the table, and write the report."""
     config = parse_overrides(DEFAULTS, argv)
-    for key in ("views", "epochs", "seeds", "threads"):
+    for key in ("views", "epochs", "seeds", "workers"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")
-    unseen = open_views(config["unseen"], noise=SensorNoise.load("smooth"),
-                        orientations_per_epoch=2)
-    results = [learn(case, unseen, config) for case in plan(config)]
+    open_unseen(config["unseen"])  # to be told of mistakes before the first training
+    work, cases = Path(config["work"]), {}
+    for case in plan(config):
+        name = "{curve}_{fabrics}x{drapes_each}_{seed}".format(**case)
+        cases[name] = case | {key: config[key] for key in ("unseen", "views", "epochs")} | {
+            "out": str(work / name)}
+    results = list(run_cases(learn, cases, folder=work, workers=config["workers"]).values())
     print(table(
         ("fabrics", "drapes of each", "seed", "log alpha", "beta/alpha"),
         [(row["fabrics"], row["drapes_each"], row["seed"], f"{row['log_alpha']:.3f}",
