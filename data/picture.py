@@ -133,4 +133,3 @@ def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
         ]
     )
     return points, faces
-

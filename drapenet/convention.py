@@ -14,3 +14,4 @@ TARGET_NAMES = (
 TARGET_UNITS = ("log N·m",) * 3 + ("m",) * 3
 LINEAR = slice(0, 3)  # the targets that are log alphas
 RATIO = slice(3, 6)  # the targets that are beta/alpha
+SWAPPED = [2, 1, 0, 5, 4, 3]  # theta with warp and weft exchanged

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from data.prior import load_prior
+from drapenet.convention import SWAPPED
 from drapenet.information import CAMERA, SPECIMEN, bounds, bounds_alone, depth_information
 from drapenet.resimulate import Resimulation
 from drapenet.table import error_table
@@ -18,7 +19,6 @@ HARDLY = 0.5
 """Share of the fabrics' spread: a modulus whose bound is above it is hardly told,"""
 WELL = 0.2
 """below this, well."""
-_STIFF_FIRST = {True: [0, 1, 2, 3, 4, 5], False: [2, 1, 0, 5, 4, 3]}
 
 
 def add_limits(content: dict[str, Any], drape: Resimulation) -> None:
@@ -36,7 +36,7 @@ def add_limits(content: dict[str, Any], drape: Resimulation) -> None:
         return
     covariance = found.covariance((*SPECIMEN, *CAMERA))
     alpha = drape.drape.fabric.alpha
-    order = _STIFF_FIRST[bool(alpha[0] >= alpha[2])]
+    order = SWAPPED if alpha[0] < alpha[2] else slice(None)
     least, others_known = bounds(covariance)[order], bounds_alone(covariance)[order]
     names = list(content["moduli"])
     content["limits"] = error_table(names, least)

@@ -148,4 +148,3 @@ def nearest_springs(
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free[near]]
     return Springs(free[near], points[nearest[near]], normals[nearest[near]],
                    pull / 1e-3 * weight)
-

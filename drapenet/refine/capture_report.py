@@ -11,6 +11,7 @@ from data.cameras import CameraRig
 from data.captures import Capture
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior.gaussian import GaussianPrior
+from drapenet.convention import SWAPPED
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
@@ -26,8 +27,6 @@ from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
 from drapenet.table import error_table
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.scene import Rig
-
-_SWAPPED = [2, 1, 0, 5, 4, 3]  # theta with warp and weft exchanged
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def _corrected(estimate: Estimate, refined: RefinedViews, density: float) -> Est
     theta, turn = refined.best.theta, float(refined.best.nuisance[0])
     names = estimate.names
     if theta[0] < theta[2]:
-        theta, turn = theta[_SWAPPED], turn + math.pi / 2
+        theta, turn = theta[SWAPPED], turn + math.pi / 2
         if "warp" in names:
             names = names[::-1]
     return replace(
@@ -147,7 +146,7 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
         warnings.append("the refinement gives no uncertainty; the network's typical error stands")
     else:
         theta = refined.best.theta
-        errors = refined.uncertainty.theta[_SWAPPED if theta[0] < theta[2] else slice(None)]
+        errors = refined.uncertainty.theta[SWAPPED if theta[0] < theta[2] else slice(None)]
         content["typical_error"] = error_table(after.names, errors)
         content["refined"]["reduced_chi2"] = refined.uncertainty.reduced_chi2
     content["warnings"] = warnings

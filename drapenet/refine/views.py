@@ -123,7 +123,8 @@ def refine_views(
         for number, evaluations in enumerate(FREE_ROUNDS):
             if number and initial == "captured":
                 run.pull_again()
-            run.weigh_prior(run.best)
+            run.weigh_prior()
+            run.compare_again()
             run.improve(run.problem(run.best), evaluations)
         for evaluations, pull in HELD_ROUNDS:
             run.hold(evaluations, pull)
@@ -240,29 +241,37 @@ class _Run:
     def hold(self, evaluations: int, pull: float) -> None:
         """A round with springs to the surface as the best trial sees it."""
         trial = self.best
-        self.weigh_prior(trial)
+        self.weigh_prior()
+        points = self.objective.points(trial.nuisance)
         # Pulled from afar, the specimen may end entangled; the best drape has the folds as well.
         for shape in (self.shape(trial.theta, trial.nuisance), trial.drape):
-            cloth = HeldCloth.to_surface(shape, *self.objective.points(trial.nuisance), pull=pull)
+            cloth = HeldCloth.to_surface(shape, *points, pull=pull)
             found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
                             for theta in (trial.theta, self.theta))
             trials = [t for t in (found, first) if t is not None]
             if trials:
                 break
-        if trials:
-            # Values with other springs are not compared.
-            self.best = min(trials, key=lambda t: t.value)
-            self.start_value = math.inf if first is None else first.value
-            self.held = self.problem(self.best, simulator=cloth)
-            self.improve(self.held, evaluations)
+        if not trials:
+            self.compare_again()
+            return
+        # Values with other springs are not compared.
+        self.best = min(trials, key=lambda t: t.value)
+        self.start_value = math.inf if first is None else first.value
+        self.held = self.problem(self.best, simulator=cloth)
+        self.improve(self.held, evaluations)
 
-    def weigh_prior(self, trial: Trial) -> None:
+    def weigh_prior(self) -> None:
         """Let the prior count as much as the views do: they say less, the less they are met."""
         if self.known is not None:
-            found = self.objective.linearised(trial.drape.positions, trial.nuisance)
+            best = self.best
+            found = self.objective.linearised(best.drape.positions, best.nuisance)
             misfit = max(2 * value(found.residuals) / found.count, 1.0)
             self.prior = replace(self.known, covariance=self.known.covariance / misfit)
-            self.best = self.refit(self.problem(trial)).best or trial
+
+    def compare_again(self) -> None:
+        """The value of the best under the prior as it weighs now."""
+        if self.known is not None:
+            self.best = self.refit(self.problem(self.best)).best or self.best
 
     def held_trial(
         self, cloth: HeldCloth, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray

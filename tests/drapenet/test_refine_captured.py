@@ -169,18 +169,30 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
-def test_command_refines_a_scan(tmp_path: Path, captured: CapturedShape) -> None:
-    scan = tmp_path / "scan.npz"
+@pytest.fixture(scope="module")
+def refined(tmp_path_factory: pytest.TempPathFactory, captured: CapturedShape) -> tuple[Path, str]:
+    """Folder and terminal of the command that refines ``captured``."""
+    folder = tmp_path_factory.mktemp("scan")
+    scan = folder / "scan.npz"
     np.savez(scan, vertices=captured.positions, rest=captured.rest, faces=captured.faces)
     done = subprocess.run(
-        [sys.executable, "infer.py", f"scan={scan}", "refine=scan", f"out={tmp_path / 'out'}"],
+        [sys.executable, "infer.py", f"scan={scan}", "refine=scan", f"out={folder / 'out'}"],
         cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    return folder / "out", done.stdout
+
+
+@pytest.mark.slow
+def test_command_refines_a_scan(refined: tuple[Path, str]) -> None:
+    out, printed = refined
+    content = json.loads((out / "estimate.json").read_text())
     assert content["simulations"] <= 25
-    assert format_scan(content) in done.stdout
-    assert (tmp_path / "out" / "report.png").stat().st_size > 10_000
-    gap = content["fidelity"]["displacement_mm"]
-    if gap > 0.5:
-        pytest.xfail(f"the search stalls {gap:.1f} mm from a drape of the simulator itself")
+    assert format_scan(content) in printed
+    assert (out / "report.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="the search stalls 2.1 mm from a drape of the simulator")
+def test_command_finds_a_drape_of_the_simulator(refined: tuple[Path, str]) -> None:
+    content = json.loads((refined[0] / "estimate.json").read_text())
+    assert content["fidelity"]["displacement_mm"] < 0.5
