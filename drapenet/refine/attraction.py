@@ -148,3 +148,17 @@ def nearest_springs(
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free[near]]
     return Springs(free[near], points[nearest[near]], normals[nearest[near]],
                    pull / 1e-3 * weight)
+
+
+def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
+    """Springs from every free vertex to the plane through its own place on a surface.
+
+    Along the surface vertices are free: there their places are known least.
+
+    Args:
+        positions: (V, 3) m, of the surface. pull: as for :func:`nearest_springs`.
+    """
+    free = np.flatnonzero(~scene.held)
+    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free]
+    return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
+                   pull / 1e-3 * weight)

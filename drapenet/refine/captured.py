@@ -1,20 +1,21 @@
 """Refinement of a captured shape whose points are known: a scan registered to a mesh.
 
-Every simulation begins at the captured shape itself, so that its folds need not be found
-(Feng et al. 2022, section 7.2; Larionov et al., section 5), and ends where the cloth of the tried
-moduli comes to rest. Unknown are theta, the membrane's stiffness, the direction of the warp and,
-if wanted, a natural curvature.
+A simulation begins at the captured shape itself, so that its folds need not be found (Feng et al.
+2022, section 7.2; Larionov et al., section 5), or at the drape of another trial, and ends where
+the cloth of the tried moduli comes to rest. Unknown are theta, the membrane's stiffness, the
+direction of the warp and, if wanted, a natural curvature.
 """
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
-from drapenet.refine.objective import Linearised, Objective, value
+from drapenet.refine.objective import Objective, value
 from drapenet.refine.problem import (
     ALPHA_RANGE,
     RATIO_RANGE,
@@ -23,6 +24,7 @@ from drapenet.refine.problem import (
     with_prior,
 )
 from sim.drape import DrapeResult
+from sim.energies.base import Energy
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
@@ -37,6 +39,9 @@ from sim.sensitivity.rest_shape import moves_with_rest
 MEMBRANE_RANGE = (20.0, 5000.0)
 """N/m at 300 g/m². Softer cloth would stretch by its own weight; a scan whose vertices have slid
 along the cloth asks for that."""
+USUAL_MEMBRANE, MEMBRANE_SPREAD = 200.0, 0.3
+"""N/m at 300 g/m², and how far log membrane may be from it. A drape hardly tells it, and errors of
+a scan's vertices pass for stretch: without this knowledge soft cloth ends at the lower bound."""
 WARP_SCALE = 0.3  # rad
 CURVATURE_RANGE = 60.0  # 1/m
 CURVATURE_SCALE = 25.0  # 1/m
@@ -142,6 +147,21 @@ class Settled:
     value: float
 
 
+@dataclass
+class Effort:
+    """What a search has spent.
+
+    Attributes:
+        solves: simulations. failures: messages of those that did not end.
+        seconds: wall time in simulations and in derivatives.
+    """
+
+    solves: int = 0
+    failures: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(
+        default_factory=lambda: {"simulation": 0.0, "derivatives": 0.0})
+
+
 class CapturedProblem:
     """The refinement of a captured shape (:class:`.optimisers.LeastSquares`).
 
@@ -152,12 +172,15 @@ class CapturedProblem:
         prior: of theta; None for none.
         free: (11,) bool, which of :data:`NAMES` are unknown; all but the natural curvature unless
             given.
+        spread: how far log membrane may be from the usual one; infinite: anywhere.
+        near: where simulations begin: at this drape on the shape's mesh, later at the best one.
+            None: every one is let go at the captured shape.
+        springs: energies that hold the simulated cloth.
+        effort: to count in; a new one unless given.
 
     Attributes:
         start, low, high: (n,) in units of :data:`SCALE`.
-        best: None before the first simulation.
-        solves: simulations. failures: messages of those that did not end.
-        seconds: wall time in simulations and in derivatives.
+        best, last: None before the first simulation.
     """
 
     def __init__(
@@ -168,9 +191,15 @@ class CapturedProblem:
         *,
         prior: GaussianPrior | None = None,
         free: np.ndarray | None = None,
+        spread: float = MEMBRANE_SPREAD,
+        near: DrapeResult | None = None,
+        springs: Sequence[Energy] = (),
+        effort: Effort | None = None,
     ) -> None:
         self.shape, self.objective, self.prior = shape, objective, prior
         self.free = np.arange(len(NAMES)) < 8 if free is None else free
+        self.effort = effort or Effort()
+        self._spread, self._near, self._springs = spread, near, tuple(springs)
         self._all = np.concatenate([start.theta, [math.log(start.membrane), start.warp],
                                     start.curvature])
         alpha, membrane = np.log(ALPHA_RANGE), np.log(MEMBRANE_RANGE)
@@ -183,9 +212,6 @@ class CapturedProblem:
         self.start = np.clip((self._all / SCALE)[self.free], self.low, self.high)
         self.best: Settled | None = None
         self.last: Settled | None = None
-        self.solves = 0
-        self.failures: list[str] = []
-        self.seconds = {"simulation": 0.0, "derivatives": 0.0}
 
     def cloth(self, x: np.ndarray) -> Cloth:
         """The cloth of the unknowns x (n,)."""
@@ -202,19 +228,28 @@ class CapturedProblem:
         cloth = self.cloth(x)
         if not is_admissible(*from_theta(cloth.theta)):
             return math.inf
-        self.solves += 1
+        self.effort.solves += 1
         began = time.perf_counter()
-        drape = self.shape.settle(cloth.fabric, warp=cloth.warp, laws=cloth.laws)
-        self.seconds["simulation"] += time.perf_counter() - began
+        drape = self._simulate(cloth)
+        self.effort.seconds["simulation"] += time.perf_counter() - began
         if not drape.converged:
-            self.failures.append(f"{drape.status.value}: {drape.message}")
+            self.effort.failures.append(f"{drape.status.value}: {drape.message}")
             return math.inf
         total = value(self.objective.residuals(drape.positions, np.zeros(0)))
-        total += prior_value(self.prior, cloth.theta)
+        total += prior_value(self.prior, cloth.theta) + value(self._unusual(cloth))
         self.last = Settled(np.array(x), cloth, drape, total)
         if self.best is None or total < self.best.value:
             self.best = self.last
         return total
+
+    def _simulate(self, cloth: Cloth) -> DrapeResult:
+        near = self._near
+        if near is None:
+            near = self.shape.as_drape(cloth.fabric)
+        elif self.best is not None:
+            near = self.best.drape
+        near = replace(near, rest=turned_rest(self.shape.rest, cloth.warp))
+        return follow(near, cloth.fabric, laws=cloth.laws, extra=self._springs, options=SETTLING)
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best one simulated."""
@@ -223,23 +258,30 @@ class CapturedProblem:
         if here is None:
             return None
         began = time.perf_counter()
-        moves = cloth_moves(here.drape, here.cloth, self.free)
-        self.seconds["derivatives"] += time.perf_counter() - began
+        moves = cloth_moves(here.drape, here.cloth, self.free, springs=self._springs)
+        self.effort.seconds["derivatives"] += time.perf_counter() - began
         if moves is None:
             return None
         found = self.objective.linearised(here.drape.positions, np.zeros(0))
+        unknowns = np.eye(len(NAMES))[:, self.free]
         residuals, jacobian = with_prior(
-            self.prior, here.cloth.theta, found.residuals, found.along(moves),
-            np.eye(len(NAMES))[:6, self.free])
-        return residuals, jacobian * SCALE[self.free]
+            self.prior, here.cloth.theta, found.residuals, found.along(moves), unknowns[:6])
+        return (np.concatenate([residuals, self._unusual(here.cloth)]),
+                np.concatenate([jacobian, unknowns[6:7] / self._spread]) * SCALE[self.free])
+
+    def _unusual(self, cloth: Cloth) -> np.ndarray:
+        """(1,) how far the membrane is from the usual one, in units of its spread."""
+        return np.array([math.log(cloth.membrane / USUAL_MEMBRANE) / self._spread])
 
 
-def cloth_moves(drape: DrapeResult, cloth: Cloth, free: np.ndarray) -> np.ndarray | None:
+def cloth_moves(
+    drape: DrapeResult, cloth: Cloth, free: np.ndarray, *, springs: Sequence[Energy] = ()
+) -> np.ndarray | None:
     """Derivatives (n, V, 3) of a drape's vertices by the unknowns ``free`` (11,) of ``cloth``.
 
-    None where the equilibrium has none.
+    ``springs`` are what holds it. None where the equilibrium has no derivatives.
     """
-    tangent = Tangent.of(drape, laws=cloth.laws)
+    tangent = Tangent.of(drape, laws=cloth.laws, extra=springs)
     if not tangent.ok:
         return None
     moves = list(tangent_sensitivities(
@@ -265,61 +307,3 @@ def _curving(tangent: Tangent, cloth: Cloth, k: int) -> np.ndarray:
         pushes.append(forces([law(mesh, active, fabric=tangent.fabric)], tangent.q))
     push = (pushes[0] - pushes[1]) / (2 * _CURVATURE_STEP)
     return -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)
-
-
-class RobustPositions:
-    """Objective: distances between vertices and their captured places, far ones counting less.
-
-    Value: that of Huber's function of the distances in units of ``sigma``, half its mean over
-    ``vertices`` times ``independent``.
-
-    Args:
-        target: (V, 3) m, on the same mesh.
-        vertices: (V,) bool, those that count.
-        sigma: m, standard deviation of a distance.
-        limit: in units of ``sigma``, from which the value grows linearly.
-        independent: how many of the distances are independent: of one fold, hardly more than one.
-    """
-
-    nuisances = ()
-    start = scale = np.zeros(0)
-
-    def __init__(
-        self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 1e-3,
-        limit: float = 2.0, independent: float = 100.0,
-    ) -> None:
-        self._target, self._vertices = target, np.flatnonzero(vertices)
-        self._sigma, self._limit = sigma, limit
-        self._factor = math.sqrt(independent / len(self._vertices))
-
-    @classmethod
-    def of(cls, shape: CapturedShape) -> "RobustPositions":
-        """For a registered scan: its hanging vertices, whose distances of 2 mm already are far."""
-        return cls(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
-
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (3 N,)."""
-        return self._bent(positions)[0].ravel()
-
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
-        residuals, scale, across = self._bent(positions)
-
-        def along(moves: np.ndarray) -> np.ndarray:
-            chosen = moves[:, self._vertices]
-            inward = (across * chosen).sum(-1, keepdims=True)
-            return (scale[:, None] * chosen + residuals * inward).reshape(len(moves), -1).T
-
-        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)))
-
-    def _bent(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (N, 3), their factor (N,), and its relative derivative by the gap (N, 3)."""
-        gap = (positions - self._target)[self._vertices]
-        distance = np.maximum(np.linalg.norm(gap, axis=1) / self._sigma, 1e-12)
-        far = distance > self._limit
-        bent = np.sqrt(np.where(far, 2 * self._limit * distance - self._limit**2, 1.0))
-        scale = np.where(far, bent / distance, 1.0) * self._factor / self._sigma
-        # d log(bent/d)/dd = limit/bent² - 1/d, along the gap's direction
-        slope = np.where(far, self._limit / bent**2 - 1 / distance, 0.0)
-        across = (slope / distance)[:, None] * gap / self._sigma**2
-        return scale[:, None] * gap, scale, across

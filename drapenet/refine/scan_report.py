@@ -11,11 +11,11 @@ from tqdm import tqdm
 
 from data.prior.files import load_prior
 from data.scans import LARGEST_SCAN, read_scan
-from drapenet.refine.captured import CapturedShape, Cloth, RobustPositions, Settled
+from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.register import register
 from drapenet.refine.scan import Cloud
-from drapenet.refine.shape_search import search_cloth
+from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
 from sim.drape import drape
 from sim.errors import InputError, one_line
@@ -23,7 +23,7 @@ from sim.files import replace_file, require_folder
 from sim.material import DIRECTIONS
 from sim.scene import Rig
 
-SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 1
+SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 2
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
@@ -31,8 +31,8 @@ _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 
 def refine_scan(
     path: Path, *, rig: str = _START, solves: int = 25, resolution: int = 51
-) -> tuple[dict[str, Any], CapturedShape, Settled]:
-    """The content of ``estimate.json``, the captured shape and the best simulation.
+) -> tuple[dict[str, Any], CapturedShape, Found]:
+    """The content of ``estimate.json``, the captured shape and what the search has found.
 
     Args:
         path: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or a raw PLY or OBJ in
@@ -59,33 +59,46 @@ def refine_scan(
     else:
         scan = read_scan(path, setting)
         shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting)
-    objective = RobustPositions.of(shape)
     with tqdm(total=solves, desc="refining", unit="drape") as bar:
         def report(count: int, least: float) -> None:
             bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
             bar.update(count - bar.n)
 
-        best, problem = search_cloth(
-            shape, objective, start, prior=prior, solves=solves, report=report)
-    if best is None:
-        reason = problem.failures[-1] if problem.failures else "interrupted"
-        raise InputError(f"no cloth settles from the shape of {path} ({reason})")
-    cloth = best.cloth
+        found = search_cloth(shape, scan_objective(shape), start, prior=prior, solves=solves,
+                             report=report)
+    failures = found.effort.failures
+    if found.estimate is None:
+        raise InputError(f"no cloth settles at the shape of {path} "
+                         f"({failures[-1] if failures else 'interrupted'})")
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
         "scan": {"file": str(path), "rig": rig, "registration": registered},
         "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
                       "shape does not say",
+        **_cloth_content(found.estimate.cloth),
+        "prior_moduli_at_300_g_m2": moduli_table(DIRECTIONS, start.fabric),
+        "simulations": found.effort.solves,
+        "failed_simulations": failures,
+        "fidelity": _fidelity_of(shape, found.released),
+        "nearest_drape": None if found.nearest is None else {
+            **_cloth_content(found.nearest.cloth),
+            "fidelity": _fidelity_of(shape, found.nearest),
+        },
+    }
+    return content, shape, found
+
+
+def _cloth_content(cloth: Cloth) -> dict[str, Any]:
+    return {
         "moduli_at_300_g_m2": moduli_table(DIRECTIONS, cloth.fabric),
         "membrane_N_m": cloth.membrane,
         "warp_direction_deg": math.degrees(cloth.warp) % 180,
-        "prior_moduli_at_300_g_m2": moduli_table(DIRECTIONS, start.fabric),
-        "simulations": problem.solves,
-        "failed_simulations": problem.failures,
-        "fidelity": fidelity(shape, best.drape).as_dict(),
     }
-    return content, shape, best
+
+
+def _fidelity_of(shape: CapturedShape, settled: Settled | None) -> dict[str, Any] | None:
+    return None if settled is None else fidelity(shape, settled.drape).as_dict()
 
 
 def infer_scan(config: dict[str, Any]) -> None:
@@ -101,11 +114,11 @@ def infer_scan(config: dict[str, Any]) -> None:
     path = Path(config["scan"])
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
     require_folder(out)
-    content, shape, best = refine_scan(path)
+    content, shape, found = refine_scan(path)
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_scan(content))
     print(f"estimate: {out / 'estimate.json'}")
-    replace_file(out / "report.png", draw(shape, best))
+    replace_file(out / "report.png", draw(shape, found))
     print(f"report:   {out / 'report.png'}")
 
 
@@ -115,29 +128,37 @@ def format_scan(content: dict[str, Any]) -> str:
     for name, row in content["moduli_at_300_g_m2"].items():
         before = content["prior_moduli_at_300_g_m2"][name]["alpha_uN_m"]
         lines.append(f"{name:12}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}{before:13.3g}")
-    f = content["fidelity"]
-    lines += [
-        f"membrane {content['membrane_N_m']:.3g} N/m, warp at "
-        f"{content['warp_direction_deg']:.0f}°, {content['simulations']} simulations",
-        f"from the captured shape to rest: {f['displacement_mm']:.1f} mm on average, "
-        f"{f['surface_mm']:.1f} mm from the surface; mean curvature {f['curvature']:.0%} different",
-        f"drape coefficient {f['coefficient']:.1f} %, captured {f['captured_coefficient']:.1f} %",
-    ]
+    lines.append(f"membrane {content['membrane_N_m']:.3g} N/m, warp at "
+                 f"{content['warp_direction_deg']:.0f}°, {content['simulations']} simulations")
+    nearest = content["nearest_drape"]
+    alphas = ", ".join(f"{row['alpha_uN_m']:.3g}"
+                       for row in nearest["moduli_at_300_g_m2"].values()) if nearest else ""
+    for name, f in (("let go at the captured shape", content["fidelity"]),
+                    (f"nearest drape found (alpha {alphas} µN·m)",
+                     nearest and nearest["fidelity"])):
+        if f:
+            lines += [
+                f"{name}: rests {f['displacement_mm']:.1f} mm away on average, "
+                f"{f['surface_mm']:.1f} mm from the surface",
+                f"    mean curvature {f['curvature']:.0%} different; drape coefficient "
+                f"{f['coefficient']:.1f} %, captured {f['captured_coefficient']:.1f} %",
+            ]
     return "\n".join(lines)
 
 
-def draw(shape: CapturedShape, best: Settled) -> bytes:
-    """PNG: the captured shape, the simulated one, and their distance on the flat specimen."""
+def draw(shape: CapturedShape, found: Found) -> bytes:
+    """PNG: the captured shape, the nearest drape, and their distance on the flat specimen."""
     from io import BytesIO
 
     from matplotlib.figure import Figure
 
     from data.picture import shade
 
+    best = found.nearest or found.estimate
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots(1, 3)
     for axis, positions, title in zip(axes, (shape.positions, best.drape.positions),
-                                      ("captured", "simulated"), strict=False):
+                                      ("captured", "nearest drape"), strict=False):
         axis.imshow(shade(positions, shape.faces, plate_radius=shape.rig.plate_radius))
         axis.set_title(title)
     gap = 1e3 * np.linalg.norm(best.drape.positions - shape.positions, axis=1)

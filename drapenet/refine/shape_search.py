@@ -1,25 +1,72 @@
 """The search for the cloth of a captured shape, within a number of simulations.
 
-A simulation let go at the captured shape keeps the captured folds or loses some, and there its
-value jumps; stiff cloth loses more. So the search begins with a walk along the stiffness alone, to
-where most folds are kept, and goes on with Levenberg-Marquardt from there, twice: with the warp
-along the first axis, and half-way to the second.
+Real cloth rests where friction lets it, a scan's vertices slide along the cloth, and a mesh has
+many equilibria near each other. So there are two questions, and the answers differ.
+
+*Which cloth is it?* Weak springs hold the cloth to the captured surface, across it only. One
+equilibrium remains, which moves smoothly with the moduli; the right ones need the springs least.
+
+*Which drape comes nearest?* Let go at the captured shape, cloth keeps the captured folds or loses
+some, and the distance jumps with the moduli. The search walks towards softer cloth, which keeps
+more, follows the best drape by Levenberg-Marquardt until its equilibrium ends, lets the best cloth
+go at the captured shape again, or one like it, and goes on from there.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data.prior.gaussian import GaussianPrior
-from drapenet.refine.captured import SCALE, CapturedProblem, CapturedShape, Cloth, Settled
-from drapenet.refine.objective import Objective
-from drapenet.refine.optimisers import Limits, minimise
+from drapenet.refine.attraction import plane_springs
+from drapenet.refine.captured import CapturedProblem, CapturedShape, Cloth, Effort, Settled
+from drapenet.refine.objective import Objective, Sum
+from drapenet.refine.optimisers import Limits, Status, minimise
+from drapenet.refine.registered import RobustPositions
+from drapenet.refine.scan import Outline, border_edges, outline
+from sim.drape import DrapeResult
+from sim.sensitivity.tangent import scene_of
 
+PULL = 0.05
+"""Force of the springs at 1 mm, over the cloth's weight. Simulated scans give the same moduli with
+0.05 to 0.3; real ones, whose errors the cloth would follow, softer cloth with 0.3."""
+HELD = 10  # simulations with springs at most
 STRIDE = 0.4  # of log alpha, in the walk
-WALK = 6  # simulations at most
-_SECOND_WARP = math.pi / 4
+WALK = 4  # simulations at most
+FOLLOW = 6  # simulations along one equilibrium at most
+HOPELESS = 1.3  # times the least value: such an equilibrium is not followed
+WORTHWHILE = 3e-3  # share of the value that a step along one equilibrium must promise
+JUMP = 0.15  # standard deviation of a jump's unknowns, in their units
+_AZIMUTHS = 180
+
+
+@dataclass
+class Found:
+    """What a search has found.
+
+    Attributes:
+        estimate: the cloth, as it hangs under the springs; where none of these simulations ended,
+            the nearest; None if none ended at all.
+        released: the same cloth let go at the captured shape.
+        nearest: the drape nearest to the captured shape, and its cloth.
+        effort: spent on all.
+    """
+
+    estimate: Settled | None
+    released: Settled | None
+    nearest: Settled | None
+    effort: Effort
+
+
+def scan_objective(shape: CapturedShape) -> Objective:
+    """Of a registered scan: its hanging vertices and, with an eighth of their say, its outline.
+
+    The outline is what the drape coefficient is made of; alone, vertices leave it 4 points off.
+    """
+    radii = outline(shape.positions, border_edges(shape.faces), _AZIMUTHS)[0]
+    return Sum([RobustPositions.of(shape),
+                Outline(shape.faces, radii, sigma=2e-3, limit=1.0, independent=15.0)])
 
 
 def search_cloth(
@@ -29,75 +76,146 @@ def search_cloth(
     *,
     prior: GaussianPrior | None = None,
     solves: int = 25,
+    seed: int = 0,
     report: Callable[[int, float], None] | None = None,
-) -> tuple[Settled | None, CapturedProblem]:
-    """The best cloth found for ``shape`` in at most ``solves`` simulations; the first is ``start``.
+) -> Found:
+    """The cloth of ``shape`` and the drape nearest to it, in at most ``solves`` simulations.
 
     Args:
-        start: such as the prior's mean.
+        start: such as the prior's mean; the first simulation is of it.
         prior: of theta.
-        report: called after every simulation with their number and the least value.
+        seed: of the jumps.
+        report: called after every simulation with their number and the least value, first of the
+            held cloth, then of the free one.
 
-    Returns:
-        The best simulation, None if none ended, and the problem with its counts.
-        An interruption ends the search, and the best so far is returned.
+    An interruption ends the search, and the best so far is returned.
     """
-    problem = CapturedProblem(shape, objective, start, prior=prior)
-
-    def tell() -> None:
-        if report and problem.best is not None:
-            report(problem.solves, problem.best.value)
-
+    search = _Search(shape, objective, prior, solves, report, Found(None, None, None, Effort()))
     try:
-        _walk(problem, min(WALK, solves), tell)
-        for turn, last in ((0.0, False), (_SECOND_WARP, True)):
-            left = solves - problem.solves
-            if left < 2 or problem.best is None:
-                break
-            x = problem.best.x.copy()
-            x[7] += turn / SCALE[7]
-            problem.start = x
-            allowed = left if last else left // 2 + 1  # the first point is known
-            outcome = minimise(problem, method="lm", limits=Limits(evaluations=allowed),
-                               report=lambda *_: tell())
-            if outcome.status.value == "interrupted":
-                break
+        search.estimate(start)
+        search.nearest(start, np.random.default_rng(seed))
     except KeyboardInterrupt:
         pass
-    return problem.best, problem
+    found = search.found
+    found.estimate = found.estimate or found.nearest
+    return found
+
+
+class _Search:
+    """One search; everything found and spent is in ``found``."""
+
+    def __init__(
+        self, shape: CapturedShape, objective: Objective, prior: GaussianPrior | None,
+        solves: int, report: Callable[[int, float], None] | None, found: Found,
+    ) -> None:
+        self.shape, self.objective, self.prior = shape, objective, prior
+        self.solves, self.report, self.found = solves, report, found
+
+    @property
+    def left(self) -> int:
+        return self.solves - self.found.effort.solves
+
+    def problem(self, cloth: Cloth, **how) -> CapturedProblem:
+        return CapturedProblem(self.shape, self.objective, cloth, prior=self.prior,
+                               effort=self.found.effort, **how)
+
+    def minimise(self, problem: CapturedProblem, evaluations: int) -> None:
+        """Levenberg-Marquardt; an interruption is passed on."""
+        limits = Limits(evaluations=evaluations, decrease=WORTHWHILE)
+        outcome = minimise(problem, method="lm", limits=limits,
+                           report=lambda *_: self.tell(problem.best))
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def tell(self, best: Settled | None) -> None:
+        if self.report and best is not None:
+            self.report(self.found.effort.solves, best.value)
+
+    def estimate(self, start: Cloth) -> None:
+        """Find the cloth that needs the springs least."""
+        captured = self.shape.as_drape(start.fabric)
+        springs = plane_springs(scene_of(captured), captured.positions, pull=PULL)
+        problem = self.problem(start, near=captured, springs=[springs])
+        try:
+            self.minimise(problem, min(HELD, self.solves))
+        finally:
+            self.found.estimate = problem.best
+
+    def nearest(self, start: Cloth, rng: np.random.Generator) -> None:
+        """Find the drape that rests nearest to the captured shape, beginning with the estimate."""
+        if not self.left:
+            return
+        cloth = self.found.estimate.cloth if self.found.estimate else start
+        self.found.released = self.let_go(cloth)
+        place, least = 0, self.found.nearest
+        for stride in range(1, WALK):
+            softer = self.let_go(_stiffened(cloth, -stride * STRIDE)) if self.left else None
+            if softer is None or (least is not None and softer.value >= least.value):
+                break
+            place, least = stride, softer
+        if place == 0 and self.left:
+            self.let_go(_stiffened(cloth, STRIDE))
+        if self.found.nearest is None:
+            return
+        if self.left:
+            self.follow(self.found.nearest)
+        tried = None
+        while self.left:
+            best = self.found.nearest
+            again, tried = best is not tried, best
+            trial = self.let_go(best.cloth if again else self.jump(best.cloth, rng))
+            if trial is None or trial.value >= HOPELESS * best.value:
+                continue
+            known = again and math.isclose(trial.value, best.value, rel_tol=1e-3)
+            if self.left and not known:
+                self.follow(trial)
+
+    def let_go(self, cloth: Cloth) -> Settled | None:
+        """``cloth`` let go at the captured shape."""
+        problem = self.problem(cloth, spread=math.inf)
+        problem.value(problem.start)
+        self.keep(problem.best)
+        return problem.best
+
+    def follow(self, trial: Settled) -> None:
+        """The best cloth along the equilibrium of ``trial``."""
+        problem = self.problem(trial.cloth, near=trial.drape, spread=math.inf)
+        problem.best = problem.last = replace(trial, x=problem.start)
+        try:
+            self.minimise(problem, min(FOLLOW, self.left) + 1)  # the first point is known
+        finally:
+            self.keep(problem.best)
+
+    def jump(self, cloth: Cloth, rng: np.random.Generator) -> Cloth:
+        """A cloth like ``cloth``."""
+        problem = self.problem(cloth)
+        x = problem.start + JUMP * rng.standard_normal(len(problem.start))
+        return problem.cloth(np.clip(x, problem.low, problem.high))
+
+    def keep(self, trial: Settled | None) -> None:
+        known = self.found.nearest
+        if trial is not None and (known is None or trial.value < known.value):
+            self.found.nearest = trial
+        self.tell(self.found.nearest)
+
+
+def _stiffened(cloth: Cloth, by: float) -> Cloth:
+    return replace(cloth, theta=cloth.theta + by * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
 
 
 def search_curvature(
-    shape: CapturedShape, objective: Objective, start: Cloth, *,
+    shape: CapturedShape, objective: Objective, start: Cloth, near: DrapeResult, *,
     prior: GaussianPrior | None = None, solves: int = 12,
-) -> tuple[Settled | None, CapturedProblem]:
-    """As :func:`search_cloth`, with a natural curvature, from a cloth that has been found."""
-    problem = CapturedProblem(shape, objective, start, prior=prior, free=np.ones(11, dtype=bool))
+) -> tuple[Settled | None, int]:
+    """A natural curvature added to a cloth that has been found, and simulations.
+
+    Args:
+        near: its drape, where the first simulation begins.
+    """
+    problem = CapturedProblem(shape, objective, start, prior=prior, near=near, spread=math.inf,
+                              free=np.ones(11, dtype=bool))
     minimise(problem, method="lm", limits=Limits(evaluations=solves))
-    return problem.best, problem
-
-
-def _walk(problem: CapturedProblem, solves: int, tell: Callable[[], None]) -> None:
-    """From the start along the stiffness, towards softer cloth first, while it gets better."""
-    def at(shift: float) -> float:
-        x = problem.start.copy()
-        x[:3] += shift
-        value = problem.value(np.clip(x, problem.low, problem.high))
-        tell()
-        return value
-
-    least, place = at(0.0), 0.0
-    for direction in (-1, 1):
-        begun = place
-        while problem.solves < solves:
-            value = at(place + direction * STRIDE)
-            if not value < least:
-                break
-            least, place = value, place + direction * STRIDE
-        if place != begun:
-            break  # softer was better: stiffer is known
-    if problem.solves < solves and math.isfinite(least):
-        at(place + STRIDE / 2)
+    return problem.best, problem.effort.solves
 
 
 def stiffness_only(
