@@ -34,10 +34,10 @@ PULL = 0.05
 HELD = 10  # simulations with springs at most
 STRIDE = 0.4  # of log alpha, in the walk
 WALK = 4  # simulations at most
-FOLLOW = 6  # simulations along one equilibrium at most
+FOLLOW = 8  # simulations along one equilibrium at most
 HOPELESS = 1.3  # times the least value: such an equilibrium is not followed
 WORTHWHILE = 3e-3  # share of the value that a step along one equilibrium must promise
-JUMP = 0.15  # standard deviation of a jump's unknowns, in their units
+JUMP = 0.2  # standard deviation of a jump's unknowns, in their units
 _AZIMUTHS = 180
 
 
@@ -60,13 +60,13 @@ class Found:
 
 
 def scan_objective(shape: CapturedShape) -> Objective:
-    """Of a registered scan: its hanging vertices and, with an eighth of their say, its outline.
+    """Of a registered scan: its hanging vertices and, with a third of their say, its outline.
 
     The outline is what the drape coefficient is made of; alone, vertices leave it 4 points off.
     """
     radii = outline(shape.positions, border_edges(shape.faces), _AZIMUTHS)[0]
     return Sum([RobustPositions.of(shape),
-                Outline(shape.faces, radii, sigma=2e-3, limit=1.0, independent=15.0)])
+                Outline(shape.faces, radii, sigma=2e-3, limit=1.0, independent=30.0)])
 
 
 def search_cloth(
