@@ -13,6 +13,7 @@ Keys (``key=value``):
     only         part of the names of those to refine; empty for all
     solves       simulations of a refinement
     isotropic    isotropic fabrics tried per scan
+    held         share of the support's radius within which it holds the cloth
     curvature    simulations of the refinement with a natural curvature; 0 for none
     workers      processes, one thread each
     cases        folder of finished scans; an interrupted run goes on from there
@@ -60,6 +61,7 @@ DEFAULTS = {
     "only": "",
     "solves": 25,
     "isotropic": 14,
+    "held": 0.95,
     "curvature": 12,
     "workers": 1,
     "cases": "outputs/validation/refine_scans",
@@ -67,18 +69,18 @@ DEFAULTS = {
 }
 
 
-def _read(path: str) -> CapturedShape:
-    return shape_of(read_scan(Path(path), DISC_RIG))
+def _read(path: str, held: float) -> CapturedShape:
+    return shape_of(read_scan(Path(path), DISC_RIG), held)
 
 
-def shape_of(scan: Scan) -> CapturedShape:
+def shape_of(scan: Scan, held: float) -> CapturedShape:
     """A scan on the disc rig as a shape to refine."""
-    return CapturedShape(scan.positions, scan.rest, scan.faces, DISC_RIG)
+    return CapturedShape(scan.positions, scan.rest, scan.faces, DISC_RIG, held)
 
 
-def best_isotropic(path: str, count: int) -> dict:
+def best_isotropic(path: str, held: float, count: int) -> dict:
     """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
-    shape = _read(path)
+    shape = _read(path, held)
     alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
     tried = [(settled, fidelity(shape, settled.drape))
              for settled in stiffness_only(shape, RobustPositions.of(shape), alphas)]
@@ -86,9 +88,9 @@ def best_isotropic(path: str, count: int) -> dict:
     return {**_result(settled, best.as_dict()), "tried": len(alphas)}
 
 
-def refined(path: str, solves: int) -> dict:
+def refined(path: str, held: float, solves: int) -> dict:
     """The refinement of a scan: the nearest drape, and the estimate."""
-    shape, prior = _read(path), load_prior("gaussian")
+    shape, prior = _read(path, held), load_prior("gaussian")
     found = search_cloth(shape, scan_objective(shape), Cloth(prior.mean.copy()), prior=prior,
                          solves=solves)
     if found.nearest is None or found.released is None:
@@ -100,9 +102,9 @@ def refined(path: str, solves: int) -> dict:
             "seconds": found.effort.seconds, "failures": found.effort.failures}
 
 
-def curved(path: str, solves: int, cloth: dict, cases: str) -> dict:
+def curved(path: str, held: float, solves: int, cloth: dict, cases: str) -> dict:
     """The nearest drape of a scan, among the finished ``cases``, with a natural curvature."""
-    shape = _read(path)
+    shape = _read(path, held)
     start = Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"])
     positions = load_arrays(Path(cases), f"refined_{Path(path).stem}")["positions"]
     near = replace(shape.as_drape(start.fabric, start.warp), positions=positions)
@@ -134,22 +136,23 @@ def main(argv: list[str]) -> None:
     scans = [s for s in read_scans(Path(config["scans"]), DISC_RIG) if config["only"] in s.name]
     if not scans:
         raise InputError(f"no scan's name contains '{config['only']}'")
-    paths = {s.name: str(Path(config["scans"]) / f"{s.name}.npz") for s in scans}
+    common = {s.name: {"path": str(Path(config["scans"]) / f"{s.name}.npz"),
+                       "held": config["held"]} for s in scans}
     work = {"folder": folder, "workers": config["workers"]}
     isotropic = run_cases(best_isotropic, {
-        f"isotropic_{n}": {"path": p, "count": config["isotropic"]} for n, p in paths.items()
+        f"isotropic_{n}": {**c, "count": config["isotropic"]} for n, c in common.items()
     }, **work)
     found = run_cases(refined, {
-        f"refined_{n}": {"path": p, "solves": config["solves"]} for n, p in paths.items()}, **work)
+        f"refined_{n}": {**c, "solves": config["solves"]} for n, c in common.items()}, **work)
     extended = {}
     if config["curvature"]:
         extended = run_cases(curved, {
-            f"curved_{n}": {"path": p, "solves": config["curvature"],
+            f"curved_{n}": {**c, "solves": config["curvature"],
                             "cloth": found[f"refined_{n}"]["cloth"], "cases": str(folder)}
-            for n, p in paths.items()}, **work)
+            for n, c in common.items()}, **work)
     rows = []
     for scan in scans:
-        shape = shape_of(scan)
+        shape = shape_of(scan, config["held"])
         positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
         row = {"scan": scan.name, "isotropic": isotropic[f"isotropic_{scan.name}"],
                "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions)}
@@ -159,8 +162,8 @@ def main(argv: list[str]) -> None:
     summary = judge(rows)
     show(rows, summary)
     out = Path(config["out"])
-    write_report(out, {"settings": {k: config[k] for k in ("solves", "isotropic", "curvature")},
-                       "summary": summary, "scans": rows})
+    settings = {k: config[k] for k in ("solves", "isotropic", "held", "curvature")}
+    write_report(out, {"settings": settings, "summary": summary, "scans": rows})
     draw(scans, rows, folder, out.with_suffix(".png"))
 
 
@@ -175,7 +178,7 @@ def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
     """
     radius = np.linalg.norm(shape.rest, axis=1)
     gap = 1e3 * (positions - shape.positions)
-    hanging = ~shape.held
+    hanging = shape.hanging
     normal = vertex_normals(shape.positions, shape.faces)
     across = (normal * gap).sum(1)
     along = np.linalg.norm(gap - across[:, None] * normal, axis=1)
@@ -214,7 +217,7 @@ def _template_stretch(shape: CapturedShape) -> float:
     slide along the cloth."""
     pairs = np.sort(shape.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
     edges = np.unique(pairs, axis=0)
-    edges = edges[~shape.held[edges].all(axis=1)]
+    edges = edges[shape.hanging[edges].any(axis=1)]
     length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
                     for p in (shape.positions, shape.rest))
     return float(np.std(length / rest))

@@ -60,17 +60,28 @@ class CapturedShape:
         rest: (V, 2) m, in any material axes.
         faces: (F, 3), counter-clockwise at rest.
         rig: with a plate.
+        held_share: of the plate's radius, within which the plate holds the cloth; further out
+            cloth lies on it, may lift and slide, and turns over the rim as it likes.
     """
 
     positions: np.ndarray
     rest: np.ndarray
     faces: np.ndarray
     rig: Rig
+    held_share: float = 1.0
 
     @property
     def held(self) -> np.ndarray:
-        """(V,) bool, vertices on the plate."""
-        return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * self.rig.plate_radius
+        """(V,) bool, vertices that the plate holds."""
+        return self._within(self.held_share)
+
+    @property
+    def hanging(self) -> np.ndarray:
+        """(V,) bool, vertices beyond the plate."""
+        return ~self._within(1.0)
+
+    def _within(self, share: float) -> np.ndarray:
+        return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * share * self.rig.plate_radius
 
     def as_drape(self, fabric: Fabric, warp: float = 0.0) -> DrapeResult:
         """The shape as a drape of ``fabric`` that has not settled yet.

@@ -50,7 +50,7 @@ def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
     """How far ``drape``, settled from ``shape`` on the same mesh, is from it."""
     drape = replace(drape, rest=shape.rest)  # the axes of the warp are of no interest here
     gap = 1e3 * np.linalg.norm(drape.positions - shape.positions, axis=1)
-    hanging = ~shape.held
+    hanging = shape.hanging
     rig = shape.rig
     return Fidelity(
         displacement_mm=float(gap[hanging].mean()),

@@ -72,7 +72,7 @@ class RobustPositions:
     @classmethod
     def of(cls, shape: CapturedShape) -> "RobustPositions":
         """For a registered scan: its hanging vertices, whose distances of 2 mm already are far."""
-        return cls(shape.positions, vertices=~shape.held, sigma=2e-3, limit=1.0)
+        return cls(shape.positions, vertices=shape.hanging, sigma=2e-3, limit=1.0)
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """Residuals (3 N,)."""

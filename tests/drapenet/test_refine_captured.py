@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.interpolate import RBFInterpolator
 
+from benchmarks.simulated_scans import simulated_scan
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior import load_prior
 from drapenet.refine.attraction import plane_springs
@@ -34,7 +34,6 @@ from sim.newton import NewtonOptions
 from sim.scene import DISC_RIG
 from sim.sensitivity import follow
 from sim.sensitivity.tangent import scene_of
-from sim.specimens import make_specimen
 
 TIGHT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=300)
 THETA = to_theta(np.array([90e-6, 60e-6, 55e-6]), np.array([-150e-9, -80e-9, -90e-9]))
@@ -229,31 +228,10 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def slid_scan(theta: np.ndarray) -> CapturedShape:
-    """A drape as a scan shows it: on another mesh, its vertices half a millimetre off along the
-    cloth, a tenth across, each like its neighbours."""
-    truth = drape(fabric_from_theta(theta), rig=DISC_RIG, resolution=51, seed=1)
-    assert truth.converged
-    other = make_specimen(DISC_RIG, mesh="unstructured", resolution=41, seed=2).mesh
-    rng = np.random.default_rng(3)
-    noise = RBFInterpolator(rng.uniform(-0.16, 0.16, (300, 2)), rng.standard_normal((300, 3)),
-                            kernel="gaussian", epsilon=80.0, smoothing=1.0)(other.rest)
-    noise *= 1e-3 * np.array([0.35, 0.35, 0.1]) / noise.std(0)
-    radius = np.linalg.norm(other.rest, axis=1)
-    noise[radius <= 1.003 * DISC_RIG.plate_radius] = 0.0
-    material = other.rest + noise[:, :2]
-    hem = DISC_RIG.specimen_size / 2
-    material *= np.minimum(1, hem / np.maximum(np.linalg.norm(material, axis=1), 1e-9))[:, None]
-    positions = RBFInterpolator(truth.rest, truth.positions, neighbors=30,
-                                kernel="cubic")(material)
-    positions += noise[:, 2:] * vertex_normals(positions, other.faces)
-    return CapturedShape(positions, other.rest, other.faces, DISC_RIG)
-
-
 @pytest.mark.slow
 def test_the_estimate_stands_errors_of_a_scans_vertices() -> None:
     theta = to_theta(np.array([38e-6, 22e-6, 15e-6]), np.array([-100e-9, -50e-9, -35e-9]))
-    scan = slid_scan(theta)
+    scan = simulated_scan(theta, along=0.35e-3, across=0.1e-3, seed=1, fine=51, scanned=41)
     prior = load_prior("gaussian")
     found = search_cloth(scan, scan_objective(scan), Cloth(prior.mean.copy()), prior=prior)
     assert found.effort.solves == 25

@@ -1,0 +1,166 @@
+"""Scans whose moduli are known: ``python -m benchmarks.simulated_scans [key=value ...]``.
+
+Fabrics of the prior are draped on the disc rig and scanned in simulation: on another mesh, vertices
+off along the cloth and across it. From the prior's mean, ``refine=scan`` has to find the moduli
+again. Reported are the errors of its estimate, of the cloth of the nearest drape it found, and of
+the prior's mean.
+
+Keys (``key=value``):
+
+    fabrics      how many
+    seed         of the fabrics
+    along        mm, standard deviation of a vertex's error in each direction along the cloth
+    across       mm, across it
+    solves       simulations of a refinement
+    workers      processes, one thread each
+    cases        folder of finished scans; an interrupted run goes on from there
+    out          the report, JSON; a picture of the same name beside it
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import RBFInterpolator
+
+from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from data.fabrics import fabric_from_theta
+from data.prior.files import load_prior, sample_admissible
+from data.sampling import Stream, stream
+from drapenet.refine.captured import CapturedShape, Cloth
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.shape_search import scan_objective, search_cloth
+from sim.cli import parse_overrides, run_command
+from sim.drape import drape
+from sim.errors import InputError
+from sim.material import MICRO
+from sim.mesh import vertex_normals
+from sim.scene import DISC_RIG
+from sim.specimens import make_specimen
+
+CORRELATION = 0.0125  # m, how far around a vertex others err like it
+_ON_PLATE = 1.003  # of the plate's radius
+FINE, SCANNED = 61, 51  # vertices across the simulated specimen and across its scan
+DEFAULTS = {
+    "fabrics": 12,
+    "seed": 20224,
+    "along": 0.35,
+    "across": 0.1,
+    "solves": 25,
+    "workers": 1,
+    "cases": "outputs/validation/simulated_scans",
+    "out": str(REPORTS / "simulated_scans.json"),
+}
+
+
+def simulated_scan(
+    theta: np.ndarray, *, along: float, across: float, seed: int, fine: int = FINE,
+    scanned: int = SCANNED,
+) -> CapturedShape:
+    """A drape of theta (6,) as a scan registered to another mesh shows it.
+
+    Args:
+        along, across: m, standard deviations of the vertices' errors in each direction along the
+            cloth and across it. Vertices on the plate have none.
+        seed: of the drape, the mesh and the errors.
+        fine, scanned: vertices across the draped specimen and across the scan.
+
+    Raises:
+        InputError: the drape did not converge.
+    """
+    truth = drape(fabric_from_theta(theta), rig=DISC_RIG, resolution=fine, seed=seed)
+    if not truth.converged:
+        raise InputError(f"a drape to be scanned did not converge: {truth.message}")
+    mesh = make_specimen(DISC_RIG, mesh="unstructured", resolution=scanned, seed=seed + 1).mesh
+    hem = DISC_RIG.specimen_size / 2
+    rng = np.random.default_rng([seed, 2])
+    errors = RBFInterpolator(
+        rng.uniform(-1.1 * hem, 1.1 * hem, (400, 2)), rng.standard_normal((400, 3)),
+        kernel="gaussian", epsilon=1 / CORRELATION, smoothing=1.0)(mesh.rest)
+    errors *= np.array([along, along, across]) / errors.std(axis=0)
+    radius = np.linalg.norm(mesh.rest, axis=1)
+    errors[radius <= _ON_PLATE * DISC_RIG.plate_radius] = 0.0
+    material = mesh.rest + errors[:, :2]
+    beyond = np.linalg.norm(material, axis=1) / hem
+    material /= np.maximum(beyond, 1.0)[:, None]
+    positions = RBFInterpolator(truth.rest, truth.positions, neighbors=30,
+                                kernel="cubic")(material)
+    positions += errors[:, 2:] * vertex_normals(positions, mesh.faces)
+    return CapturedShape(positions, mesh.rest, mesh.faces, DISC_RIG)
+
+
+def refined(theta: list[float], seed: int, along: float, across: float, solves: int) -> dict:
+    """Scan a drape of theta (6,), and refine it from the prior's mean."""
+    truth, prior = np.array(theta), load_prior("gaussian")
+    scan = simulated_scan(truth, along=1e-3 * along, across=1e-3 * across, seed=seed)
+    found = search_cloth(scan, scan_objective(scan), Cloth(prior.mean.copy()), prior=prior,
+                         solves=solves)
+    if found.estimate is None or found.nearest is None:
+        raise InputError(f"no simulation of scan {seed} ended: {found.effort.failures}")
+    return {
+        "alpha_uN_m": (np.exp(truth[:3]) / MICRO).tolist(),
+        "solves": found.effort.solves,
+        "nearest_mm": fidelity(scan, found.nearest.drape).displacement_mm,
+        **{name: {"log_alpha": (settled[:3] - truth[:3]).tolist(),
+                  "ratio_mm": (1e3 * (settled[3:] - truth[3:])).tolist()}
+           for name, settled in (("estimate", found.estimate.cloth.theta),
+                                 ("nearest", found.nearest.cloth.theta),
+                                 ("prior", prior.mean))},
+    }
+
+
+def main(argv: list[str]) -> None:
+    """Refine, print the table, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    prior = load_prior("gaussian")
+    thetas = [sample_admissible(prior, stream(config["seed"], Stream.FABRIC, k))[0]
+              for k in range(config["fabrics"])]
+    settings = {k: config[k] for k in ("along", "across", "solves")}
+    found = run_cases(refined, {
+        f"scan_{k}": {"theta": theta.tolist(), "seed": k, **settings}
+        for k, theta in enumerate(thetas)}, folder=Path(config["cases"]),
+        workers=config["workers"])
+    rows = list(found.values())
+    print(table(
+        ["fabric", "α warp, bias, weft", "errors of the estimate", "of the nearest drape's cloth",
+         "nearest, mm"],
+        [[k, *(", ".join(words) for words in (
+            [f"{a:.1f}" for a in r["alpha_uN_m"]],
+            *([f"{100 * np.expm1(e):+.0f} %" for e in r[n]["log_alpha"]]
+              for n in ("estimate", "nearest")))), r["nearest_mm"]] for k, r in enumerate(rows)]))
+    summary = {
+        name: {
+            "median_alpha_error": float(np.expm1(np.median(np.abs(
+                [r[name]["log_alpha"] for r in rows])))),
+            "median_ratio_error_mm": float(np.median(np.abs([r[name]["ratio_mm"] for r in rows]))),
+        } for name in ("estimate", "nearest", "prior")}
+    for name, figures in summary.items():
+        print(f"{name}: median error of α {100 * figures['median_alpha_error']:.0f} %, of β/α "
+              f"{figures['median_ratio_error_mm']:.2f} mm")
+    out = Path(config["out"])
+    write_report(out, {"settings": {"seed": config["seed"], **settings}, "summary": summary,
+                       "scans": rows})
+    draw(rows, out.with_suffix(".png"))
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Found against true alpha, of the estimate and of the nearest drape."""
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    truth = np.array([r["alpha_uN_m"] for r in rows])
+    for axis, name, title in zip(figure.subplots(1, 2, sharey=True), ("estimate", "nearest"),
+                                 ("estimate (held)", "cloth of the nearest drape"), strict=True):
+        errors = np.array([r[name]["log_alpha"] for r in rows])
+        for k, direction in enumerate(("warp", "bias", "weft")):
+            axis.loglog(truth[:, k], truth[:, k] * np.exp(errors[:, k]), "o", ms=4,
+                        label=direction)
+        ends = [truth.min() / 1.5, truth.max() * 1.5]
+        axis.plot(ends, ends, "k-", lw=0.8)
+        axis.set_title(title)
+        axis.set_xlabel("true α, µN·m")
+        axis.legend(frameon=False)
+    figure.axes[0].set_ylabel("found α, µN·m")
+    write_figure(path, figure)
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)
