@@ -3,6 +3,7 @@
 import json
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,12 @@ from sim.scene import Rig
 SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 2
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
+LEAST_HELD = 0.5
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 
 
 def refine_scan(
-    path: Path, *, rig: str = _START, solves: int = 25, resolution: int = 51
+    path: Path, *, rig: str = _START, held: float = 1.0, solves: int = 25, resolution: int = 51
 ) -> tuple[dict[str, Any], CapturedShape, Found]:
     """The content of ``estimate.json``, the captured shape and what the search has found.
 
@@ -38,12 +40,15 @@ def refine_scan(
         path: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or a raw PLY or OBJ in
             metres, z up, the plate's centre the origin.
         rig: name of the rig.
+        held: see :class:`.captured.CapturedShape`.
         solves: simulations at most.
         resolution: vertices across the mesh that a raw scan is registered to.
 
     Raises:
-        InputError: no such scan, or none of the simulations ended.
+        InputError: no such scan, a share out of range, or none of the simulations ended.
     """
+    if not LEAST_HELD <= held <= 1.0:
+        raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
     setting = Rig.from_name(rig)
     prior = load_prior("gaussian")
     start = Cloth(prior.mean.copy())
@@ -54,11 +59,12 @@ def refine_scan(
         if not first.converged:
             raise InputError(f"no drape to register the scan with: {first.message}")
         shape, distance = register(first, cloud)
+        shape = replace(shape, held_share=held)
         registered = {"points": len(cloud.points),
-                      "mean_distance_mm": float(1e3 * distance[~shape.held].mean())}
+                      "mean_distance_mm": float(1e3 * distance[shape.hanging].mean())}
     else:
         scan = read_scan(path, setting)
-        shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting)
+        shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting, held)
     with tqdm(total=solves, desc="refining", unit="drape") as bar:
         def report(count: int, least: float) -> None:
             bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
@@ -73,7 +79,7 @@ def refine_scan(
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "scan": {"file": str(path), "rig": rig, "registration": registered},
+        "scan": {"file": str(path), "rig": rig, "held_share": held, "registration": registered},
         "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
                       "shape does not say",
         **_cloth_content(found.estimate.cloth),
@@ -114,7 +120,7 @@ def infer_scan(config: dict[str, Any]) -> None:
     path = Path(config["scan"])
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
     require_folder(out)
-    content, shape, found = refine_scan(path)
+    content, shape, found = refine_scan(path, held=config["held"])
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_scan(content))
     print(f"estimate: {out / 'estimate.json'}")

@@ -63,6 +63,20 @@ def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) ->
                                   captured.positions[captured.held])
 
 
+def test_a_support_that_holds_less_lets_the_cloth_lift_and_turn(captured: CapturedShape) -> None:
+    """Freed inside the rim, cloth that was clamped there gives way: it lifts behind the rim and
+    hangs lower in front of it."""
+    loose = replace(captured, held_share=0.8)
+    np.testing.assert_array_equal(loose.hanging, captured.hanging)
+    assert loose.held.sum() < captured.held.sum() == (~captured.hanging).sum()
+    settled = loose.settle(fabric_from_theta(THETA), warp=0.3)
+    assert settled.converged
+    height = 1e3 * settled.positions[:, 2]
+    assert 0.05 < height[captured.held].max() < 3.0
+    assert np.abs(height[loose.held]).max() == 0.0
+    assert height[captured.hanging].mean() < 1e3 * captured.positions[captured.hanging, 2].mean()
+
+
 def test_derivatives_match_tight_simulations(captured: CapturedShape) -> None:
     cloth = Cloth(THETA - np.array([0.2, 0.1, 0.2, 0, 0, 0]), 150.0, 0.2, (1.5, -1.0, 0.5))
     settled = captured.settle(cloth.fabric, warp=cloth.warp, laws=cloth.laws, options=TIGHT)
@@ -221,6 +235,7 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
         (["scan=x.npz", "refine=depth"], "use refine=scan"),
         ([f"scan={tmp_path / 'missing.obj'}"], "cannot read the scan"),
         (["scan=x.npz", f"out={bad}"], "a file is in the way"),
+        (["scan=x.npz", "held=1.2"], "held=1.2: give a share"),
     ):
         with pytest.raises(InputError, match=message) as error:
             main([f"out={tmp_path / 'out'}", *words])
