@@ -61,7 +61,7 @@ DEFAULTS = {
     "only": "",
     "solves": 25,
     "isotropic": 14,
-    "held": 0.95,
+    "held": 1.0,
     "curvature": 12,
     "workers": 1,
     "cases": "outputs/validation/refine_scans",
