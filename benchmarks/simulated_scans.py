@@ -9,6 +9,7 @@ Keys (``key=value``):
 
     fabrics      how many
     seed         of the fabrics
+    turn         degrees, largest angle between the warp and the scan's first axis
     along        mm, standard deviation of a vertex's error in each direction along the cloth
     across       mm, across it
     solves       simulations of a refinement
@@ -17,6 +18,7 @@ Keys (``key=value``):
     out          the report, JSON; a picture of the same name beside it
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ from benchmarks.common import REPORTS, run_cases, table, write_figure, write_rep
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from data.sampling import Stream, stream
-from drapenet.refine.captured import CapturedShape, Cloth
+from drapenet.refine.captured import CapturedShape, Cloth, turned_rest
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.shape_search import scan_objective, search_cloth
 from sim.cli import parse_overrides, run_command
@@ -44,6 +46,7 @@ FINE, SCANNED = 61, 51  # vertices across the simulated specimen and across its 
 DEFAULTS = {
     "fabrics": 12,
     "seed": 20224,
+    "turn": 20.0,
     "along": 0.35,
     "across": 0.1,
     "solves": 25,
@@ -54,12 +57,13 @@ DEFAULTS = {
 
 
 def simulated_scan(
-    theta: np.ndarray, *, along: float, across: float, seed: int, fine: int = FINE,
-    scanned: int = SCANNED,
+    theta: np.ndarray, *, along: float, across: float, seed: int, turn: float = 0.0,
+    fine: int = FINE, scanned: int = SCANNED,
 ) -> CapturedShape:
     """A drape of theta (6,) as a scan registered to another mesh shows it.
 
     Args:
+        turn: rad, angle of the warp in the axes of the scan's rest points.
         along, across: m, standard deviations of the vertices' errors in each direction along the
             cloth and across it. Vertices on the plate have none.
         seed: of the drape, the mesh and the errors.
@@ -86,13 +90,17 @@ def simulated_scan(
     positions = RBFInterpolator(truth.rest, truth.positions, neighbors=30,
                                 kernel="cubic")(material)
     positions += errors[:, 2:] * vertex_normals(positions, mesh.faces)
-    return CapturedShape(positions, mesh.rest, mesh.faces, DISC_RIG)
+    return CapturedShape(positions, turned_rest(mesh.rest, -turn), mesh.faces, DISC_RIG)
 
 
-def refined(theta: list[float], seed: int, along: float, across: float, solves: int) -> dict:
-    """Scan a drape of theta (6,), and refine it from the prior's mean."""
+def refined(
+    theta: list[float], seed: int, turn: float, along: float, across: float, solves: int
+) -> dict:
+    """Scan a drape of theta (6,), turned by up to ``turn`` degrees, and refine it from the prior's
+    mean."""
     truth, prior = np.array(theta), load_prior("gaussian")
-    scan = simulated_scan(truth, along=1e-3 * along, across=1e-3 * across, seed=seed)
+    warp = math.radians(np.random.default_rng([seed, 3]).uniform(-turn, turn))
+    scan = simulated_scan(truth, turn=warp, along=1e-3 * along, across=1e-3 * across, seed=seed)
     found = search_cloth(scan, scan_objective(scan), Cloth(prior.mean.copy()), prior=prior,
                          solves=solves)
     if found.estimate is None or found.nearest is None:
@@ -100,6 +108,8 @@ def refined(theta: list[float], seed: int, along: float, across: float, solves: 
     return {
         "alpha_uN_m": (np.exp(truth[:3]) / MICRO).tolist(),
         "solves": found.effort.solves,
+        "warp_deg": math.degrees(warp),
+        "estimated_warp_deg": math.degrees(found.estimate.cloth.warp),
         "nearest_mm": fidelity(scan, found.nearest.drape).displacement_mm,
         **{name: {"log_alpha": (settled[:3] - truth[:3]).tolist(),
                   "ratio_mm": (1e3 * (settled[3:] - truth[3:])).tolist()}
@@ -115,7 +125,7 @@ def main(argv: list[str]) -> None:
     prior = load_prior("gaussian")
     thetas = [sample_admissible(prior, stream(config["seed"], Stream.FABRIC, k))[0]
               for k in range(config["fabrics"])]
-    settings = {k: config[k] for k in ("along", "across", "solves")}
+    settings = {k: config[k] for k in ("turn", "along", "across", "solves")}
     found = run_cases(refined, {
         f"scan_{k}": {"theta": theta.tolist(), "seed": k, **settings}
         for k, theta in enumerate(thetas)}, folder=Path(config["cases"]),
@@ -123,11 +133,13 @@ def main(argv: list[str]) -> None:
     rows = list(found.values())
     print(table(
         ["fabric", "α warp, bias, weft", "errors of the estimate", "of the nearest drape's cloth",
-         "nearest, mm"],
+         "warp, found, °", "nearest, mm"],
         [[k, *(", ".join(words) for words in (
             [f"{a:.1f}" for a in r["alpha_uN_m"]],
             *([f"{100 * np.expm1(e):+.0f} %" for e in r[n]["log_alpha"]]
-              for n in ("estimate", "nearest")))), r["nearest_mm"]] for k, r in enumerate(rows)]))
+              for n in ("estimate", "nearest")))),
+          f"{r['warp_deg']:.0f}, {r['estimated_warp_deg']:.0f}", r["nearest_mm"]]
+         for k, r in enumerate(rows)]))
     summary = {
         name: {
             "median_alpha_error": float(np.expm1(np.median(np.abs(
