@@ -123,3 +123,16 @@ def test_reports_are_collected(tmp_path):
     report.main(settings)
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found == {"speed": {"drapes": 1}, "render": {"views": 2}}
+
+
+def test_alpha_along_other_axes_is_the_same_plates() -> None:
+    from benchmarks.simulated_scans import alpha_along
+    from drapenet.refine.captured import Cloth
+
+    theta = np.log([40e-6, 25e-6, 20e-6])
+    cloth = Cloth(np.r_[theta, -2e-3 * np.ones(3)], warp=0.2)
+    np.testing.assert_allclose(alpha_along(cloth, 0.2), np.exp(theta))
+    np.testing.assert_allclose(alpha_along(cloth, 0.2 + np.pi / 2), np.exp(theta)[::-1])
+    alike = Cloth(np.r_[np.log([60e-6, 40e-6, 60e-6]), np.zeros(3)])
+    turned = alpha_along(alike, np.pi / 4)
+    np.testing.assert_allclose(turned, [40e-6, 60e-6, 40e-6])
