@@ -81,7 +81,8 @@ def refine_scan(
         "schema_version": SCHEMA_VERSION,
         "scan": {"file": str(path), "rig": rig, "held_share": held, "registration": registered},
         "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
-                      "shape does not say",
+                      "shape does not say; where both are alike the axes may lie 45° off, "
+                      "warp and bias exchanged",
         **_cloth_content(found.estimate.cloth),
         "prior_moduli_at_300_g_m2": moduli_table(DIRECTIONS, start.fabric),
         "simulations": found.effort.solves,
