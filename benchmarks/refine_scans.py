@@ -82,10 +82,9 @@ def best_isotropic(path: str, held: float, count: int) -> dict:
     """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
     shape = _read(path, held)
     alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
-    tried = [(settled, fidelity(shape, settled.drape))
+    tried = [_result(shape, settled)
              for settled in stiffness_only(shape, RobustPositions.of(shape), alphas)]
-    settled, best = min(tried, key=lambda pair: pair[1].displacement_mm)
-    return {**_result(settled, best.as_dict()), "tried": len(alphas)}
+    return {**min(tried, key=lambda result: result["displacement_mm"]), "tried": len(alphas)}
 
 
 def refined(path: str, held: float, solves: int) -> dict:
@@ -95,11 +94,10 @@ def refined(path: str, held: float, solves: int) -> dict:
                          solves=solves)
     if found.nearest is None or found.released is None:
         raise InputError(f"{path}: no simulation ended: {found.effort.failures}")
-    estimate = _result(found.released, fidelity(shape, found.released.drape).as_dict())
-    del estimate["arrays"]
-    return {**_result(found.nearest, fidelity(shape, found.nearest.drape).as_dict()),
-            "estimate": estimate, "solves": found.effort.solves,
-            "seconds": found.effort.seconds, "failures": found.effort.failures}
+    return {**_result(shape, found.nearest), "estimate": _result(shape, found.released),
+            "solves": found.effort.solves, "seconds": found.effort.seconds,
+            "failures": found.effort.failures,
+            "arrays": {"positions": found.nearest.drape.positions}}
 
 
 def curved(path: str, held: float, solves: int, cloth: dict, cases: str) -> dict:
@@ -112,18 +110,17 @@ def curved(path: str, held: float, solves: int, cloth: dict, cases: str) -> dict
                                    prior=load_prior("gaussian"), solves=solves)
     if best is None:
         raise InputError(f"{path}: no simulation ended")
-    return {**_result(best, fidelity(shape, best.drape).as_dict()), "solves": count}
+    return {**_result(shape, best), "solves": count}
 
 
-def _result(settled: Settled, figures: dict) -> dict:
+def _result(shape: CapturedShape, settled: Settled) -> dict:
     cloth = settled.cloth
     return {
-        **figures,
+        **fidelity(shape, settled.drape).as_dict(),
         "cloth": {"theta": cloth.theta.tolist(), "membrane": cloth.membrane, "warp": cloth.warp,
                   "curvature": list(cloth.curvature)},
         "alpha_uN_m": (np.exp(cloth.theta[:3]) / MICRO).tolist(),
         "beta_over_alpha_mm": (1e3 * cloth.theta[3:]).tolist(),
-        "arrays": {"positions": settled.drape.positions},
     }
 
 

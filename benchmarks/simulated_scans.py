@@ -42,7 +42,6 @@ from sim.scene import DISC_RIG
 from sim.specimens import make_specimen
 
 CORRELATION = 0.0125  # m, how far around a vertex others err like it
-_ON_PLATE = 1.003  # of the plate's radius
 FINE, SCANNED = 61, 51  # vertices across the simulated specimen and across its scan
 DEFAULTS = {
     "fabrics": 12,
@@ -76,15 +75,15 @@ def simulated_scan(
     truth = drape(fabric_from_theta(theta), rig=DISC_RIG, resolution=fine, seed=seed)
     if not truth.converged:
         raise InputError(f"a drape to be scanned did not converge: {truth.message}")
-    mesh = make_specimen(DISC_RIG, mesh="unstructured", resolution=scanned, seed=seed + 1).mesh
+    specimen = make_specimen(DISC_RIG, mesh="unstructured", resolution=scanned, seed=seed + 1)
+    mesh = specimen.mesh
     hem = DISC_RIG.specimen_size / 2
     rng = np.random.default_rng([seed, 2])
     errors = RBFInterpolator(
         rng.uniform(-1.1 * hem, 1.1 * hem, (400, 2)), rng.standard_normal((400, 3)),
         kernel="gaussian", epsilon=1 / CORRELATION, smoothing=1.0)(mesh.rest)
     errors *= np.array([along, along, across]) / errors.std(axis=0)
-    radius = np.linalg.norm(mesh.rest, axis=1)
-    errors[radius <= _ON_PLATE * DISC_RIG.plate_radius] = 0.0
+    errors[specimen.held] = 0.0
     material = mesh.rest + errors[:, :2]
     beyond = np.linalg.norm(material, axis=1) / hem
     material /= np.maximum(beyond, 1.0)[:, None]

@@ -145,9 +145,8 @@ def nearest_springs(
     own = vertex_normals(positions, scene.mesh.faces)[free]
     distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
     near = distance < reach
-    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free[near]]
     return Springs(free[near], points[nearest[near]], normals[nearest[near]],
-                   pull / 1e-3 * weight)
+                   spring_stiffness(scene, free[near], pull))
 
 
 def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
@@ -159,6 +158,11 @@ def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Spring
         positions: (V, 3) m, of the surface. pull: as for :func:`nearest_springs`.
     """
     free = np.flatnonzero(~scene.held)
-    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free]
     return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
-                   pull / 1e-3 * weight)
+                   spring_stiffness(scene, free, pull))
+
+
+def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
+    """Stiffness (N,), N/m, of springs at ``vertices`` (N,); ``pull`` as for nearest_springs."""
+    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
+    return pull / 1e-3 * weight

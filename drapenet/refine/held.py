@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drapenet.refine.attraction import Springs, nearest_springs
+from drapenet.refine.attraction import Springs, nearest_springs, spring_stiffness
 from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.laws import Laws
-from sim.material import REFERENCE_DENSITY, Fabric
+from sim.material import Fabric
 from sim.newton import NewtonOptions
 from sim.scene import State
 from sim.sensitivity import Sensitivities, follow, sensitivities
@@ -60,9 +60,9 @@ class HeldCloth:
         """
         scene = scene_of(shape)
         free = np.repeat(np.flatnonzero(~scene.held), 3)
-        weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[free]
         axes = np.tile(np.eye(3), (len(free) // 3, 1))
-        springs = Springs(free, shape.positions[free], axes, pull / 1e-3 * weight)
+        springs = Springs(free, shape.positions[free], axes,
+                          spring_stiffness(scene, free, pull))
         contact = possible_contact(shape)
         touches = 0 < contact.value(State(shape.positions, shape.rotations).unknowns) < np.inf
         return cls(springs, contact if touches else None)

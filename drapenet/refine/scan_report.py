@@ -161,11 +161,11 @@ def draw(shape: CapturedShape, found: Found) -> bytes:
 
     from data.picture import shade
 
-    best = found.nearest or found.estimate
+    best, name = found.nearest or found.estimate, "nearest drape" if found.nearest else "held cloth"
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots(1, 3)
     for axis, positions, title in zip(axes, (shape.positions, best.drape.positions),
-                                      ("captured", "nearest drape"), strict=False):
+                                      ("captured", name), strict=False):
         axis.imshow(shade(positions, shape.faces, plate_radius=shape.rig.plate_radius))
         axis.set_title(title)
     gap = 1e3 * np.linalg.norm(best.drape.positions - shape.positions, axis=1)

@@ -119,11 +119,13 @@ class _Search:
         return CapturedProblem(self.shape, self.objective, cloth, prior=self.prior,
                                effort=self.found.effort, **how)
 
-    def minimise(self, problem: CapturedProblem, evaluations: int) -> None:
-        """Levenberg-Marquardt; an interruption is passed on."""
+    def minimise(
+        self, problem: CapturedProblem, evaluations: int, keep: Callable[[Settled | None], None]
+    ) -> None:
+        """Levenberg-Marquardt, keeping the best after each simulation; passes interruptions on."""
         limits = Limits(evaluations=evaluations, decrease=WORTHWHILE)
         outcome = minimise(problem, method="lm", limits=limits,
-                           report=lambda *_: self.tell(problem.best))
+                           report=lambda *_: keep(problem.best))
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
 
@@ -136,10 +138,7 @@ class _Search:
         captured = self.shape.as_drape(start.fabric)
         springs = plane_springs(scene_of(captured), captured.positions, pull=PULL)
         problem = self.problem(start, near=captured, springs=[springs])
-        try:
-            self.minimise(problem, min(HELD, self.solves))
-        finally:
-            self.found.estimate = problem.best
+        self.minimise(problem, min(HELD, self.solves), self.keep_estimate)
 
     def nearest(self, start: Cloth, rng: np.random.Generator) -> None:
         """Find the drape that rests nearest to the captured shape, beginning with the estimate."""
@@ -174,17 +173,15 @@ class _Search:
         """``cloth`` let go at the captured shape."""
         problem = self.problem(cloth, spread=math.inf)
         problem.value(problem.start)
-        self.keep(problem.best)
+        self.keep_nearest(problem.best)
         return problem.best
 
     def follow(self, trial: Settled) -> None:
         """The best cloth along the equilibrium of ``trial``."""
         problem = self.problem(trial.cloth, near=trial.drape, spread=math.inf)
         problem.best = problem.last = replace(trial, x=problem.start)
-        try:
-            self.minimise(problem, min(FOLLOW, self.left) + 1)  # the first point is known
-        finally:
-            self.keep(problem.best)
+        # The first point is known.
+        self.minimise(problem, min(FOLLOW, self.left) + 1, self.keep_nearest)
 
     def jump(self, cloth: Cloth, rng: np.random.Generator) -> Cloth:
         """A cloth like ``cloth``."""
@@ -192,7 +189,11 @@ class _Search:
         x = problem.start + JUMP * rng.standard_normal(len(problem.start))
         return problem.cloth(np.clip(x, problem.low, problem.high))
 
-    def keep(self, trial: Settled | None) -> None:
+    def keep_estimate(self, trial: Settled | None) -> None:
+        self.found.estimate = trial
+        self.tell(trial)
+
+    def keep_nearest(self, trial: Settled | None) -> None:
         known = self.found.nearest
         if trial is not None and (known is None or trial.value < known.value):
             self.found.nearest = trial
