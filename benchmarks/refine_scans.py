@@ -15,6 +15,7 @@ Keys (``key=value``):
     isotropic    isotropic fabrics tried per scan
     held         share of the support's radius within which it holds the cloth
     curvature    simulations of the refinement with a natural curvature; 0 for none
+    friction     torques, µN·m per metre, that friction within the estimate's cloth holds
     workers      processes, one thread each
     cases        folder of finished scans; an interrupted run goes on from there
     out          the report, JSON; a picture of the same name beside it
@@ -40,6 +41,7 @@ from data.prior.files import load_prior
 from data.scans import Scan, read_scan, read_scans
 from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
+from drapenet.refine.friction import drapes_with_friction
 from drapenet.refine.registered import RobustPositions
 from drapenet.refine.shape_search import (
     scan_objective,
@@ -63,6 +65,7 @@ DEFAULTS = {
     "isotropic": 14,
     "held": 1.0,
     "curvature": 12,
+    "friction": [0.0, 20.0, 50.0, 100.0, 200.0],
     "workers": 1,
     "cases": "outputs/validation/refine_scans",
     "out": str(REPORTS / "refine_scans.json"),
@@ -113,6 +116,17 @@ def curved(path: str, held: float, solves: int, cloth: dict, cases: str) -> dict
     return {**_result(shape, best), "solves": count}
 
 
+def rubbing(path: str, held: float, cloth: dict, friction: list[float]) -> dict:
+    """How far the estimate's cloth goes when its springs let go and friction of ``friction``,
+    µN·m per metre, holds it."""
+    shape = _read(path, held)
+    drapes = drapes_with_friction(
+        shape, Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"]),
+        [MICRO * torque for torque in friction])
+    gaps = [fidelity(shape, d).displacement_mm if d.converged else None for d in drapes]
+    return {"held_mm": gaps[0], "friction_mm": gaps[1:]}
+
+
 def _result(shape: CapturedShape, settled: Settled) -> dict:
     cloth = settled.cloth
     return {
@@ -147,19 +161,24 @@ def main(argv: list[str]) -> None:
             f"curved_{n}": {**c, "solves": config["curvature"],
                             "cloth": found[f"refined_{n}"]["cloth"], "cases": str(folder)}
             for n, c in common.items()}, **work)
+    rubbed = run_cases(rubbing, {
+        f"friction_{n}": {**c, "friction": config["friction"],
+                          "cloth": found[f"refined_{n}"]["estimate"]["cloth"]}
+        for n, c in common.items()}, **work)
     rows = []
     for scan in scans:
         shape = shape_of(scan, config["held"])
         positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
         row = {"scan": scan.name, "isotropic": isotropic[f"isotropic_{scan.name}"],
-               "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions)}
+               "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions),
+               "friction": rubbed[f"friction_{scan.name}"]}
         if extended:
             row["curved"] = extended[f"curved_{scan.name}"]
         rows.append(row)
     summary = judge(rows)
-    show(rows, summary)
+    show(rows, summary, config["friction"])
     out = Path(config["out"])
-    settings = {k: config[k] for k in ("solves", "isotropic", "held", "curvature")}
+    settings = {k: config[k] for k in ("solves", "isotropic", "held", "curvature", "friction")}
     write_report(out, {"settings": settings, "summary": summary, "scans": rows})
     draw(scans, rows, folder, out.with_suffix(".png"))
 
@@ -257,8 +276,8 @@ def sorted_alpha(result: dict) -> np.ndarray:
     return np.array([max(warp, weft), bias, min(warp, weft)])
 
 
-def show(rows: list[dict], summary: dict) -> None:
-    """Print both tables and the goals."""
+def show(rows: list[dict], summary: dict, friction: list[float]) -> None:
+    """Print the tables and the goals."""
     print(table(
         ["scan", "isotropic, mm", "refined, mm", "all vertices, mm", "to the surface, mm",
          "curvature", "drape coefficient", "scan's", "solves", "with natural curvature, mm"],
@@ -281,6 +300,11 @@ def show(rows: list[dict], summary: dict) -> None:
     print(table(["scan", "across, mm", "along, mm", "fold phase"],
                 [[r["scan"], r["gaps"]["across_mm"], r["gaps"]["along_mm"],
                   f"{r['gaps']['phase']:.0%}"] for r in rows]))
+    print("\nThe estimate's cloth, let go from under its springs with friction, mm:")
+    print(table(["scan", "under the springs", *(f"{torque:g} µN·m/m" for torque in friction)],
+                [[r["scan"], *("-" if mm is None else mm for mm in
+                               (r["friction"]["held_mm"], *r["friction"]["friction_mm"]))]
+                 for r in rows]))
     print(f"mean {summary['mean_displacement_mm']:.2f} mm, goal {GOAL_MM:g}; better than isotropic "
           f"{summary['better_than_isotropic']} of {len(rows)}; drape coefficient within "
           f"{summary['largest_coefficient_difference']:.1f} points, goal {GOAL_POINTS:g}")

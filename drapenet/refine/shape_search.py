@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data.prior.gaussian import GaussianPrior
-from drapenet.refine.attraction import plane_springs
+from drapenet.refine.attraction import Springs, plane_springs
 from drapenet.refine.captured import CapturedProblem, CapturedShape, Cloth, Effort, Settled
 from drapenet.refine.objective import Objective, Sum
 from drapenet.refine.optimisers import Limits, Status, minimise
@@ -67,6 +67,11 @@ def scan_objective(shape: CapturedShape) -> Objective:
     radii = outline(shape.positions, border_edges(shape.faces), _AZIMUTHS)[0]
     return Sum([RobustPositions.of(shape),
                 Outline(shape.faces, radii, sigma=2e-3, limit=1.0, independent=30.0)])
+
+
+def surface_springs(captured: DrapeResult) -> Springs:
+    """What holds a cloth to a captured shape while its moduli are estimated."""
+    return plane_springs(scene_of(captured), captured.positions, pull=PULL)
 
 
 def search_cloth(
@@ -136,8 +141,7 @@ class _Search:
     def estimate(self, start: Cloth) -> None:
         """Find the cloth that needs the springs least."""
         captured = self.shape.as_drape(start.fabric)
-        springs = plane_springs(scene_of(captured), captured.positions, pull=PULL)
-        problem = self.problem(start, near=captured, springs=[springs])
+        problem = self.problem(start, near=captured, springs=[surface_springs(captured)])
         self.minimise(problem, min(HELD, self.solves), self.keep_estimate)
 
     def nearest(self, start: Cloth, rng: np.random.Generator) -> None:

@@ -56,25 +56,43 @@ class MidEdgeBending:
         self.maps = curvature_maps(mesh)[active]
         self.law = plate_law.constants(fabric)
 
-    @property
-    def _constants(self) -> tuple[np.ndarray, ...]:
-        return self.dofs, self.share, self.sign, self.maps, self.areas, self.law
-
     def value(self, q: np.ndarray) -> float:
-        return _value(q, *self._constants)
+        return _total(self.areas, self.density(self.curvatures(q)))
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return _gradient(q, *self._constants)
+        stress, _ = self.stress(self.curvatures(q))
+        return _gradient(q, *self._geometry, stress)
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _hessian(q, *self._constants, convexity)
+        stress, tangent = self.stress(self.curvatures(q))
+        if convexity > 0.0:
+            _convexify(tangent, self.least_stiffness, convexity)
+        return _hessian(q, *self._geometry, stress, tangent, convexity)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         return True
 
     def curvatures(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
-        return _curvatures(q, *self._constants[:4])
+        return _curvatures(q, self.dofs, self.share, self.sign, self.maps)
+
+    def density(self, curvatures: np.ndarray) -> np.ndarray:
+        """(N,) energies, J/m², of the shape operators (N, 3)."""
+        return plate_law.energies(curvatures, self.law)
+
+    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
+        return plate_law.stresses(curvatures, self.law)
+
+    @property
+    def least_stiffness(self) -> float:
+        """N·m, positive, up to which the convex Hessian raises the law's: the rotations of the
+        edges have no other stiffness."""
+        return CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
+
+    @property
+    def _geometry(self) -> tuple[np.ndarray, ...]:
+        return self.dofs, self.share, self.sign, self.maps, self.areas
 
 
 def split_of_angles(mesh: Mesh, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,52 +160,46 @@ def _curvatures(q, dofs, share, sign, maps):
 
 
 @numba.njit(cache=True)
-def _value(q, dofs, share, sign, maps, areas, law):
-    s = _curvatures(q, dofs, share, sign, maps)
+def _total(areas, density):
     total = 0.0
-    for t in range(len(dofs)):
-        total += areas[t] * plate_law.energy(s[t], law)
+    for t in range(len(areas)):
+        total += areas[t] * density[t]
     return total
 
 
 @numba.njit(cache=True)
-def _gradient(q, dofs, share, sign, maps, areas, law):
-    s = _curvatures(q, dofs, share, sign, maps)
+def _gradient(q, dofs, share, sign, maps, areas, stress):
     result = np.zeros((len(dofs), 21))
-    stress, tangent = np.empty(3), np.empty((3, 3))
     x, g, rows = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 21))
     for t in range(len(dofs)):
-        plate_law.derivatives(s[t], law, stress, tangent)
         _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
         for i in range(3):
             m = 0.0
             for a in range(3):
-                m += areas[t] * maps[t, a, i] * stress[a]
+                m += areas[t] * maps[t, a, i] * stress[t, a]
             for k in range(21):
                 result[t, k] += m * rows[i, k]
     return result
 
 
 @numba.njit(cache=True)
-def _convexify(matrix, floor, convexity):
-    """Raise the eigenvalues of a symmetric (3, 3) matrix below ``floor`` towards it, in place.
-
-    The floor is positive: the rotations of the edges have no other stiffness.
-    """
-    # Pivots of what lies above the floor: most matrices need no eigenvectors.
-    first = matrix[0, 0] - floor
-    second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
-    if first > 0.0 and second > 0.0:
-        cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
-        if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
-            return
-    value, vector = np.linalg.eigh(matrix)
-    for k in range(3):
-        if value[k] < floor:
-            for i in range(3):
-                for j in range(3):
-                    lift = convexity * (floor - value[k])
-                    matrix[i, j] += lift * vector[i, k] * vector[j, k]
+def _convexify(tangents, floor, convexity):
+    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` towards it, in place."""
+    for matrix in tangents:
+        # Pivots of what lies above the floor: most matrices need no eigenvectors.
+        first = matrix[0, 0] - floor
+        second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
+        if first > 0.0 and second > 0.0:
+            cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
+            if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
+                continue
+        value, vector = np.linalg.eigh(matrix)
+        for k in range(3):
+            if value[k] < floor:
+                for i in range(3):
+                    for j in range(3):
+                        lift = convexity * (floor - value[k])
+                        matrix[i, j] += lift * vector[i, k] * vector[j, k]
 
 
 @numba.njit(cache=True)
@@ -217,21 +229,16 @@ def _stiffness(tangent, maps, area, k):
 
 
 @numba.njit(cache=True)
-def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
+def _hessian(q, dofs, share, sign, maps, areas, stress, tangent, convexity):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
     # turning of the hinges under their torque, indefinite and dropped in full convexity.
-    s = _curvatures(q, dofs, share, sign, maps)
     result = np.empty((len(dofs), 21, 21))
     x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
-    stress, tangent, stiffness = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    floor = CONVEX_FLOOR * min(law[0], law[1], 4.0 * law[3])
+    stiffness = np.empty((3, 3))
     rows, moment = np.empty((3, 21)), np.empty((3, 21))
     for t in range(len(dofs)):
         block = result[t]
-        plate_law.derivatives(s[t], law, stress, tangent)
-        if convexity > 0.0:
-            _convexify(tangent, floor, convexity)
-        _stiffness(tangent, maps[t], areas[t], stiffness)
+        _stiffness(tangent[t], maps[t], areas[t], stiffness)
         _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
         for i in range(3):
             for j in range(21):
@@ -253,7 +260,7 @@ def _hessian(q, dofs, share, sign, maps, areas, law, convexity):
                 continue
             m = 0.0
             for a in range(3):
-                m += maps[t, a, i] * stress[a]
+                m += maps[t, a, i] * stress[t, a]
             m *= areas[t] * share[t, i] * (1.0 - convexity)
             _load_hinge(q, dofs[t], i, x)
             dihedral.add_hessian(x, m, _first_rows(i), frame, block)

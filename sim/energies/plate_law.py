@@ -171,3 +171,21 @@ def _add_yarns(s, law, g, h):
     mixed = -stiff + (wy - wx) * pull + wxy * more
     h[0, 1] += mixed
     h[1, 0] += mixed
+
+
+@numba.njit(cache=True)
+def energies(s, law):
+    """psi (N,), J/m², at curvatures s (N, 3); law (15,) as in energy."""
+    psi = np.empty(len(s))
+    for t in range(len(s)):
+        psi[t] = energy(s[t], law)
+    return psi
+
+
+@numba.njit(cache=True)
+def stresses(s, law):
+    """Derivatives of psi, (N, 3) and (N, 3, 3), at curvatures s (N, 3); law (15,) as in energy."""
+    g, h = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
+    for t in range(len(s)):
+        derivatives(s[t], law, g[t], h[t])
+    return g, h

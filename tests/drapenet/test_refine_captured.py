@@ -24,6 +24,7 @@ from drapenet.refine.captured import (
     turned_rest,
 )
 from drapenet.refine.fidelity import fidelity
+from drapenet.refine.friction import drapes_with_friction
 from drapenet.refine.registered import RobustPositions
 from drapenet.refine.scan_report import format_scan, read_cloud
 from drapenet.refine.shape_search import scan_objective, search_cloth
@@ -75,6 +76,18 @@ def test_a_support_that_holds_less_lets_the_cloth_lift_and_turn(captured: Captur
     assert 0.05 < height[captured.held].max() < 3.0
     assert np.abs(height[loose.held]).max() == 0.0
     assert height[captured.hanging].mean() < 1e3 * captured.positions[captured.hanging, 2].mean()
+
+
+def test_friction_keeps_a_cloth_that_is_too_soft_by_the_captured_shape(
+    captured: CapturedShape
+) -> None:
+    soft = Cloth(THETA - np.array([0.4, 0.4, 0.4, 0.0, 0.0, 0.0]), warp=0.3)
+    drapes = drapes_with_friction(captured, soft, [0.0, 3e-4, 3e-3])
+    assert all(d.converged for d in drapes)
+    held, free, little, much = (fidelity(captured, d).displacement_mm for d in drapes)
+    assert held < much < little < free
+    # More than the cloth's own torque, some 60 µN·m at 20 1/m.
+    assert much - held < 0.1 * (free - held)
 
 
 def test_derivatives_match_tight_simulations(captured: CapturedShape) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.fold_limit import LIMIT_START, FoldLimit
 from sim.energies.gravity import Gravity
@@ -38,6 +39,9 @@ def energy_and_state(name: str):
         return MidEdgeBending(mesh, active, fabric=ANISOTROPIC), q
     if name == "midedge stiffening":
         return MidEdgeBending(mesh, active, fabric=STIFFENING), q
+    if name == "friction":
+        return BendingFriction(mesh, active, fabric=STIFFENING, rest=crumpled_strip(seed=1)[2],
+                               torque=3e-4, build_up=20.0), q
     if name == "contact":
         rng = np.random.default_rng(1)
         points = rng.uniform(-0.045, 0.045, (40, 3)) - [0, 0, 0.05]
@@ -50,8 +54,8 @@ def energy_and_state(name: str):
     return energy, q
 
 
-ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "contact",
-            "fold limit"]
+ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "friction",
+            "contact", "fold limit"]
 
 
 def scattered(energy, blocks: np.ndarray, size: int) -> np.ndarray:
@@ -117,7 +121,8 @@ def test_convexity_removes_the_indefinite_part_linearly(name):
     assert np.allclose(middle, 0.7 * exact + 0.3 * convex, atol=1e-12 * size)
 
 
-@pytest.mark.parametrize("name", ["membrane", "midedge softening", "midedge stiffening"])
+@pytest.mark.parametrize(
+    "name", ["membrane", "midedge softening", "midedge stiffening", "friction"])
 def test_rigid_motions_cost_nothing(name):
     energy, q = energy_and_state(name)
     mesh, _, _ = crumpled_strip()

@@ -1,0 +1,58 @@
+"""Friction in bent cloth: a weightless strip unbends no further than friction lets it."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from sim.energies.bending_friction import BendingFriction
+from sim.energies.natural_curvature import NaturallyCurved
+from sim.equilibrium import find_equilibrium
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.mesh import strip
+from sim.newton import NewtonOptions, Status
+from sim.scene import Scene, State
+
+ALPHA, BENT = 30e-6, 15.0  # N·m, 1/m: a torque of 4.5e-4 N
+FABRIC = Fabric(np.full(3, ALPHA))
+OPTIONS = NewtonOptions(residual=1e2, step=1e-6)  # of a weight next to nothing
+
+
+@pytest.fixture(scope="module")
+def arc() -> tuple[Scene, State]:
+    """A strip at rest in a circular arc, level where it is clamped."""
+    mesh, held = strip(length=0.06, width=0.012, edge=0.003, clamp=0.006)
+    scene = Scene(mesh=mesh, held=held, gravity=1e-5)
+    flat = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    state, result = find_equilibrium(
+        scene, FABRIC, flat, laws=Laws(bending=NaturallyCurved((BENT, 0.0, 0.0))),
+        options=OPTIONS)
+    assert result.status is Status.CONVERGED
+    return scene, state
+
+
+@pytest.mark.parametrize("torque", [1e-4, 3e-4, 6e-4])
+def test_strip_unbends_until_friction_holds_its_torque(
+    arc: tuple[Scene, State], torque: float
+) -> None:
+    scene, bent = arc
+    build_up = 0.5
+    friction = BendingFriction(scene.mesh, scene.active, fabric=FABRIC, rest=bent.unknowns,
+                               torque=torque, build_up=build_up)
+    state, result = find_equilibrium(scene, FABRIC, bent, extra=[friction], options=OPTIONS)
+    assert result.status is Status.CONVERGED
+    # alpha kappa against the torque of friction
+    kappa = brentq(lambda k: ALPHA * k - torque * (BENT - k) / np.hypot(BENT - k, build_up),
+                   0.0, BENT)
+    tip = state.positions[np.isclose(scene.mesh.rest[:, 0], 0.06)].mean(axis=0)
+    assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
+    # 6e-4 N hold more than the bent strip has; 1e-4 N let it go to a fifth.
+    assert (kappa > 0.9 * BENT) == (torque > ALPHA * BENT)
+
+
+@pytest.mark.parametrize("wrong", [{"torque": -1e-4}, {"torque": 1e-4, "build_up": 0.0}])
+def test_friction_that_makes_no_sense_is_refused(arc: tuple[Scene, State], wrong: dict) -> None:
+    scene, bent = arc
+    with pytest.raises(InputError, match="friction of"):
+        BendingFriction(scene.mesh, scene.active, fabric=FABRIC, rest=bent.unknowns, **wrong)
