@@ -5,11 +5,13 @@ falls short of half its bending hysteresis; so a captured shape need not be an e
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from drapenet.refine.captured import SETTLING, CapturedShape, Cloth
 from drapenet.refine.shape_search import surface_springs
 from sim.drape import DrapeResult
-from sim.energies.bending_friction import BendingFriction
+from sim.energies.bending_friction import Rubbing
+from sim.energies.midedge import MidEdgeBending
 from sim.scene import State
 from sim.sensitivity import follow
 from sim.sensitivity.tangent import scene_of
@@ -22,7 +24,7 @@ def drapes_with_friction(
 
     Args:
         torques: N·m per metre that friction holds, see :mod:`sim.energies.bending_friction`; it
-            begins where the springs hold the cloth.
+            begins where the springs hold the cloth, which must have no natural curvature.
 
     Returns:
         The drape under the springs, then one for each of ``torques``; look at their ``status``.
@@ -30,9 +32,10 @@ def drapes_with_friction(
     start = shape.as_drape(cloth.fabric, cloth.warp)
     held = follow(start, cloth.fabric, laws=cloth.laws, extra=[surface_springs(start)],
                   options=SETTLING)
-    scene, rest = scene_of(held), State(held.positions, held.rotations).unknowns
+    scene = scene_of(held)
+    origin = MidEdgeBending(scene.mesh, scene.active, fabric=cloth.fabric).curvatures(
+        State(held.positions, held.rotations).unknowns)
     return [held, *(
-        follow(held, cloth.fabric, laws=cloth.laws, options=SETTLING, extra=[
-            BendingFriction(scene.mesh, scene.active, fabric=cloth.fabric, rest=rest,
-                            torque=torque)])
+        follow(held, cloth.fabric, options=SETTLING,
+               laws=replace(cloth.laws, bending=Rubbing(torque, origin)))
         for torque in torques)]

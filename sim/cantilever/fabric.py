@@ -15,6 +15,7 @@ from sim.cantilever.regression import Estimate, regress
 from sim.cantilever.table import match
 from sim.cantilever.tester import hang
 from sim.errors import InputError
+from sim.laws import Laws
 from sim.material import DIRECTIONS, Fabric, is_admissible
 from sim.newton import Status
 from sim.scene import GRAVITY
@@ -94,6 +95,7 @@ def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
 def simulate_strips(
     fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float = 0.03,
     slope: float = 0.0, cells: int = CELLS, seed: int = 0, guided: bool = False,
+    laws: Laws | None = None,
 ) -> dict[str, list[np.ndarray]]:
     """Curves of simulated strips of ``lengths`` (m) by direction.
 
@@ -103,6 +105,7 @@ def simulate_strips(
             a few cells across them are enough.
         cells: along the bending length of the strip's direction.
         seed: of the triangulation.
+        laws: of bending and membrane.
 
     Raises:
         InputError: a strip does not reach equilibrium.
@@ -116,7 +119,7 @@ def simulate_strips(
             hung = hang(
                 fabric, angle=ANGLES[direction], slope=slope, length=length, edge=edge,
                 width=3 * edge if guided else width, across=3 if guided else CELLS_ACROSS,
-                diagonals="random", seed=seed, guided=guided,
+                diagonals="random", seed=seed, guided=guided, laws=laws,
             )
             if hung.result.status is not Status.CONVERGED:
                 raise InputError(

@@ -1,14 +1,18 @@
-"""Friction between the yarns of bent cloth, which lets it rest in more than one shape.
+"""Cloth whose yarns rub when it is bent: it lags behind its load and rests in more than one shape.
 
 A fabric's torque at a curvature differs between bending and unbending by 2HB, its hysteresis in
-Kawabata's pure bending test. Here a torque resists every change of the curvature S from the one
-S0 at which the cloth came to rest, and holds at most HB: the energy density is
+Kawabata's pure bending test. Here a torque of at most HB resists every change of the curvature S
+from one S0 at which there is no friction. To the energy of mid-edge bending
+(:mod:`sim.energies.midedge`) is added
 
     m (sqrt(|S - S0|² + d²) - d),    |S|² = Sxx² + Syy² + 2 Sxy²,
 
-with m = HB and a small change of curvature d within which the friction builds up. This is one step
-of Coulomb friction, which moves no further than it must; S0 does not follow the cloth.
+with m = HB and a small change of curvature d within which the friction builds up. That is one step
+of Coulomb friction, from S0 to where the cloth comes to rest; S0 does not follow, so there are no
+cycles of loading.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,48 +22,61 @@ from sim.material import Fabric
 from sim.mesh import Mesh
 
 BUILD_UP = 2.0
-"""Change of curvature, 1/m, within which the friction builds up."""
+"""Change of curvature, 1/m, within which friction builds up."""
 _METRIC = np.array([1.0, 1.0, 2.0])  # of Sxx, Syy, Sxy
 
 
-class BendingFriction(MidEdgeBending):
-    """Friction of the free triangles, beside a bending energy of the same rotations of edges.
+@dataclass(frozen=True)
+class Rubbing:
+    """A bending law (:class:`sim.laws.Bending`) with friction.
 
-    Args:
-        mesh, active, fabric: as for :class:`sim.energies.midedge.MidEdgeBending`.
-        rest: (3V + E,) unknowns at which no friction acts.
-        torque: m, N·m per metre.
+    Attributes:
+        torque: m, N·m per metre of width.
+        origin: (N, 3) curvatures S0, 1/m, of the active triangles, as
+            :meth:`sim.energies.midedge.MidEdgeBending.curvatures` gives them; None: flat.
         build_up: d, 1/m.
 
     Raises:
         InputError: a torque below 0, or a build-up that is not above 0.
     """
 
+    torque: float
+    origin: np.ndarray | None = None
+    build_up: float = BUILD_UP
+
+    def __post_init__(self) -> None:
+        if not (self.torque >= 0 and self.build_up > 0):
+            raise InputError(f"friction of {self.torque} N within {self.build_up} 1/m: give a "
+                             "torque of 0 or more and a change of curvature above 0")
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "RubbingBending":
+        return RubbingBending(mesh, active, fabric=fabric, friction=self)
+
+
+class RubbingBending(MidEdgeBending):
+    """Plate energy of the free triangles with ``friction``.
+
+    The other arguments are those of :class:`sim.energies.midedge.MidEdgeBending`.
+    """
+
     def __init__(
-        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, rest: np.ndarray, torque: float,
-        build_up: float = BUILD_UP,
+        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, friction: Rubbing
     ) -> None:
         super().__init__(mesh, active, fabric=fabric)
-        if not torque >= 0 or not build_up > 0:
-            raise InputError(f"friction of {torque} N within {build_up} 1/m: give a torque of 0 "
-                             "or more and a change of curvature above 0")
-        self._torque, self._build_up = torque, build_up
-        self._natural = self.curvatures(rest)
+        self._torque, self._build_up = friction.torque, friction.build_up
+        self._origin = 0.0 if friction.origin is None else friction.origin
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
-        return self._torque * (self._size(curvatures - self._natural) - self._build_up)
+        friction = self._torque * (self._size(curvatures - self._origin) - self._build_up)
+        return super().density(curvatures) + friction
 
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        change = curvatures - self._natural
+        stress, tangent = super().stress(curvatures)
+        change = curvatures - self._origin
         size = self._size(change)[:, None]
         way = _METRIC * change / size
-        tangent = (np.diag(_METRIC) - way[:, :, None] * way[:, None, :]) / size[..., None]
-        return self._torque * way, self._torque * tangent
-
-    @property
-    def least_stiffness(self) -> float:
-        """0: the bending law beside it gives the rotations of the edges their stiffness."""
-        return 0.0
+        stiffness = (np.diag(_METRIC) - way[:, :, None] * way[:, None, :]) / size[..., None]
+        return stress + self._torque * way, tangent + self._torque * stiffness
 
     def _size(self, change: np.ndarray) -> np.ndarray:
         return np.sqrt(change**2 @ _METRIC + self._build_up**2)

@@ -66,7 +66,9 @@ class MidEdgeBending:
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
         stress, tangent = self.stress(self.curvatures(q))
         if convexity > 0.0:
-            _convexify(tangent, self.least_stiffness, convexity)
+            # The rotations of the edges have no other stiffness: the floor is positive.
+            floor = CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
+            _convexify(tangent, floor, convexity)
         return _hessian(q, *self._geometry, stress, tangent, convexity)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
@@ -83,12 +85,6 @@ class MidEdgeBending:
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
         return plate_law.stresses(curvatures, self.law)
-
-    @property
-    def least_stiffness(self) -> float:
-        """N·m, positive, up to which the convex Hessian raises the law's: the rotations of the
-        edges have no other stiffness."""
-        return CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
 
     @property
     def _geometry(self) -> tuple[np.ndarray, ...]:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from sim.energies.bending_friction import BendingFriction
+from sim.energies.bending_friction import Rubbing
+from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
@@ -38,9 +39,9 @@ def test_strip_unbends_until_friction_holds_its_torque(
 ) -> None:
     scene, bent = arc
     build_up = 0.5
-    friction = BendingFriction(scene.mesh, scene.active, fabric=FABRIC, rest=bent.unknowns,
-                               torque=torque, build_up=build_up)
-    state, result = find_equilibrium(scene, FABRIC, bent, extra=[friction], options=OPTIONS)
+    origin = MidEdgeBending(scene.mesh, scene.active, fabric=FABRIC).curvatures(bent.unknowns)
+    laws = Laws(bending=Rubbing(torque, origin, build_up))
+    state, result = find_equilibrium(scene, FABRIC, bent, laws=laws, options=OPTIONS)
     assert result.status is Status.CONVERGED
     # alpha kappa against the torque of friction
     kappa = brentq(lambda k: ALPHA * k - torque * (BENT - k) / np.hypot(BENT - k, build_up),
@@ -51,8 +52,21 @@ def test_strip_unbends_until_friction_holds_its_torque(
     assert (kappa > 0.9 * BENT) == (torque > ALPHA * BENT)
 
 
-@pytest.mark.parametrize("wrong", [{"torque": -1e-4}, {"torque": 1e-4, "build_up": 0.0}])
-def test_friction_that_makes_no_sense_is_refused(arc: tuple[Scene, State], wrong: dict) -> None:
-    scene, bent = arc
+def test_strip_that_friction_holds_flat_hangs_like_a_stiffer_one() -> None:
+    """From flat, friction carries part of the weight: less bend than without."""
+    mesh, held = strip(length=0.03, width=0.012, edge=0.003, clamp=0.006)
+    scene = Scene(mesh=mesh, held=held)
+    flat = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    drops = []
+    for torque in (0.0, 5e-5, 2e-4):
+        state, result = find_equilibrium(scene, FABRIC, flat, laws=Laws(bending=Rubbing(torque)))
+        assert result.status is Status.CONVERGED
+        drops.append(-state.positions[:, 2].min())
+    assert drops[0] > 1.02 * drops[1] > 1.1 * drops[2] > 0
+
+
+@pytest.mark.parametrize("wrong", [{"torque": -1e-4}, {"torque": 1e-4, "build_up": 0.0},
+                                   {"torque": np.nan}])
+def test_friction_that_makes_no_sense_is_refused(wrong: dict) -> None:
     with pytest.raises(InputError, match="friction of"):
-        BendingFriction(scene.mesh, scene.active, fabric=FABRIC, rest=bent.unknowns, **wrong)
+        Rubbing(**wrong)

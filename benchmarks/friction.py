@@ -1,0 +1,168 @@
+"""What friction in cloth does to an estimate: ``python -m benchmarks.friction [key=value ...]``.
+
+Unseen fabrics are draped with more and more friction against bending, from flat
+(:mod:`sim.energies.bending_friction`), captured with sensor noise, and estimated by the bundled
+network, which knows no friction. Beside it stands the virtual cantilever tester with the same
+friction. Both are given relative to what they say of the same fabric without friction.
+
+Keys (``key=value``):
+
+    fabrics    how many, drawn from the prior that the network was trained on
+    seed       of the fabrics; not that of a training set
+    friction   torques, µN·m per metre of width (half of 2HB); the first must be 0
+    sensor     noise of the views, a file of configs/sensor
+    workers    processes, one thread each
+    cases      folder of finished fabrics; an interrupted run goes on from there
+    out        the report, JSON; a picture of the same name beside it
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from data.fabrics import fabric_from_theta
+from data.prior import load_prior, sample_admissible
+from data.sampling import Stream, stream
+from drapenet.checkpoint import BUNDLED, load_model, read_header
+from sim.cantilever.fabric import bending_length, estimate, simulate_strips
+from sim.cli import parse_overrides, run_command
+from sim.drape import drape
+from sim.energies.bending_friction import Rubbing
+from sim.errors import InputError
+from sim.laws import Laws
+from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
+from sim.measures import drape_coefficient
+
+STRIPS = (1.5, 2.5)  # lengths of the tester's strips, in bending lengths
+DEFAULTS = {
+    "fabrics": 20,
+    "seed": 20225,
+    "friction": [0.0, 20.0, 50.0, 100.0, 200.0, 500.0],
+    "sensor": "smooth",
+    "workers": 2,
+    "cases": "outputs/validation/friction",
+    "out": str(REPORTS / "friction.json"),
+}
+
+
+def estimates(theta: list[float], number: int, friction: list[float], sensor: str) -> dict:
+    """One fabric, theta (6,), by network and tester; a row for each torque, µN·m per metre."""
+    fabric = fabric_from_theta(np.array(theta))
+    rows = [{"converged": False} for _ in friction]
+    for torque, row in zip(friction, rows, strict=True):
+        laws = Laws(bending=Rubbing(MICRO * torque))
+        result = drape(fabric, seed=number, laws=laws)
+        if result.converged:
+            row |= {"converged": True, "drape": captured_alpha(result, number, sensor),
+                    "coefficient": 100 * drape_coefficient(result.positions, result.faces,
+                                                           result.rig)}
+        row["cantilever"] = tested_alpha(fabric, laws)
+    return {"alpha_uN_m": (fabric.alpha / MICRO).tolist(), "rows": rows}
+
+
+def captured_alpha(result: object, number: int, sensor: str) -> list[float]:
+    """Alpha (3,), µN·m, stiff, bias, soft, that the network reads from noisy views of a drape.
+
+    Camera and turn depend on ``number`` only, so that captures of one fabric compare.
+    """
+    import torch
+
+    from data.cameras import CameraRig
+    from data.rasterise import camera_tensors
+    from data.render import render_views
+    from data.sensor import SensorNoise
+    from drapenet.predict import predict
+
+    rng = np.random.default_rng([number, 4])
+    camera, turn = CameraRig.load().sample(rng), float(rng.uniform(0, 2 * np.pi))
+    views = torch.from_numpy(render_views(result.positions, result.faces, camera, turn))
+    noise = SensorNoise.load(sensor)
+    views = noise(views, camera_tensors([camera])[0][0], torch.Generator().manual_seed(number))
+    header = read_header(BUNDLED)
+    found = predict(load_model(header), views.numpy(), form=header.form, scale=header.scale)
+    return (found.moduli[0] / MICRO).tolist()
+
+
+def tested_alpha(fabric: Fabric, laws: Laws) -> list[float]:
+    """Alpha (3,), µN·m, stiff, bias, soft, that the virtual cantilever tester reads."""
+    lengths = {direction: [share * bending_length(alpha, REFERENCE_DENSITY) for share in STRIPS]
+               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
+    strips = simulate_strips(fabric, lengths, guided=True, laws=laws)
+    found = estimate(strips, density=REFERENCE_DENSITY)
+    warp, bias, weft = (found[direction].alpha / MICRO for direction in DIRECTIONS)
+    return [max(warp, weft), bias, min(warp, weft)]
+
+
+def shifts(cases: dict[str, dict], name: str, k: int) -> np.ndarray:
+    """(N, 3) log alpha of ``name`` at the k-th torque, less that without friction."""
+    pairs = [(c["rows"][0], c["rows"][k]) for c in cases.values()]
+    return np.array([np.log(np.divide(b[name], a[name])) for a, b in pairs
+                     if name in a and name in b]).reshape(-1, 3)
+
+
+def main(argv: list[str]) -> None:
+    """Estimate, print the table, write the report and its picture."""
+    config = parse_overrides(DEFAULTS, argv)
+    friction = config["friction"]
+    if len(friction) < 2 or friction[0] != 0:
+        raise InputError("friction=... must begin with 0 and name another torque")
+    prior = load_prior("vae")
+    found = run_cases(estimates, {
+        f"fabric_{k}": {
+            "theta": sample_admissible(prior, stream(config["seed"], Stream.FABRIC, k))[0].tolist(),
+            "number": k, "friction": friction, "sensor": config["sensor"]}
+        for k in range(config["fabrics"])}, folder=Path(config["cases"]),
+        workers=config["workers"])
+    summary = [summarise(found, k, torque) for k, torque in enumerate(friction)]
+    print(table(
+        ["friction, µN·m/m", "drapes", "α by network", "nine in ten of it", "α by cantilever",
+         "drape coefficient"],
+        [[f"{s['torque_uN']:g}", s["drapes"], f"x {s['drape']['median']:.2f}",
+          f"{s['drape']['low']:.2f} to {s['drape']['high']:.2f}",
+          f"x {s['cantilever']['median']:.2f}", f"{s['coefficient_points']:+.1f} points"]
+         for s in summary]))
+    out = Path(config["out"])
+    write_report(out, {"settings": {k: config[k] for k in ("fabrics", "seed", "sensor")},
+                       "summary": summary, "fabrics": found})
+    draw(found, friction, out.with_suffix(".png"))
+
+
+def summarise(cases: dict[str, dict], k: int, torque: float) -> dict:
+    """Ratios to the estimates without friction at the k-th torque, over fabrics and directions."""
+    result = {"torque_uN": torque, "drapes": sum(c["rows"][k]["converged"] for c in cases.values())}
+    for name in ("drape", "cantilever"):
+        low, median, high = np.exp(np.percentile(shifts(cases, name, k), [5, 50, 95]))
+        result[name] = {"median": median, "low": low, "high": high}
+    result["coefficient_points"] = float(np.median([
+        c["rows"][k]["coefficient"] - c["rows"][0]["coefficient"] for c in cases.values()
+        if c["rows"][k]["converged"] and c["rows"][0]["converged"]]))
+    return result
+
+
+def draw(cases: dict[str, dict], friction: list[float], path: Path) -> None:
+    """Ratios against the curvature that friction alone would hold, torque over alpha."""
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    for axis, name, title in zip(figure.subplots(1, 2, sharey=True), ("drape", "cantilever"),
+                                 ("network, from a drape", "cantilever tester"), strict=True):
+        for k, torque in list(enumerate(friction))[1:]:
+            alpha = np.array([sorted_true(c) for c in cases.values()
+                              if name in c["rows"][0] and name in c["rows"][k]])
+            axis.plot((torque / alpha).ravel(), np.exp(shifts(cases, name, k)).ravel(), ".", ms=4,
+                      label=f"{torque:g} µN·m/m")
+        axis.axhline(1.0, color="k", lw=0.8)
+        axis.set(xscale="log", yscale="log", title=title, xlabel="friction over α, 1/m")
+    figure.axes[0].set_ylabel("α with friction over α without")
+    figure.axes[0].legend(frameon=False, fontsize=8)
+    write_figure(path, figure)
+
+
+def sorted_true(case: dict) -> list[float]:
+    """True alpha (3,), µN·m: stiff, bias, soft."""
+    warp, bias, weft = case["alpha_uN_m"]
+    return [max(warp, weft), bias, min(warp, weft)]
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)
