@@ -176,13 +176,14 @@ class _Run:
             with self._timed("search"):
                 found = self._search(value, gradient, step)
             if found is None:
-                # A nearly singular model points far out of its range: make it stiffer.
-                if self.convexity < 1.0:
-                    self.convexity = 1.0
-                elif self.shift < len(SHIFTS) - 1:
-                    self.shift += 1
-                else:
+                # A nearly singular model points far out of its range: make it stiffer, and do
+                # not ask for less at the same place. A minimum's own model there is none stiffer.
+                stationary = result.residual < options.residual
+                if stationary or (self.convexity == 1.0 and self.shift == len(SHIFTS) - 1):
                     return self._end(Status.LINE_SEARCH)
+                if self.convexity == 1.0:
+                    self.shift += 1
+                self.convexity, self.rest = 1.0, True
                 result.iterations += 1
                 continue
             self.shift = 0

@@ -226,11 +226,13 @@ class _Run:
             self._take_gradient(found)
         self.shift[found] = 0
         self.step[found] = line.length[moved] * length[found]
-        # A nearly singular model points far out of its range: make it stiffer.
+        # A nearly singular model points far out of its range: make it stiffer, and do not ask for
+        # less at the same place. A minimum's own model there is none stiffer.
         full = self.level[failed] == _FULL
-        self._end(failed[full & (self.shift[failed] == _LAST)], Status.LINE_SEARCH)
+        stationary = self.residual[failed] < self.options.residual
+        self._end(failed[stationary | (full & (self.shift[failed] == _LAST))], Status.LINE_SEARCH)
         self.shift[failed[full & (self.shift[failed] < _LAST)]] += 1
-        self.level[failed] = _FULL
+        self.level[failed], self.rest[failed] = _FULL, True
         self.iterations[[k for k in index if self.ended[k] is None]] += 1
 
     def _take_gradient(self, index: np.ndarray) -> None:

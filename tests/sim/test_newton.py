@@ -103,6 +103,32 @@ def test_hopeless_saddle_is_reported():
     assert result.status is Status.SADDLE and not result.positive_definite
 
 
+def nearly_flat_roof() -> Function:
+    """sqrt(y0² + 1e-12) + y1²: far from its minimum all but straight, Newton's step is 1e15."""
+    return Function(
+        lambda y: np.sqrt(y[0] ** 2 + 1e-12) + y[1] ** 2,
+        lambda y: np.array([y[0] / np.sqrt(y[0] ** 2 + 1e-12), 2 * y[1]]),
+        lambda y: [[1e-12 / (y[0] ** 2 + 1e-12) ** 1.5, 0], [0, 2]],
+    )
+
+
+def test_a_model_that_points_out_of_range_is_made_stiffer():
+    result = minimise(nearly_flat_roof(), np.array([10.0, 1.0]),
+                      NewtonOptions(residual=1e-6, step=1e-6, max_iterations=60))
+    assert result.status is Status.CONVERGED
+    assert np.abs(result.y).max() < 1e-6
+
+
+@pytest.mark.parametrize("start", [(3.0, 1.0), (0.0, 0.0)])
+def test_no_descent_is_reported(start):
+    """Every step is refused, far from the minimum and next to it."""
+    forbidden = rosenbrock()
+    forbidden.allows = lambda old, new: False
+    result = minimise(forbidden, np.array(start), NewtonOptions(residual=3.0, step=1e-8))
+    assert result.status is Status.LINE_SEARCH
+    assert result.iterations < 10
+
+
 def test_too_few_iterations_are_reported():
     result = minimise(rosenbrock(), np.array([-1.2, 1.0]), NewtonOptions(max_iterations=3))
     assert result.status is Status.MAX_ITERATIONS and result.iterations == 3
