@@ -9,7 +9,7 @@ from scipy import sparse
 
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, import_ipctk
-from sim.equilibrium import CONTACT_PRESSURE, find_equilibrium
+from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
@@ -18,6 +18,8 @@ from sim.scene import Scene, State
 
 DISTANCE = 1e-3
 """m between two sheets of cloth at which they begin to feel each other, about two thicknesses."""
+PRESSURE = 20.0
+"""Between two sheets half that distance apart, as a multiple of the cloth's weight."""
 _SHARE_OF_HEIGHT = 0.5  # on fine meshes the distance is at most this share of a triangle's height
 _REACH = 3.0  # pairs within this multiple of the distance get a place in the Hessian
 _ROUND = 25  # Newton steps after which these places are chosen anew
@@ -132,16 +134,9 @@ def _continue_with_contact(
 ) -> tuple[State, NewtonResult]:
     """Equilibrium with self-contact from a ``state`` without intersections."""
     options = options or NewtonOptions()
-    distance = contact_distance(scene.mesh)
     iterations, factorisations, seconds = 0, 0, Counter()
     while True:
-        contact = SelfContact(
-            scene.mesh,
-            state.positions,
-            distance=distance,
-            pressure=CONTACT_PRESSURE * fabric.density * scene.gravity,
-            reach=_REACH * distance,
-        )
+        contact = contact_near(scene, state.positions, density=fabric.density)
         steps = min(_ROUND, options.max_iterations - iterations)
         state, result = find_equilibrium(
             scene,
@@ -170,6 +165,14 @@ def _continue_with_contact(
         factorisations=factorisations,
         seconds=dict(seconds),
     )
+
+
+def contact_near(scene: Scene, positions: np.ndarray, *, density: float) -> SelfContact:
+    """The contact of a cloth of ``density``, kg/m², with itself near positions (V, 3), m; its
+    energy is zero for most drapes."""
+    distance = contact_distance(scene.mesh)
+    return SelfContact(scene.mesh, positions, distance=distance,
+                       pressure=PRESSURE * density * scene.gravity, reach=_REACH * distance)
 
 
 def contact_distance(mesh: Mesh) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
-from sim.equilibrium import CONTACT_PRESSURE, build_potential, cloth_terms
+from sim.equilibrium import build_potential, cloth_terms
 from sim.errors import InputError
 from sim.hinge_laws import HingeLaw
 from sim.laws import Laws
@@ -16,7 +16,7 @@ from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.potential import Potential
 from sim.scene import Scene, State
-from sim.self_contact import contact_distance
+from sim.self_contact import contact_near
 from sim.sensitivity.parameters import force_derivatives, forces, gathered
 
 STEP, RESIDUAL = 1e-5, 1e-6
@@ -30,7 +30,6 @@ counts as singular. Drapes have some 1e-2, a free motion has 1e-12 by rounding."
 _STEPS = 4
 _POWERS = 2  # inverse iterations: the softest motion of a regular Hessian is only of interest
 _BALANCED = 1e-2  # of a vertex's weight: a drape without contact has 1e-4 at most
-_REACH = 3.0  # of self-contact, as where it was found
 
 
 class Tangent:
@@ -184,11 +183,7 @@ def scene_of(result: DrapeResult) -> Scene:
 def possible_contact(result: DrapeResult) -> SelfContact:
     """The contact of a drape with itself, as :mod:`sim.self_contact` would add it; zero for most
     drapes."""
-    scene = scene_of(result)
-    distance = contact_distance(scene.mesh)
-    return SelfContact(scene.mesh, result.positions, distance=distance,
-                       pressure=CONTACT_PRESSURE * REFERENCE_DENSITY * scene.gravity,
-                       reach=_REACH * distance)
+    return contact_near(scene_of(result), result.positions, density=REFERENCE_DENSITY)
 
 
 def self_contact(
