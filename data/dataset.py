@@ -78,6 +78,7 @@ class DrapeDataset(SplitDataset):
             "views": views,
             "theta": self.theta[drape].astype(np.float32),
             "orientation": np.float32(axis),
+            "turns": self.turns[drape, orientation].astype(np.float32),
             "fabric": int(self.fabric[drape]),
             "index": int(self.index[drape]),
         }

@@ -88,6 +88,7 @@ class FreshDataset(SplitDataset):
             "views": self.show(drapes, shots),
             "theta": torch.from_numpy(self.theta[drapes].astype(np.float32)),
             "orientation": torch.from_numpy(axes.astype(np.float32)),
+            "turns": torch.from_numpy(np.stack([s.turns for s in shots]).astype(np.float32)),
             "fabric": torch.from_numpy(self.fabric[drapes]),
             "index": torch.from_numpy(self.index[drapes]),
         }

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from data.render import VIEWS
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 from sim.files import replace_shared_file
 from sim.mesh import grid_faces
 
@@ -210,6 +210,27 @@ def verified_digest(path: Path) -> str:
         raise InputError(f"{path} is damaged or no shard of schema version {SCHEMA_VERSION}; "
                          "generate it anew")
     return whole.hexdigest()
+
+
+def require_unchanged(root: Path, digests: Mapping[str, str]) -> None:
+    """Check that the shards in ``root`` hold what the manifest's ``digests`` say, by name.
+
+    Raises:
+        InputError: one does not, is damaged or cannot be read.
+    """
+    try:
+        changed = [name for name, digest in digests.items()
+                   if verified_digest(root / name) != digest]
+    except OSError as error:
+        raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
+    if changed:
+        raise InputError(f"{root} holds other content than {MANIFEST} says in {some(changed)}; "
+                         "remove it and generate it again")
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names of many."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 class Shard:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from data.shards import Shard, read_manifest
+from data.shards import Shard, read_manifest, require_unchanged
 from sim.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -97,6 +97,8 @@ class SplitDataset(Dataset, ABC):
     - ``views`` (4, H, W) float32, z-depth in m, background 0;
     - ``theta`` (6,) float32, see :mod:`data.fabrics`;
     - ``orientation`` float32, direction of the warp axis in the first view, in [0, pi);
+    - ``turns`` (4,) float32, what the table had turned beyond k quarter turns in view k, rad,
+      before views are reordered or mirrored;
     - ``fabric`` and ``index`` (of the drape in the dataset), int.
 
     Args:
@@ -116,8 +118,8 @@ class SplitDataset(Dataset, ABC):
         epoch: whose randomness the items have.
 
     Raises:
-        InputError: no dataset, an unfinished one, no converged drape in the split, or an option
-            that makes no sense.
+        InputError: no dataset, an unfinished or damaged one, no converged drape in the split, or
+            an option that makes no sense.
     """
 
     def __init__(
@@ -137,6 +139,7 @@ class SplitDataset(Dataset, ABC):
         self.root = Path(root)
         self.manifest = finished_manifest(self.root)
         self.hash: str = self.manifest["hash"]
+        require_unchanged(self.root, self.manifest["shards"])
         if orientations_per_epoch < 1:
             raise InputError(f"orientations_per_epoch={orientations_per_epoch} must be at least 1")
         if seed < 0:

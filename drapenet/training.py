@@ -54,7 +54,8 @@ def choose_device(config: TrainConfig) -> torch.device:
 
 
 class PreparedViews(Dataset):
-    """A dataset's items as batches: prepared views (N, 4, h, w), theta (N, 6), warps' angles (N,).
+    """A dataset's items as batches: prepared views (N, 4, h, w), theta (N, 6), warps' angles (N,),
+    turns (N, 4) of the table beyond its quarters.
 
     A DataLoader asks for a batch at once, and needs ``collate_fn=as_they_are``.
     """
@@ -71,9 +72,10 @@ class PreparedViews(Dataset):
         """Choose the epoch whose noise, orientations and view orders are drawn."""
         self.drapes.set_epoch(epoch)
 
-    def __getitems__(self, items: list[int]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def __getitems__(self, items: list[int]) -> tuple[torch.Tensor, ...]:
         batch = self.drapes.batch(items)
-        return prepare(batch["views"], form=self.form), batch["theta"], batch["orientation"]
+        return (prepare(batch["views"], form=self.form), batch["theta"], batch["orientation"],
+                batch["turns"])
 
 
 class DrapeSet(PreparedViews):
@@ -84,7 +86,8 @@ class DrapeSet(PreparedViews):
         self.scale = scale
 
     def __getitems__(self, items: list[int]) -> Batch:
-        return self.labelled(*super().__getitems__(items))
+        views, theta, psi, _ = super().__getitems__(items)
+        return self.labelled(views, theta, psi)
 
     def labelled(self, views: torch.Tensor, theta: torch.Tensor, psi: torch.Tensor) -> Batch:
         """Join prepared views (N, 4, h, w) with the labels of theta (N, 6) and the warps' angles.
@@ -118,7 +121,7 @@ class CachedSet(DrapeSet):
             self.views[filled : filled + len(views)] = views
             labels.append(label)
             filled += len(views)
-        self.theta, self.psi = (torch.cat(part) for part in zip(*labels, strict=True))
+        self.theta, self.psi, self.turns = (torch.cat(part) for part in zip(*labels, strict=True))
         self.in_process = True
 
     def set_epoch(self, epoch: int) -> None:
@@ -132,7 +135,9 @@ class CachedSet(DrapeSet):
                 first, mirror = ORDERS[rng.integers(len(ORDERS))]
                 order = {"first": first, "mirror": mirror}
                 views[k] = torch.from_numpy(reorder_views(views[k].numpy(), **order))
-                psi[k] = reorder_axis(psi[k].item(), **order)
+                # The view that becomes the first was off its quarter turn by this much.
+                angle = psi[k].item() + self.turns[item, first].item()
+                psi[k] = reorder_axis(angle, **order)
         return self.labelled(views.float(), self.theta[items], psi)
 
 

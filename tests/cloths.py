@@ -9,7 +9,13 @@ from data.cameras import CameraRig
 from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
-from data.shards import SCHEMA_VERSION, shard_name, write_manifest, write_shard
+from data.shards import (
+    SCHEMA_VERSION,
+    shard_name,
+    verified_digest,
+    write_manifest,
+    write_shard,
+)
 from sim.mesh import draped_square
 from sim.scene import Rig
 
@@ -51,6 +57,7 @@ def write_dataset(
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
         "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
-        "shards": {shard_name(shard): "" for shard in range(config.shards)},
+        "shards": {name: verified_digest(root / name)
+                   for name in map(shard_name, range(config.shards))},
     })
     return root

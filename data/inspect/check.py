@@ -1,10 +1,9 @@
 """Whether a dataset's shards are those that its manifest lists."""
 
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
-from data.shards import MANIFEST, SHARDS, Shard, json_digest, verified_digest
+from data.shards import MANIFEST, SHARDS, Shard, json_digest, require_unchanged, some
 from data.splits import finished_manifest
 from sim.errors import InputError, one_line
 
@@ -40,15 +39,12 @@ def _check_shards(root: Path, manifest: dict) -> None:
     digests = manifest["shards"]
     there = {path.name for path in root.glob(SHARDS)}
     if missing := sorted(digests.keys() - there):
-        raise InputError(f"{root} lacks {_some(missing)}; make what is missing with "
+        raise InputError(f"{root} lacks {some(missing)}; make what is missing with "
                          f"python -m data.generate out={root} and the dataset's settings")
     if extra := sorted(there - digests.keys()):
-        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_some(extra)}; "
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {some(extra)}; "
                          "move them elsewhere")
-    if changed := [name for name, digest in digests.items()
-                   if verified_digest(root / name) != digest]:
-        raise InputError(f"{root} holds other content than {MANIFEST} says in {_some(changed)}; "
-                         "remove it and generate it again")
+    require_unchanged(root, digests)
     indices: list[int] = []
     outcomes: Counter[str] = Counter()
     for name in digests:
@@ -65,8 +61,3 @@ def _check_shards(root: Path, manifest: dict) -> None:
                          f"{len(indices)} rows")
     if dict(outcomes) != manifest["outcomes"]:
         raise InputError(f"{root / MANIFEST} counts other outcomes than its shards hold")
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first names of many."""
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -180,6 +180,19 @@ def test_no_dataset_or_an_unfinished_one(root, tmp_path):
         DrapeDataset(root, seed=-1)
 
 
+def test_a_changed_shard_is_refused(tmp_path):
+    generate(tmp_path)
+    shard = tmp_path / "shard_00000.h5"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    with pytest.raises(InputError, match="damaged"):
+        DrapeDataset(tmp_path)
+    shard.unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        DrapeDataset(tmp_path)
+
+
 def test_a_dataset_of_failures_is_refused(tmp_path):
     generate(tmp_path, small_config(drapes=1), solver=fake_drapes.overflowing)
     with pytest.raises(InputError, match="no converged drape"):
