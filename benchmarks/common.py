@@ -1,10 +1,11 @@
 """What benchmarks share: the machine's description, reports, and work that can be resumed."""
 
 import hashlib
+import inspect
 import json
 import os
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,8 @@ from sim.workers import worker_pool
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ESTIMATOR = ("sim", "data", "drapenet")
+"""Sources of figures that an estimate or a refinement gives, see :func:`run_cases`."""
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
 
@@ -51,11 +54,12 @@ def run_cases(
     *,
     folder: Path,
     workers: int = 1,
+    sources: Sequence[str] = ("sim",),
 ) -> dict[str, dict]:
     """Results of ``work(**settings)`` for every case, from ``folder`` where it is finished.
 
     Each case becomes ``folder/NAME.json`` as soon as it is done, with its settings and a digest
-    of the simulator's sources. A file of other settings or sources is made anew; so an
+    of the sources that it depends on. A file of other settings or sources is made anew; so an
     interrupted run goes on where it stopped, and old figures never mix with new ones.
 
     Args:
@@ -64,6 +68,8 @@ def run_cases(
             (:func:`load_arrays`).
         cases: keyword arguments of ``work`` by name of the case, fit for JSON.
         workers: processes, one thread each.
+        sources: folders of sources that the figures depend on, beside ``work`` itself; with
+            "drapenet", on the bundled weights as well.
 
     Returns:
         Results by name, in the order of ``cases``.
@@ -71,9 +77,10 @@ def run_cases(
     Raises:
         InputError: a worker was ended from outside, or the folder cannot be written.
     """
+    digest = sources_digest(sources, work)
     # Through JSON, so that tuples and numbers compare as they are read back.
     stamps = {
-        name: json.loads(json.dumps({"settings": settings, "sources": sources_digest()}))
+        name: json.loads(json.dumps({"settings": settings, "sources": digest}))
         for name, settings in cases.items()
     }
     results = {name: _finished(folder / f"{name}.json", stamps[name]) for name in cases}
@@ -118,10 +125,14 @@ def _finished(path: Path, stamp: dict) -> dict | None:
         return None
 
 
-def sources_digest() -> str:
-    """A short digest of the simulator's source files: figures of other sources are others."""
-    digest = hashlib.sha256()
-    for file in sorted((ROOT / "sim").rglob("*.py")):
+def sources_digest(folders: Sequence[str], work: Callable) -> str:
+    """A short digest of the sources in ``folders`` and of ``work``: figures of other sources are
+    others."""
+    digest = hashlib.sha256(inspect.getsource(work).encode())
+    # A JSON stands beside the weights and has their digest.
+    files = {file for folder in folders for kind in ("py", "json")
+             for file in (ROOT / folder).rglob(f"*.{kind}")}
+    for file in sorted(files):
         digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -114,7 +114,7 @@ def main(argv: list[str]) -> None:
             "theta": sample_admissible(prior, stream(config["seed"], Stream.FABRIC, k))[0].tolist(),
             "number": k, "friction": friction, "sensor": config["sensor"]}
         for k in range(config["fabrics"])}, folder=Path(config["cases"]),
-        workers=config["workers"])
+        workers=config["workers"], sources=ESTIMATOR)
     summary = [summarise(found, k, torque) for k, torque in enumerate(friction)]
     print(table(
         ["friction, µN·m/m", "drapes", "α by network", "nine in ten of it", "α by cantilever",

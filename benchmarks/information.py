@@ -27,7 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior, sample_admissible
@@ -128,7 +128,8 @@ def main(argv: list[str]) -> None:
     settings = {key: config[key] for key in keys}
     label = "_".join(f"{settings[key]:g}" for key in keys)
     cases = {f"fabric_{k}_{label}": {"index": k, **settings} for k in range(config["fabrics"])}
-    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"])
+    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"],
+                      sources=ESTIMATOR)
     spread = np.sqrt(np.diag(load_prior("gaussian").covariance))
     good = [case for case in found.values() if case["covariances"]["specimen"] is not None]
     rows = [figures(case, spread) for case in good]

@@ -31,7 +31,7 @@ import torch
 from matplotlib.figure import Figure
 
 import train
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
 from data.fresh import open_views
 from data.sensor import SensorNoise
 from data.splits import SplitDataset, finished_manifest
@@ -73,9 +73,12 @@ def plan(config: dict) -> list[dict]:
 
 def learn(
     *, curve: str, data: str, fabrics: int, drapes_each: int, seed: int, out: str, unseen: str,
-    views: int, epochs: int,
+    views: int, epochs: int, hashes: list[str],
 ) -> dict:
-    """Train on a part of a dataset; the errors on unseen fabrics, in their standard deviations."""
+    """Train on a part of a dataset; the errors on unseen fabrics, in their standard deviations.
+
+    ``hashes`` say what the folders ``data`` and ``unseen`` hold.
+    """
     drapes = fabrics * drapes_each
     train.main([
         "experiment=cpu_small", f"data={data}", f"out={out}", f"seed={seed}",
@@ -89,7 +92,7 @@ def learn(
     rmse = evaluate(header, others)["network"]["rmse"]
     share = np.array([rmse[name] for name in TARGET_NAMES]) * header.scale.std.numpy() / spread
     return {"curve": curve, "fabrics": fabrics, "drapes_each": drapes_each, "seed": seed,
-            "drapes": drapes} | {
+            "drapes": drapes, "hashes": hashes} | {
         name: float(np.sqrt(np.mean(share[part] ** 2)))
         for name, part in (("log_alpha", LINEAR), ("beta_over_alpha", RATIO))}
 
@@ -124,9 +127,12 @@ def main(argv: list[str]) -> None:
     work, cases = Path(config["work"]), {}
     for case in plan(config):
         name = "{curve}_{fabrics}x{drapes_each}_{seed}".format(**case)
+        hashes = [finished_manifest(folder)["hash"] for folder in (case["data"], config["unseen"])]
         cases[name] = case | {key: config[key] for key in ("unseen", "views", "epochs")} | {
+            "hashes": hashes,
             "out": str(work / name)}
-    results = list(run_cases(learn, cases, folder=work, workers=config["workers"]).values())
+    results = list(run_cases(learn, cases, folder=work, workers=config["workers"],
+                             sources=ESTIMATOR).values())
     print(table(
         ("fabrics", "drapes of each", "seed", "log alpha", "beta/alpha"),
         [(row["fabrics"], row["drapes_each"], row["seed"], f"{row['log_alpha']:.3f}",

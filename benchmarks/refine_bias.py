@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import REPORTS, run_cases, table, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_report
 from benchmarks.recovery import known_drape
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
@@ -96,7 +96,7 @@ def main(argv: list[str]) -> None:
         raise InputError("pulls=... must be above 0: without springs the cloth leaves the capture")
     found = run_cases(corrections, {
         f"fabric_{k}": {"number": k, **settings} for k in range(config["fabrics"])},
-        folder=Path(config["cases"]), workers=config["workers"])
+        folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)
     rows = []
     for n in config["resolutions"]:
         for pull in config["pulls"]:

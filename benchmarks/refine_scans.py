@@ -28,6 +28,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import (
+    ESTIMATOR,
     REPORTS,
     ROOT,
     load_arrays,
@@ -149,7 +150,7 @@ def main(argv: list[str]) -> None:
         raise InputError(f"no scan's name contains '{config['only']}'")
     common = {s.name: {"path": str(Path(config["scans"]) / f"{s.name}.npz"),
                        "held": config["held"]} for s in scans}
-    work = {"folder": folder, "workers": config["workers"]}
+    work = {"folder": folder, "workers": config["workers"], "sources": ESTIMATOR}
     isotropic = run_cases(best_isotropic, {
         f"isotropic_{n}": {**c, "count": config["isotropic"]} for n, c in common.items()
     }, **work)

@@ -26,7 +26,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import RBFInterpolator
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -141,7 +141,7 @@ def main(argv: list[str]) -> None:
     found = run_cases(refined, {
         f"scan_{k}": {"theta": theta.tolist(), "seed": k, **settings}
         for k, theta in enumerate(thetas)}, folder=Path(config["cases"]),
-        workers=config["workers"])
+        workers=config["workers"], sources=ESTIMATOR)
     rows = list(found.values())
     print(table(
         ["fabric", "α warp, bias, weft", "errors of the estimate", "of the nearest drape's cloth",
