@@ -12,6 +12,7 @@ import numpy as np
 from data.prior import load_prior
 from drapenet.convention import SWAPPED
 from drapenet.information import CAMERA, SPECIMEN, bounds, bounds_alone, depth_information
+from drapenet.refine.depth import DepthWeights
 from drapenet.resimulate import Resimulation
 from drapenet.table import error_table
 
@@ -29,7 +30,9 @@ def add_limits(content: dict[str, Any], drape: Resimulation) -> None:
             soft; changed in place.
         drape: of the estimate.
     """
-    found = depth_information(drape.drape, drape.camera, orientation=drape.turn)
+    # As many independent pixels as a refinement counts, whose errors have been measured.
+    found = depth_information(drape.drape, drape.camera, orientation=drape.turn,
+                              pixels_per_measurement=DepthWeights().patch ** 2)
     if not found.ok:
         content["warnings"].append("what the drape can tell of the moduli is not known: "
                                    f"{found.message}")

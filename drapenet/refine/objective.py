@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from drapenet.refine.optimisers import Limits, minimise
+from drapenet.refine.optimisers import Limits, Status, minimise
 
 NUISANCE_REACH = 20.0
 """Bounds of a nuisance, in its scales around its start."""
@@ -167,11 +167,17 @@ def differences_along(
 def fit_nuisances(
     objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
 ) -> np.ndarray:
-    """The nuisances (K,) that fit one shape (V, 3) best, from ``start`` (K,); no simulation."""
+    """The nuisances (K,) that fit one shape (V, 3) best, from ``start`` (K,); no simulation.
+
+    An interruption from the keyboard is passed on.
+    """
     if not len(start):
         return start
-    return minimise(_FixedShape(objective, positions, start), limits=Limits(
-        evaluations=evaluations, decrease=1e-3)).x * objective.scale
+    outcome = minimise(_FixedShape(objective, positions, start), limits=Limits(
+        evaluations=evaluations, decrease=1e-3))
+    if outcome.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return outcome.x * objective.scale
 
 
 class _FixedShape:

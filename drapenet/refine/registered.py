@@ -67,6 +67,7 @@ class RobustPositions:
     ) -> None:
         self._target, self._vertices = target, np.flatnonzero(vertices)
         self._sigma, self._limit = sigma, limit
+        self._independent = independent
         self._factor = math.sqrt(independent / len(self._vertices))
 
     @classmethod
@@ -87,7 +88,8 @@ class RobustPositions:
             inward = (across * chosen).sum(-1, keepdims=True)
             return (scale[:, None] * chosen + residuals * inward).reshape(len(moves), -1).T
 
-        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)))
+        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)),
+                          self._independent)
 
     def _bent(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (N, 3), their factor (N,), and its relative derivative by the gap (N, 3)."""

@@ -120,7 +120,7 @@ class Chamfer:
             at = np.concatenate([moves, moves[:, self._faces].mean(axis=2)], axis=1)[:, simulated]
             return (factor * slope * (normals * at).sum(-1) / self._sigma).T
 
-        return Linearised(factor * bent, along, np.zeros((len(bent), 0)))
+        return Linearised(factor * bent, along, np.zeros((len(bent), 0)), self._independent)
 
 
 class Hem:
@@ -174,7 +174,7 @@ class Hem:
             straight = np.einsum("nij,pni->pnj", across, at).reshape(len(moves), -1)
             return (factor * slope * straight / self._sigma).T
 
-        return Linearised(factor * bent, along, np.zeros((len(bent), 0)))
+        return Linearised(factor * bent, along, np.zeros((len(bent), 0)), self._independent)
 
 
 class Outline:
@@ -195,7 +195,7 @@ class Outline:
         independent: float = 30.0,
     ) -> None:
         self._border, self._target = border_edges(faces), target
-        self._sigma, self._limit = sigma, limit
+        self._sigma, self._limit, self._independent = sigma, limit, independent
         self._factor = math.sqrt(independent / len(target))
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
@@ -218,7 +218,7 @@ class Outline:
             at = (1 - share)[:, None] * first + share[:, None] * second
             return (self._factor * slope * (normal * at).sum(-1) / towards / self._sigma).T
 
-        return Linearised(self._factor * bent, along, np.zeros((len(bent), 0)))
+        return Linearised(self._factor * bent, along, np.zeros((len(bent), 0)), self._independent)
 
 
 class Placed:

@@ -10,8 +10,8 @@
 4. Twice more a specimen is pulled onto the surface, and Levenberg-Marquardt goes on while weak
    springs hold the cloth to it (:mod:`.held`), weaker the second time. Its value is the misfit.
 
-What is known beforehand, such as the network's word with its usual error, counts as a measurement;
-in the held rounds by as much more as the views are met worse than their assumed errors say.
+What is known beforehand, such as the network's word with its usual error, counts as a measurement,
+by as much more as the views are met worse than their assumed errors say.
 """
 
 import math
