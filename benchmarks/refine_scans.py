@@ -53,7 +53,7 @@ from drapenet.refine.shape_search import (
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO
-from sim.mesh import vertex_normals
+from sim.mesh import edges_of, vertex_normals
 from sim.scene import DISC_RIG
 
 _STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
@@ -232,8 +232,7 @@ def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
 def _template_stretch(shape: CapturedShape) -> float:
     """Standard deviation of an edge's captured over its rest length: how far the scan's vertices
     slide along the cloth."""
-    pairs = np.sort(shape.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    edges = np.unique(pairs, axis=0)
+    edges = edges_of(shape.faces)[0]
     edges = edges[shape.hanging[edges].any(axis=1)]
     length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
                     for p in (shape.positions, shape.rest))

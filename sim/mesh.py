@@ -78,6 +78,15 @@ class Mesh:
         return np.where(other >= 0, corner_sum, -1)
 
 
+def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (E, 2) of triangles (F, 3), smaller index first, and how many triangles each has (E,).
+
+    For any triangles; those of a specimen are :class:`Mesh`'s.
+    """
+    pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0, return_counts=True)
+
+
 def grid_faces(diagonals: np.ndarray) -> np.ndarray:
     """Faces (2*(nx-1)*(ny-1), 3) of a grid of nx × ny vertices numbered i*ny + j.
 

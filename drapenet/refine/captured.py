@@ -29,6 +29,7 @@ from sim.energies.natural_curvature import NaturallyCurved
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
 from sim.membranes import Corotational
+from sim.mesh import edges_of
 from sim.newton import NewtonOptions, Status
 from sim.scene import Rig
 from sim.sensitivity import Tangent, follow
@@ -90,8 +91,7 @@ class CapturedShape:
             warp: direction of the warp in the axes of ``rest``, rad.
         """
         rest = turned_rest(self.rest, warp)
-        edges = len(np.unique(np.sort(
-            self.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1), axis=0))
+        edges = len(edges_of(self.faces)[0])
         return DrapeResult(
             fabric=fabric, rig=self.rig, positions=self.positions, rotations=np.zeros(edges),
             rest=rest, faces=self.faces, diagonals=None, held=self.held,

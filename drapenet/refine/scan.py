@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from drapenet.refine.objective import Linearised, Objective, huber
 from sim.errors import InputError
-from sim.mesh import vertex_normals
+from sim.mesh import edges_of, vertex_normals
 
 NEIGHBOURS = 20  # that a raw point's normal is taken from
 _GAP = math.radians(130)  # without a neighbour: where a raw cloud ends
@@ -43,8 +43,7 @@ class Cloud:
         The hem is the mesh's border, so a scan with holes must be given as points.
         """
         vertices = vertex_normals(positions, faces)
-        pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-        edges, count = np.unique(pairs, axis=0, return_counts=True)
+        edges, count = edges_of(faces)
         points = [positions, positions[edges].mean(axis=1), positions[faces].mean(axis=1)]
         normals = [vertices, vertices[edges].sum(axis=1), vertices[faces].sum(axis=1)]
         border = edges[count == 1]
@@ -288,8 +287,7 @@ def outline(
 
 def border_edges(faces: np.ndarray) -> np.ndarray:
     """(E, 2) edges of a mesh's border."""
-    pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(pairs, axis=0, return_counts=True)
+    edges, count = edges_of(faces)
     return edges[count == 1]
 
 
