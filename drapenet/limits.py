@@ -51,6 +51,6 @@ def add_limits(content: dict[str, Any], drape: Resimulation) -> None:
     for text, bound, known, usual in zip(moduli, least, others_known, spread, strict=True):
         if bound > HARDLY * usual:
             alone = ", but well if the other moduli are known" if known < WELL * usual else ""
-            tells = (f"hardly tells {text}: at best to {bound / usual:.0%} of what fabrics differ by"
-                     if bound < usual else f"does not tell {text}")
+            best = f": at best to {bound / usual:.0%} of what fabrics differ by"
+            tells = f"hardly tells {text}{best}" if bound < usual else f"does not tell {text}"
             content["warnings"].append(f"a drape of this fabric {tells}{alone}")
