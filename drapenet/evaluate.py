@@ -87,13 +87,14 @@ def main(argv: list[str]) -> None:
     if config["orientations"] < 1:
         raise InputError(f"orientations={config['orientations']} must be at least 1")
     header = read_header(config["checkpoint"] or BUNDLED)
+    noise = SensorNoise.load(config["sensor"])  # before minutes of simulation
     out, data = Path(config["out"]), config["data"]
     if data:
         require_unseen(header, finished_manifest(data)["config"])
     else:
         data = out / "dataset"
         make_dataset(header, data, config)
-    drapes = open_views(data, noise=SensorNoise.load(config["sensor"]),
+    drapes = open_views(data, noise=noise,
                         orientations_per_epoch=config["orientations"], seed=config["seed"])
     result = evaluate(header, drapes)
     replace_file(out / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())

@@ -122,6 +122,8 @@ def drape(
     resolution = resolution or default_resolution(fabric, rig)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
+    if seed < 0:
+        raise InputError(f"seed={seed} must not be negative")
     if not 0 <= jitter <= 0.3:
         raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()

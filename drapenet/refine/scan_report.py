@@ -74,8 +74,9 @@ def refine_scan(
                              report=report)
     failures = found.effort.failures
     if found.estimate is None:
-        raise InputError(f"no cloth settles at the shape of {path} "
-                         f"({failures[-1] if failures else 'interrupted'})")
+        if not failures:
+            raise KeyboardInterrupt
+        raise InputError(f"no cloth settles at the shape of {path} ({failures[-1]})")
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -210,4 +211,6 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
     if not len(middle) or np.abs(np.median(middle[:, 2])) > _FLAT:
         raise InputError(f"{path}: cloth on the plate must lie in the plane z = 0, z up")
+    if points[:, 2].min() > -_FLAT:
+        raise InputError(f"{path}: nothing hangs below the support; z must point up")
     return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

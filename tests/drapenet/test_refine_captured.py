@@ -228,6 +228,10 @@ def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
     trimesh.Trimesh(captured.positions - [0, 0, 0.1], captured.faces, process=False).export(lying)
     with pytest.raises(InputError, match="plane z = 0"):
         read_cloud(lying, DISC_RIG)
+    standing = tmp_path / "standing.ply"
+    trimesh.Trimesh(captured.positions * [1, 1, -1], captured.faces, process=False).export(standing)
+    with pytest.raises(InputError, match="z must point up"):
+        read_cloud(standing, DISC_RIG)
     for content in (b"", b"ply\nformat ascii 1.0\n", b"\x00\xff" * 50):
         bad = tmp_path / "bad.ply"
         bad.write_bytes(content)
