@@ -116,7 +116,8 @@ def test_failure_is_data():
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [({"start": "crumpled"}, "crumpled"), ({"jitter": 0.9}, "jitter"),
-     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution"), ({"seed": -1}, "seed")],
+     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution"),
+     ({"seed": -1}, "seed")],
 )
 def test_nonsense_is_refused_in_words(arguments, word):
     with pytest.raises(InputError, match=word):
