@@ -7,6 +7,9 @@ Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. Th
 capture are described in ``data/captures.py``, all keys in ``configs/infer.yaml``.
 """
 
+import sim.interrupt  # noqa: F401
+
+# isort: split
 import json
 from pathlib import Path
 from typing import NoReturn
@@ -47,34 +50,44 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
-    drape = refined.resimulation if refined else None
-    if drapes and not drape:
-        from drapenet.resimulate import resimulate
-        from sim.scene import Rig
+    drape, picture = refined.resimulation if refined else None, None
+    try:
+        if drapes and not drape:
+            from drapenet.resimulate import resimulate
+            from sim.scene import Rig
 
-        drape = resimulate(
-            estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
-            resolution=resolution, drapes=drapes)
-    if drape:
-        from drapenet.limits import add_limits
+            drape = resimulate(
+                estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
+                resolution=resolution, drapes=drapes)
+        if drape:
+            from drapenet.limits import add_limits
 
-        content["resimulation"] = drape.as_dict()
-        add_limits(content, drape)
-    if not drapes:
-        return content, None
+            content["resimulation"] = drape.as_dict()
+            add_limits(content, drape)
+        if drapes:
+            from drapenet.report import draw_report
 
-    from drapenet.report import draw_report
-
-    if not drape:
-        content["warnings"].append("no drape of the estimate converged; the report shows none")
-    picture = draw_report(estimate, views, drape, content=content,
-                          title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
+            if not drape:
+                content["warnings"].append("no drape of the estimate converged; the report shows "
+                                           "none")
+            picture = draw_report(
+                estimate, views, drape, content=content,
+                title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
+    except KeyboardInterrupt:
+        # A minute of refinement must not be lost for it.
+        content["warnings"].append("interrupted: there is no report, and typical errors may be "
+                                   "smaller than what a drape can tell")
     return content, picture
 
 
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/infer.yaml``."""
     config = parse_overrides(read_config("infer"), argv)
+    unused = ("checkpoint", "drapes", "resolution") if config["scan"] else ("held",)
+    given = {word.partition("=")[0] for word in argv}
+    if wrong := [key for key in unused if key in given]:
+        raise InputError(f"{wrong[0]}= has no effect with "
+                         f"{'scan=FILE' if config['scan'] else 'capture=DIR'}; leave it out")
     if config["scan"]:
         from drapenet.refine.scan_report import infer_scan
 

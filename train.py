@@ -7,6 +7,9 @@ Run the same command again after an interruption: it goes on from the last finis
 ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.
 """
 
+import sim.interrupt  # noqa: F401
+
+# isort: split
 import os
 from pathlib import Path
 from typing import NoReturn

@@ -32,10 +32,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.common import REPORTS, table, write_report
+from benchmarks.common import REPORTS, parse_settings, table, write_report
 from benchmarks.speed import peak_memory, prior_fabrics
 from sim.batched.drape import drape_batch
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.errors import InputError
 from sim.material import Fabric
@@ -167,7 +167,7 @@ def agreement(fabrics: list[Fabric], *, resolution: int | None, device: str) -> 
 
 def main(argv: list[str]) -> None:
     """Run, print the tables, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     for key in ("workers", "repeats", "threads"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")

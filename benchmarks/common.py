@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim.cli import parse_overrides
 from sim.errors import InputError
-from sim.files import replace_file, replacing
+from sim.files import replace_file, replacing, require_file, require_folder
 from sim.provenance import package_versions, processor
 from sim.workers import worker_pool
 
@@ -24,6 +25,20 @@ ESTIMATOR = ("sim", "data", "drapenet")
 """Sources of figures that an estimate or a refinement gives, see :func:`run_cases`."""
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
+
+
+def parse_settings(defaults: dict, argv: list[str]) -> dict:
+    """Words ``key=value`` over ``defaults`` (:func:`sim.cli.parse_overrides`).
+
+    Raises:
+        InputError: a wrong word; a place of results, ``out`` or a folder of unfinished work, that
+            cannot be written to.
+    """
+    config = parse_overrides(defaults, argv)
+    require_file(Path(config["out"]))
+    for folder in {"cases", "work"} & set(config):
+        require_folder(Path(config[folder]))
+    return config
 
 
 def machine() -> dict:

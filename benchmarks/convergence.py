@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior
 from data.sampling import STARTS, SamplingConfig, plan_drape
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.self_contact import self_intersections
@@ -110,7 +110,7 @@ def summarise(runs: list[dict]) -> dict:
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     drapes = len(STARTS) * config["fabrics"]
     cases = {
         f"{config['seed']}_{config['resolution']}_{index:04d}": {

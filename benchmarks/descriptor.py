@@ -22,11 +22,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from benchmarks.common import REPORTS, load_arrays, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    REPORTS,
+    load_arrays,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from drapenet.refine.descriptor import GridSpectrum, RingSpectrum
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.errors import InputError
 from sim.initial import interpolate_positions
@@ -114,7 +122,7 @@ def figures(
 
 def main(argv: list[str]) -> None:
     """Drape, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if not 2 <= config["starts"] <= len(STARTS) or config["fabrics"] < 3:
         raise InputError(f"give 3 fabrics or more and from 2 to {len(STARTS)} starts")
     rng = np.random.default_rng(config["seed"])

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.equivalent import equivalent_modulus, hang_mesh
 from sim.errors import InputError
 from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
@@ -129,7 +129,7 @@ def fitted_rate(rows: list[dict]) -> float:
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the tables, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     unknown = set(config["meshes"]) - set(MESHES)
     if unknown:
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")

@@ -21,13 +21,21 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from drapenet.checkpoint import BUNDLED, load_model, read_header
 from sim.cantilever.fabric import bending_length, estimate, simulate_strips
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.energies.bending_friction import Rubbing
 from sim.errors import InputError
@@ -101,7 +109,7 @@ def shifts(cases: dict[str, dict], name: str, k: int) -> np.ndarray:
 
 def main(argv: list[str]) -> None:
     """Estimate, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     friction = config["friction"]
     if len(friction) < 2 or friction[0] != 0:
         raise InputError("friction=... must begin with 0 and name another torque")

@@ -25,9 +25,17 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior, sample_admissible
@@ -40,7 +48,7 @@ from drapenet.information import (
     combinations,
     depth_information,
 )
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.measures import fold_count
 
@@ -123,7 +131,7 @@ def summarise(rows: list[dict]) -> dict:
 
 def main(argv: list[str]) -> None:
     """Find the bounds, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     keys = ("seed", "resolution", "noise_mm", "pixels")
     settings = {key: config[key] for key in keys}
     label = "_".join(f"{settings[key]:g}" for key in keys)
@@ -147,8 +155,10 @@ def main(argv: list[str]) -> None:
         report["summary"] = summarise(rows)
         report["reached"] = reached(Path(config["recovery"]))
         show(report)
-        draw(rows, report, out.with_suffix(".png"))
-    write_report(out, {**report, "fabrics": rows})
+    report["fabrics"] = rows
+    write_report(out, report)
+    if rows:
+        draw(report, out.with_suffix(".png"))
 
 
 def reached(path: Path) -> dict[str, list[float]]:
@@ -190,8 +200,9 @@ def show(report: dict) -> None:
         print("without derivatives:", "; ".join(report["without_derivatives"]))
 
 
-def draw(rows: list[dict], report: dict, path: Path) -> None:
-    """Picture: bounds by stiffness, and the combinations' deviations."""
+def draw(report: dict, path: Path) -> None:
+    """Picture of a report, as it is or as read: bounds by stiffness, combinations' deviations."""
+    rows = report["fabrics"]
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")
     stiffness, shrinkage, spectrum = figure.subplots(1, 3)
     mean = np.array([np.exp(np.log(row["alpha_uN_m"]).mean()) for row in rows])
@@ -203,8 +214,10 @@ def draw(rows: list[dict], report: dict, path: Path) -> None:
             axis.axhline(report["spread"][k], color=f"C{k % 3}", lw=0.8, ls="--")
             for style, values in zip(("-", ":"), report["reached"].values(), strict=False):
                 axis.axhline(values[k], color=f"C{k % 3}", lw=0.8, ls=style)
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.yaxis.set_minor_formatter(NullFormatter())
+        for scale in (axis.xaxis, axis.yaxis):  # hardly longer than a power of ten
+            scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            scale.set_major_formatter("{x:g}")
+            scale.set_minor_formatter(NullFormatter())
         axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
         axis.set_title(f"least standard deviation of {name}, {unit}", fontsize=9)
         axis.legend(fontsize=7, frameon=False)

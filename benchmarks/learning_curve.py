@@ -31,7 +31,15 @@ import torch
 from matplotlib.figure import Figure
 
 import train
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.fresh import open_views
 from data.sensor import SensorNoise
 from data.splits import SplitDataset, finished_manifest
@@ -39,7 +47,7 @@ from drapenet.checkpoint import read_header
 from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
 from drapenet.evaluate import evaluate
 from drapenet.targets import to_stiff_soft
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 
 DEFAULTS = {
@@ -119,7 +127,7 @@ def picture(results: list[dict], out: Path) -> None:
 
 def main(argv: list[str]) -> None:
     """Train, print the table, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     for key in ("views", "epochs", "seeds", "workers"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")

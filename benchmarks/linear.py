@@ -35,11 +35,11 @@ import torch  # noqa: E402
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-from benchmarks.common import REPORTS, table, write_figure, write_report  # noqa: E402
+from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.cli import parse_overrides, run_command  # noqa: E402
+from sim.cli import run_command  # noqa: E402
 from sim.drape import drape  # noqa: E402
 from sim.equilibrium import build_potential  # noqa: E402
 from sim.errors import InputError  # noqa: E402
@@ -268,7 +268,7 @@ def picture(unknowns: GridUnknowns, rows: list[dict], path: Path) -> None:
 
 def main(argv: list[str]) -> None:
     """Run, print the tables, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if config["device"] == "cuda" and not torch.cuda.is_available():
         raise InputError("device=cuda: PyTorch finds no such device here")
     torch.set_num_threads(1)

@@ -30,9 +30,17 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, load_arrays, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    REPORTS,
+    load_arrays,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.picture import shade
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.comparison import compare, same_folds
 from sim.drape import drape
 from sim.equilibrium import find_equilibrium
@@ -299,7 +307,7 @@ def picture(results: Results, locking: dict[float, dict], config: dict) -> Figur
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the tables, write report and picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     plan = Plan(config)
     asked = {
         alpha: {"locking": ask_locking(plan, alpha),
@@ -334,4 +342,4 @@ def main(argv: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, usage=__doc__)

@@ -36,6 +36,7 @@ from matplotlib.figure import Figure
 from benchmarks.common import (
     REPORTS,
     load_arrays,
+    parse_settings,
     run_cases,
     table,
     write_figure,
@@ -54,7 +55,7 @@ from benchmarks.mesh_cases import (
     plan,
 )
 from data.picture import shade
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.comparison import compare, same_folds
 from sim.measures import fold_outline
 from sim.scene import Rig
@@ -155,7 +156,7 @@ def summarise(rows: list[dict]) -> dict[str, dict]:
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the tables, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     folder, fabrics = Path(config["cases"]), chosen_fabrics(config)
     plans = [plan(fabric, config) for fabric in fabrics]
     results: dict[str, dict] = {}

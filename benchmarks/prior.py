@@ -25,11 +25,11 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from benchmarks.common import REPORTS, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
 from data.fabrics import FabricTable, from_theta, read_fabric_table
 from data.prior import MODELS, Prior, VaePrior
 from data.prior.coordinates import Coordinates, plausible_range
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 from sim.material import is_admissible
 
@@ -221,7 +221,7 @@ def picture(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figu
 
 def main(argv: list[str]) -> None:
     """The command line; see the module's text."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if unknown := [name for name in config["models"] if name not in MODELS]:
         raise InputError(f"models={','.join(unknown)}: known are {', '.join(MODELS)}")
     if config["splits"] < 1 or config["samples"] < 10:

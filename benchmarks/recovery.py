@@ -36,11 +36,19 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
 from data.prior.gaussian import GaussianPrior
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.comparison import same_folds
 from sim.drape import DrapeResult, drape
 from sim.errors import InputError
@@ -312,7 +320,7 @@ def picture(views: dict[str, dict], registered: dict[str, dict], path: Path) -> 
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the tables, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if config["part"] not in ("all", "registered", "views"):
         raise InputError(f"part={config['part']}: choose registered, views or all")
     folder, registered, views = Path(config["cases"]), {}, {}

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_report
+from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
 from benchmarks.recovery import known_drape
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
@@ -31,7 +31,7 @@ from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.held import HeldCloth
 from drapenet.refine.problem import DrapeProblem
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 from sim.scene import Rig
 from sim.specimens import make_specimen
@@ -90,7 +90,7 @@ def step(problem: DrapeProblem) -> dict:
 
 def main(argv: list[str]) -> None:
     """Make the steps, print the table, write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     settings = {key: config[key] for key in ("truth", "resolutions", "pulls", "seed")}
     if min(config["pulls"]) <= 0:
         raise InputError("pulls=... must be above 0: without springs the cloth leaves the capture")

@@ -32,6 +32,7 @@ from benchmarks.common import (
     REPORTS,
     ROOT,
     load_arrays,
+    parse_settings,
     run_cases,
     table,
     write_figure,
@@ -39,21 +40,22 @@ from benchmarks.common import (
 )
 from data.picture import shade
 from data.prior.files import load_prior
-from data.scans import Scan, read_scan, read_scans
+from data.scans import Scan, read_scans
 from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.friction import drapes_with_friction
 from drapenet.refine.registered import RobustPositions
+from drapenet.refine.scan_report import read_shape
 from drapenet.refine.shape_search import (
     scan_objective,
     search_cloth,
     search_curvature,
     stiffness_only,
 )
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO
-from sim.mesh import edges_of, vertex_normals
+from sim.mesh import vertex_normals
 from sim.scene import DISC_RIG
 
 _STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
@@ -74,12 +76,8 @@ DEFAULTS = {
 
 
 def _read(path: str, held: float) -> CapturedShape:
-    return shape_of(read_scan(Path(path), DISC_RIG), held)
-
-
-def shape_of(scan: Scan, held: float) -> CapturedShape:
-    """A scan on the disc rig as a shape to refine."""
-    return CapturedShape(scan.positions, scan.rest, scan.faces, DISC_RIG, held)
+    """A scan as a shape to refine."""
+    return read_shape(Path(path), DISC_RIG, held=held)[0]
 
 
 def best_isotropic(path: str, held: float, count: int) -> dict:
@@ -141,7 +139,7 @@ def _result(shape: CapturedShape, settled: Settled) -> dict:
 
 def main(argv: list[str]) -> None:
     """Refine, print the tables, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if config["solves"] < 8 or config["isotropic"] < 2 or config["curvature"] < 0:
         raise InputError("give solves of 8 or more, isotropic of 2 or more, curvature from 0")
     folder = Path(config["cases"])
@@ -167,10 +165,14 @@ def main(argv: list[str]) -> None:
                           "cloth": found[f"refined_{n}"]["estimate"]["cloth"]}
         for n, c in common.items()}, **work)
     rows = []
+    shapes = []
     for scan in scans:
-        shape = shape_of(scan, config["held"])
+        shape, registration = read_shape(Path(common[scan.name]["path"]), DISC_RIG,
+                                         held=config["held"])
+        shapes.append(shape)
         positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
-        row = {"scan": scan.name, "isotropic": isotropic[f"isotropic_{scan.name}"],
+        row = {"scan": scan.name, "registration": registration,
+               "isotropic": isotropic[f"isotropic_{scan.name}"],
                "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions),
                "friction": rubbed[f"friction_{scan.name}"]}
         if extended:
@@ -181,7 +183,7 @@ def main(argv: list[str]) -> None:
     out = Path(config["out"])
     settings = {k: config[k] for k in ("solves", "isotropic", "held", "curvature", "friction")}
     write_report(out, {"settings": settings, "summary": summary, "scans": rows})
-    draw(scans, rows, folder, out.with_suffix(".png"))
+    draw(scans, shapes, rows, folder, out.with_suffix(".png"))
 
 
 def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
@@ -225,18 +227,7 @@ def gaps(shape: CapturedShape, positions: np.ndarray) -> dict:
         "phase": float(1 - around.min(axis=0).sum() / around[reach].sum()),
         "hem_lower_mm": float((captured - simulated)[:, 1].mean()),
         "hem_inward_mm": float((captured - simulated)[:, 0].mean()),
-        "edges_stretched": _template_stretch(shape),
     }
-
-
-def _template_stretch(shape: CapturedShape) -> float:
-    """Standard deviation of an edge's captured over its rest length: how far the scan's vertices
-    slide along the cloth."""
-    edges = edges_of(shape.faces)[0]
-    edges = edges[shape.hanging[edges].any(axis=1)]
-    length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
-                    for p in (shape.positions, shape.rest))
-    return float(np.std(length / rest))
 
 
 def judge(rows: list[dict]) -> dict:
@@ -297,9 +288,13 @@ def show(rows: list[dict], summary: dict, friction: list[float]) -> None:
               of(r)["cloth"]["membrane"], float(np.degrees(of(r)["cloth"]["warp"])),
               of(r)["displacement_mm"]] for r in rows]))
         print()
-    print(table(["scan", "across, mm", "along, mm", "fold phase"],
+    print(table(["scan", "across, mm", "along, mm", "fold phase", "scan's own vertices slid",
+                 "registered, mm"],
                 [[r["scan"], r["gaps"]["across_mm"], r["gaps"]["along_mm"],
-                  f"{r['gaps']['phase']:.0%}"] for r in rows]))
+                  f"{r['gaps']['phase']:.0%}", *(
+                      ("no", "-") if r["registration"] is None else
+                      (f"{r['registration']['edge_strain_before']:.1%}",
+                       r["registration"]["mean_distance_mm"]))] for r in rows]))
     print("\nThe estimate's cloth, let go from under its springs with friction, mm:")
     print(table(["scan", "under the springs", *(f"{torque:g} µN·m/m" for torque in friction)],
                 [[r["scan"], *("-" if mm is None else mm for mm in
@@ -312,17 +307,20 @@ def show(rows: list[dict], summary: dict, friction: list[float]) -> None:
         print(f"{fabric}: estimated α of its samples within a factor of {ratio:.2f}")
 
 
-def draw(scans: list[Scan], rows: list[dict], folder: Path, path: Path) -> None:
-    """Scan, drape and their difference seen from above, a column each."""
+def draw(
+    scans: list[Scan], shapes: list[CapturedShape], rows: list[dict], folder: Path, path: Path
+) -> None:
+    """Scan, drape, and its difference from the registered scan, a column each."""
     figure = Figure(figsize=(1.7 * len(scans) + 0.6, 5.4), layout="constrained")
     axes = figure.subplots(3, len(scans), squeeze=False)
-    for column, scan, row in zip(axes.T, scans, rows, strict=True):
+    for column, scan, shape, row in zip(axes.T, scans, shapes, rows, strict=True):
         positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
-        for axis, shape in zip(column, (scan.positions, positions), strict=False):
-            axis.imshow(shade(shape, scan.faces, plate_radius=_STEM * DISC_RIG.plate_radius,
+        for axis, points, faces in ((column[0], scan.positions, scan.faces),
+                                    (column[1], positions, shape.faces)):
+            axis.imshow(shade(points, faces, plate_radius=_STEM * DISC_RIG.plate_radius,
                               elevation=35.0, size=(320, 260)))
-        gap = 1e3 * np.linalg.norm(positions - scan.positions, axis=1)
-        image = column[2].tripcolor(*1e3 * scan.rest.T, scan.faces, gap, vmin=0, vmax=15,
+        gap = 1e3 * np.linalg.norm(positions - shape.positions, axis=1)
+        image = column[2].tripcolor(*1e3 * shape.rest.T, shape.faces, gap, vmin=0, vmax=15,
                                     shading="gouraud", cmap="magma", rasterized=True)
         column[0].set_title(scan.name.replace("_sample_", "\n").replace("_capture_1", ""),
                             fontsize=8)

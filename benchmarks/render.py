@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from benchmarks.common import REPORTS, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
 from data.cameras import Camera
 from data.configs import compose_config
 from data.dataset import DrapeDataset
@@ -38,7 +38,7 @@ from data.rasterise import camera_points, camera_tensors, rasterise, rasterise_t
 from data.render import VIEWS, DepthRenderer
 from data.sensor import SensorNoise
 from data.shards import Shard
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 
 matplotlib.use("Agg")
@@ -241,7 +241,7 @@ def picture(views: torch.Tensor, rays: np.ndarray, intrinsics: torch.Tensor, out
 
 def main(argv: list[str]) -> None:
     """Run, print the tables, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     for key, least in (("drapes", 1), ("batch", VIEWS), ("threads", 1), ("repeats", 1),
                        ("gpu_batch", VIEWS)):
         if config[key] < least:

@@ -9,8 +9,8 @@ Keys (``key=value``):
 import json
 from pathlib import Path
 
-from benchmarks.common import REPORTS
-from sim.cli import parse_overrides, run_command
+from benchmarks.common import REPORTS, parse_settings
+from sim.cli import run_command
 from sim.errors import InputError
 from sim.files import replace_file
 
@@ -20,7 +20,7 @@ DEFAULTS = {"folder": str(REPORTS), "out": str(REPORTS / "bench.json")}
 
 def main(argv: list[str]) -> None:
     """Collect the reports by name."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     paths = {name: Path(config["folder"]) / f"{name}.json" for name in NAMES}
     found = {name: json.loads(path.read_text(encoding="utf-8"))
              for name, path in paths.items() if path.is_file()}

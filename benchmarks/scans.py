@@ -28,6 +28,7 @@ from benchmarks.common import (
     REPORTS,
     ROOT,
     load_arrays,
+    parse_settings,
     run_cases,
     table,
     write_figure,
@@ -35,7 +36,7 @@ from benchmarks.common import (
 )
 from data.picture import shade
 from data.scans import Scan, read_scans
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.comparison import best_turn
 from sim.drape import drape
 from sim.errors import InputError
@@ -134,7 +135,7 @@ def rounded(alpha: float) -> float:
 
 def main(argv: list[str]) -> None:
     """Search, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     rig = Rig.from_name(RIG)
     scans = read_scans(Path(config["scans"]), rig)
     if not 0 < config["least"] < config["most"] or config["grid"] < 2:

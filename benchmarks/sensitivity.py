@@ -29,11 +29,11 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.newton import NewtonOptions
 from sim.sensitivity import Tangent, follow, sensitivities
@@ -180,7 +180,7 @@ def summarise(rows: list[dict]) -> dict:
 
 def main(argv: list[str]) -> None:
     """Compare, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     cases = {
         f"fabric_{config['seed']}_{k}_{config['resolution']}": {
             "index": k, "seed": config["seed"], "resolution": config["resolution"]

@@ -26,14 +26,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import RBFInterpolator
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from drapenet.refine.captured import CapturedShape, Cloth, turned_rest
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.shape_search import scan_objective, search_cloth
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.errors import InputError
 from sim.material import MICRO, plate_constants
@@ -133,7 +141,7 @@ def alpha_along(cloth: Cloth, warp: float) -> np.ndarray:
 
 def main(argv: list[str]) -> None:
     """Refine, print the table, write the report and its picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     prior = load_prior("gaussian")
     thetas = [sample_admissible(prior, stream(config["seed"], Stream.FABRIC, k))[0]
               for k in range(config["fabrics"])]

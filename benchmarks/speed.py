@@ -26,11 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import REPORTS, table, write_report
+from benchmarks.common import REPORTS, parse_settings, table, write_report
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.drape import drape
 from sim.linear import available_solvers
 from sim.material import MICRO, Fabric
@@ -99,7 +99,7 @@ def peak_memory() -> float:
 
 def main(argv: list[str]) -> None:
     """Run, print the lines, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     fabrics = prior_fabrics(config["drapes"], config["seed"])
     drape(MEDIAN, resolution=16)  # compiles or loads the kernels
     report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1,
@@ -129,4 +129,4 @@ def main(argv: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, usage=__doc__)

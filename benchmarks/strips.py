@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from benchmarks.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
 from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
@@ -28,7 +28,7 @@ from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_mod
 from sim.cantilever.elastica import elastica_of_torque
 from sim.cantilever.fabric import bending_length
 from sim.cantilever.tester import HungStrip
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -157,7 +157,7 @@ def work(*, part: str, **settings) -> dict:
 
 def main(argv: list[str]) -> None:
     """Run, print the tables, write JSON and picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     if any(n < 4 or n % 2 for n in config["plates"]):
         raise InputError("plates need even numbers of cells, at least 4")
     cells = config["cells"]
@@ -261,4 +261,4 @@ def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, usage=__doc__)

@@ -25,7 +25,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from benchmarks.common import REPORTS, run_cases, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -39,7 +39,7 @@ from sim.cantilever.fabric import (
     estimate,
     simulate_strips,
 )
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.energies import plate_law
 from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
@@ -188,7 +188,7 @@ def summarise(errors: np.ndarray) -> dict:
 
 def main(argv: list[str]) -> None:
     """Run, print the table, write JSON and picture."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     count = config["fabrics"]
     shared = {key: config[key] for key in ("noise", "repeats", "cells", "rounds")}
     cases = {
@@ -280,4 +280,4 @@ def draw(results: list[dict]) -> Figure:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, usage=__doc__)

@@ -35,7 +35,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
-from benchmarks.common import REPORTS, table, write_figure, write_report
+from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
 from benchmarks.render import shortest, torch_threads
 from data.configs import compose_config
 from data.dataset import DrapeDataset
@@ -50,7 +50,7 @@ from drapenet.model import DrapeNet
 from drapenet.preprocess import InputFormat, prepare
 from drapenet.targets import TargetScale
 from drapenet.training import CachedSet, DrapeSet
-from sim.cli import parse_overrides, run_command
+from sim.cli import run_command
 from sim.errors import InputError
 
 matplotlib.use("Agg")
@@ -178,7 +178,7 @@ def picture(runs: dict[str, list[dict]], out: Path) -> None:
 
 def main(argv: list[str]) -> None:
     """Run, print the tables, and write the report."""
-    config = parse_overrides(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     for key, least in (("drapes", 8), ("orientations", 1), ("batch", 2), ("threads", 1),
                        ("repeats", 1), ("compare", 0), ("workers", 1)):
         if config[key] < least:

@@ -4,6 +4,7 @@ Hydra composes the configuration only: no folder, log file or change of director
 """
 
 import itertools
+import re
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
 
     Raises:
         InputError: an unknown key or group option, a group without an option, a word that is no
-            override, a wrong type.
+            override, a wrong type, an empty ``out``.
     """
     # Imported late: whoever only looks for a file in configs/ need not wait for Hydra.
     from hydra import compose, initialize_config_dir
@@ -36,6 +37,9 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
+    for word in words:
+        if "=" not in word and not word.startswith("~"):
+            raise InputError(f"'{word}' is not of the form key=value; {_known_keys(name)}")
     try:
         with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
             config = compose(name, overrides=words)
@@ -43,19 +47,40 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
             config = OmegaConf.merge(OmegaConf.structured(schema), config)
         OmegaConf.resolve(config)
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_first_lines(str(error))) from None
-    except ValueError as error:
-        # Hydra's own check of what a group is set to, as in "dataset=null", names no word.
+        raise InputError(_complaint(error, name)) from None
+    except (ValueError, TypeError) as error:
+        # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
         raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
+    if config.get("out") == "":
+        raise InputError("out= needs the name of a folder")  # Path("") would be the current one
     return config
 
 
+def _complaint(error: Exception, name: str) -> str:
+    """What Hydra or OmegaConf has against the words for ``configs/NAME.yaml``, in one line."""
+    first, key = str(error).partition("\n")[0], getattr(error, "full_key", None)
+    if unknown := re.match(r"Could not override '(.+)'|Key '.+' not in ", first):
+        key = unknown[1] or key
+        group = key.partition(".")[0]
+        if group != key and (CONFIG_DIR / group).is_dir():
+            return f"unknown key '{key}'; those of {group} are in the files of {CONFIG_DIR / group}"
+        return f"unknown key '{key}'; {_known_keys(name)}"
+    return f"{key}: {first}" if key else _first_lines(str(error))
+
+
+def _known_keys(name: str) -> str:
+    """For complaints: keys and groups of ``configs/NAME.yaml``."""
+    content = read_config(name)
+    defaults = [default for default in content.pop("defaults") if isinstance(default, dict)]
+    groups = {group for default in defaults for group in default if "override " not in group}
+    return f"known keys: {', '.join(sorted(groups | content.keys() - {'hydra'}))}"
+
+
 def _first_lines(message: str) -> str:
-    """Hydra's complaint in one line, without its search path, links and class names."""
+    """Hydra's complaint in one line, without its search path and links."""
     kept = []
     for line in message.splitlines():
-        if line.startswith((
-            "Config search path", "See https", "To append", "reference_type", "object_type")):
+        if line.startswith(("Config search path", "See https")):
             break
         kept.append(line.strip())
     text = " ".join(filter(None, kept))

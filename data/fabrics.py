@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 from sim.material import REFERENCE_DENSITY, Fabric
 
 THETA_NAMES = (
@@ -35,6 +35,8 @@ TABLE_COLUMNS = {
     "nonlinear diag": "SI*1e12",
 }
 """The published columns and their units; note the order warp, weft, bias ("diag")."""
+
+_COLUMNS = ", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
 
 LINEAR_UNIT = 1e-9  # N·m
 QUADRATIC_UNIT = 1e-12  # N·m²
@@ -101,7 +103,9 @@ def read_fabric_table(path: str | Path) -> FabricTable:
             reader = csv.reader(file, skipinitialspace=True)
             rows = [(reader.line_num, row) for row in reader if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot read the fabric table {path}: {error}") from None
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise InputError(f"cannot read the fabric table {path}: {reason}; give fabrics=FILE, a CSV "
+                         f"file with the columns {_COLUMNS}") from None
     if len(rows) < 2:
         raise InputError(f"{path} holds no fabrics; expected a header line and one row a fabric")
     header = rows[0][1]
@@ -140,7 +144,7 @@ def _locate_columns(header: list[str], path: Path) -> tuple[list[int], int | Non
     columns = []
     for name, unit in TABLE_COLUMNS.items():
         if name not in units:
-            raise InputError(f"{path} has no column '{name}[{unit}]'")
+            raise InputError(f"{path} has no column '{name}[{unit}]'; a table has {_COLUMNS}")
         position, found = units[name]
         if found != unit:
             raise InputError(f"{path}: column '{name}' is in '{found}', expected '{unit}'")

@@ -7,6 +7,9 @@ any number of machines, write the same files, and an interrupted dataset is comp
 had happened.
 """
 
+import sim.interrupt  # noqa: F401
+
+# isort: split
 import sys
 from pathlib import Path
 from typing import NoReturn

@@ -1,5 +1,6 @@
 """Guarded reading of what a user gives: every fault becomes an InputError of one line."""
 
+import itertools
 import math
 import re
 import reprlib
@@ -45,7 +46,9 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
 
 
 def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.ndarray:
-    """Counts (4, H, W) of exactly four pictures of one size, ``pattern`` with 0 to 3 for ``{}``.
+    """Counts (4, H, W) of exactly four different pictures of one size.
+
+    Their names are ``pattern`` with 0 to 3 for ``{}``.
 
     ``modes`` and ``kind`` are those of :func:`read_picture`.
     """
@@ -68,6 +71,11 @@ def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.
                 f"{folder}: {name} has {sizes[0]} pixels but {expected[0]} has {sizes[1]}; "
                 "all views must have one size"
             )
+    for (first, a), (second, b) in itertools.combinations(zip(expected, pictures, strict=True), 2):
+        # A blank picture is the reader's to tell.
+        if np.array_equal(a, b) and a.min() < a.max():
+            raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "
+                             "be taken anew, a quarter turn after the one before")
     return np.stack(pictures)
 
 

@@ -22,6 +22,7 @@ from data.sampling import (
 from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
 from sim.errors import InputError
 from sim.material import Fabric
+from sim.mesh import check_resolution
 from sim.provenance import release
 from sim.scene import Rig
 
@@ -64,9 +65,8 @@ class DatasetConfig:
         for name in ("drapes", "drapes_per_shard"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}={getattr(self, name)} must be at least 1")
-        if self.resolution != 0 and not 8 <= self.resolution <= 401:
-            raise InputError(f"resolution={self.resolution} must lie between 8 and 401 vertices, "
-                             "or be 0: chosen for each fabric")
+        if self.resolution:
+            check_resolution(self.resolution)
         if not 0 <= self.jitter <= 0.3:
             raise InputError(f"jitter={self.jitter} must lie between 0 and 0.3 edges")
         if not 1 <= self.compression <= 9:

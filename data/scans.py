@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.errors import InputError, one_line
+from sim.errors import InputError
+from sim.mesh import Mesh
 from sim.scene import Rig
 
 LARGEST_SCAN = 1_000_000  # vertices or triangles
 _FLAT = 5e-3  # m, how far cloth on the support may lie from its plane
 _OUTSIDE = 1.02  # rest points may lie this much beyond the specimen's radius
+_LONGER = 2.0  # edges may be this many times as long or short as at rest; of other units over 20
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,13 @@ def read_scan(path: Path, rig: Rig) -> Scan:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in keys if key in file}
     except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read the scan {path} ({one_line(error)})") from None
+        # What numpy says of other files is of no use to their owner.
+        reason = getattr(error, "strerror", None) or (
+            "no npz file with vertices, rest and faces; a raw mesh must end in .ply or .obj")
+        raise InputError(f"cannot read the scan {path}: {reason}") from None
     if missing := [key for key in keys if key not in arrays]:
-        raise InputError(f"{path} is no scan: it has no array '{missing[0]}'")
+        raise InputError(f"{path} is no scan: it has no array '{missing[0]}'; "
+                         f"it needs {', '.join(keys)}")
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
     count = len(positions) if positions.ndim else 0
     shapes = positions.shape == (count, 3) and rest.shape == (count, 2)
@@ -63,6 +69,12 @@ def read_scan(path: Path, rig: Rig) -> Scan:
         rest=rest.astype(np.float64),
         faces=faces.astype(np.int64),
     )
+    mesh = Mesh(scan.rest, scan.faces)
+    if not (mesh.areas > 0).all():
+        raise InputError(f"{path}: the corners of each face must run counter-clockwise on the flat "
+                         "specimen; reverse their order where they do not")
+    if not mesh.vertex_areas.all():
+        raise InputError(f"{path}: a vertex belongs to no face; leave such vertices out")
     _check_place(scan, path, rig)
     return scan
 
@@ -74,11 +86,21 @@ def _check_place(scan: Scan, path: Path, rig: Rig) -> None:
     if not 0.9 * largest < radius.max() < _OUTSIDE * largest:
         raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
                          f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
+    draped, rest = (_edge_length(points, scan.faces) for points in (scan.positions, scan.rest))
+    if draped > _LONGER * rest or rest > _LONGER * draped:
+        raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
+                         f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
     flat = scan.positions[radius < 0.9 * rig.plate_radius]
     if not len(flat) or np.abs(flat[:, 2]).max() > _FLAT:
         raise InputError(f"{path}: cloth on the support must lie in the plane z = 0, z up")
     if scan.positions[:, 2].min() > -_FLAT:
         raise InputError(f"{path}: nothing hangs below the support")
+
+
+def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
+    """Mean length of the triangles' sides, in the unit of ``points`` (V, 2 or 3)."""
+    sides = points[faces] - points[np.roll(faces, 1, axis=1)]
+    return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def read_scans(folder: Path, rig: Rig) -> list[Scan]:

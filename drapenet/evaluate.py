@@ -86,6 +86,8 @@ def main(argv: list[str]) -> None:
     config = parse_overrides(read_config("evaluate"), argv)
     if config["orientations"] < 1:
         raise InputError(f"orientations={config['orientations']} must be at least 1")
+    if not config["out"]:
+        raise InputError("out= needs the name of a folder")
     header = read_header(config["checkpoint"] or BUNDLED)
     noise = SensorNoise.load(config["sensor"])  # before minutes of simulation
     out, data = Path(config["out"]), config["data"]

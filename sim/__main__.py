@@ -12,12 +12,16 @@ Keys (``key=value``):
     borrow       drape.npz of another fabric on the same rig to start from, in place of start
     seed         of the initial shape and of the triangulation
     mesh         structured, perturbed or unstructured
-    resolution   vertices a side, or across the disc; 0 chooses by the fabric's bending length
+    resolution   vertices a side, or across the disc, 8 to 401; 0 chooses by the fabric's bending
+                 length
     offset       specimen's centre off the plate's axis along warp,weft in mm
     out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
                  rest, positions, faces, held; see sim/drape_file.py)
 """
 
+import sim.interrupt  # noqa: F401
+
+# isort: split
 import json
 import sys
 from pathlib import Path
@@ -28,7 +32,7 @@ from sim.cli import parse_overrides, run_command
 from sim.drape import DrapeResult, drape
 from sim.drape_file import read_borrowed, write_drape
 from sim.errors import InputError
-from sim.files import replace_file
+from sim.files import replace_file, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
@@ -54,6 +58,8 @@ def main(argv: list[str]) -> None:
         print(__doc__)
         return
     config = parse_overrides(DEFAULTS, argv)
+    if not config["out"]:
+        raise InputError("out= needs the name of a folder")
     if len(config["offset"]) != 2:
         raise InputError("offset needs two values in mm: along warp, along weft")
     fabric = Fabric(
@@ -61,6 +67,8 @@ def main(argv: list[str]) -> None:
         beta=np.array(config["beta"]) * NANO,
         density=config["density"] * 1e-3,
     )
+    folder = Path(config["out"])
+    require_folder(folder)
     result = drape(
         fabric,
         rig=Rig.from_name(config["rig"]),
@@ -72,7 +80,6 @@ def main(argv: list[str]) -> None:
         offset=tuple(1e-3 * v for v in config["offset"]),
     )
     summary = summarise(result, config)
-    folder = Path(config["out"])
     write(folder, result, summary)
     print(f"{summary['status']}: {summary['message']}")
     print(f"residual            {summary['residual']:.1e} of a vertex's weight")

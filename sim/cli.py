@@ -1,8 +1,10 @@
 """Shared conduct of the command lines: ``key=value`` words, one-line errors, exit codes."""
 
+import math
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NoReturn
 
 from omegaconf import OmegaConf
@@ -16,8 +18,9 @@ def parse_overrides(defaults: dict, argv: list[str]) -> dict:
     """Lay ``key=value`` words over ``defaults`` (nested keys with dots).
 
     A default of ``None`` accepts any value; otherwise the value must convert to the default's
-    type. Text defaults take the word literally, so that paths need no quoting. A list is
-    written with commas (``alpha=20,20,20``); its items take the type of the default's first.
+    type, and a number must be finite. Text defaults take the word literally, so that paths need
+    no quoting. A list is written with commas (``alpha=20,20,20``); its items take the type of the
+    default's first.
 
     Raises:
         InputError: a word without ``=``, an unknown key, a value of the wrong type.
@@ -41,15 +44,19 @@ def _convert(key: str, text: str, old: object) -> object:
         return text
     if OmegaConf.is_list(old):
         return [_convert(key, part, old[0]) for part in text.strip("[]()").split(",")]
+    if isinstance(old, float):
+        with suppress(ValueError):
+            if math.isfinite(value := float(text)):
+                return value
+        raise InputError(f"{key}: '{text}' is no finite number; give one like {old:g}")
     try:
         value = OmegaConf.from_dotlist([f"value={text}"])["value"]
     except (OmegaConfBaseException, YAMLError):
         raise InputError(f"{key}={text} cannot be read; give a number or a word") from None
-    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
     if old is None or type(value) is type(old):
         return value
-    raise InputError(f"{key}={text} must be of type {type(old).__name__}, like {old}")
+    kind = "whole number" if type(old) is int else type(old).__name__
+    raise InputError(f"{key}: '{text}' is no {kind}; give one like {old}")
 
 
 def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:

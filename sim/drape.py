@@ -12,6 +12,7 @@ from sim.initial import borrowed_positions, initial_positions, interpolate_posit
 from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
+from sim.mesh import check_resolution
 from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import GRAVITY, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
@@ -101,15 +102,15 @@ def drape(
 
     Args:
         rig: what holds the specimen; None for the square on its cylinder.
-        resolution: vertices a side, or across a disc, of the final mesh; None chooses it, see
-            :func:`default_resolution`.
+        resolution: vertices a side, or across a disc, of the final mesh, within
+            :data:`sim.mesh.RESOLUTIONS`; None chooses it, see :func:`default_resolution`.
         start: initial shape, see :data:`sim.initial.STARTS`.
         borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
             to start from, in place of ``start``; on a mesh fine enough for its folds.
         seed: of the initial shape and of the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         mesh, jitter, diagonals: kind of triangulation, see :func:`sim.specimens.make_specimen`.
-        laws: of bending and membrane.
+        laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
 
     Returns:
@@ -118,8 +119,10 @@ def drape(
     Raises:
         InputError: parameters that make no sense.
     """
-    rig = rig or Rig()
+    rig, laws = rig or Rig(), laws or Laws()
+    check_setting(rig, laws)
     resolution = resolution or default_resolution(fabric, rig)
+    check_resolution(resolution)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
     if seed < 0:
@@ -128,7 +131,6 @@ def drape(
         raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
-    laws = laws or Laws()
     levels = coarse_to_fine(resolution, COARSEST if borrowed is None else BORROWED_COARSEST)
     iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
@@ -167,6 +169,16 @@ def drape(
         seconds=time.perf_counter() - began,
         time_spent=dict(time_spent),
     )
+
+
+def check_setting(rig: object, laws: object) -> None:
+    """InputError for what is no rig or no laws, such as the name of one."""
+    if not isinstance(rig, Rig):
+        raise InputError(f"rig={rig!r}: give a sim.scene.Rig, such as "
+                         f"Rig.from_name('{Rig().name}')")
+    if not isinstance(laws, Laws):
+        raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
+                         f"Laws(bending='{Laws().bending}')")
 
 
 def start_positions(

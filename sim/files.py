@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -39,9 +40,31 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def require_folder(out: Path) -> None:
-    """InputError where ``out`` cannot be made a folder: to be told before long work, not after."""
-    if any(place.exists() and not place.is_dir() for place in (out, *out.parents)):
-        raise InputError(f"out={out} cannot be a folder: a file is in the way")
+    """InputError where ``out`` is no folder to write in and cannot become one.
+
+    To be told before long work, not after. Nothing is made of it yet.
+    """
+    if reason := reason_closed(out):
+        raise InputError(f"cannot write to the folder {out}: {reason}; choose another place")
+
+
+def require_file(path: Path) -> None:
+    """InputError where no file ``path`` can be written; like :func:`require_folder`."""
+    if reason := "it is a folder" if os.path.isdir(path) else reason_closed(path.parent):
+        raise InputError(f"cannot write {path}: {reason}; choose another place")
+
+
+def reason_closed(folder: Path) -> str:
+    """Why nothing can be written into ``folder``, there or yet to be made; empty where it can."""
+    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+    if not os.path.isdir(nearest):
+        return "a file is in the way"
+    try:
+        # Permissions alone do not tell: of a file system that is read only, or root's.
+        tempfile.TemporaryFile(dir=nearest).close()
+    except OSError as error:
+        return error.strerror or one_line(error)
+    return ""
 
 
 def replace_file(path: Path, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The material laws of a simulated cloth: which bending energy, which membrane."""
+"""The laws of a simulated cloth: which bending energy, which membrane, what else acts on it."""
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -15,14 +15,21 @@ from sim.membranes import Corotational, Membrane
 from sim.mesh import Mesh
 
 
-class Bending(Protocol):
-    """A bending law."""
+class Law(Protocol):
+    """Makes an energy of a cloth on any mesh: a bending law, or one of your own.
+
+    A drape is solved on several meshes and calls it on each, so it keeps no mesh of its own.
+    """
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
-        """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
+        """The energy of the triangles ``active`` (F,) bool of ``mesh``.
+
+        Drapes are simulated at the reference density: so ``fabric`` is, and loads and stiffnesses
+        are those of cloth of 300 g/m².
+        """
 
 
-BENDING: dict[str, Bending] = {"midedge": MidEdgeBending, **HINGE_LAWS}
+BENDING: dict[str, Law] = {"midedge": MidEdgeBending, **HINGE_LAWS}
 """Bending laws by name."""
 
 
@@ -33,31 +40,40 @@ class Laws:
     Attributes:
         bending: a key of :data:`BENDING`, or a law itself.
         membrane: in-plane law.
+        others: laws of energies beside those, such as a foundation or a load.
 
     Raises:
-        InputError: unknown bending law.
+        InputError: unknown bending law, or ``others`` that are no tuple of laws.
     """
 
-    bending: str | Bending = "midedge"
+    bending: str | Law = "midedge"
     membrane: Membrane = field(default_factory=Corotational)
+    others: tuple[Law, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.bending, str) and self.bending not in BENDING:
             raise InputError(
                 f"unknown bending law '{self.bending}'; choose from {', '.join(BENDING)}"
             )
+        if not (isinstance(self.others, tuple) and all(callable(law) for law in self.others)):
+            raise InputError("others must be a tuple of laws: others=(law,), each called with a "
+                             "mesh, not an energy that is made")
 
     @property
-    def bending_law(self) -> Bending:
+    def bending_law(self) -> Law:
         """The bending law that ``bending`` names or is."""
         return BENDING[self.bending] if isinstance(self.bending, str) else self.bending
 
     def energies(self, mesh: Mesh, active: np.ndarray, fabric: Fabric) -> list[Energy]:
-        """Energies of the triangles ``active`` (F,) bool of a cloth of ``fabric``."""
+        """Energies of the triangles ``active`` (F,) bool of a cloth of ``fabric``.
+
+        The membrane, the bending energy, the limit of folds, then those of ``others``.
+        """
         return [
             self.membrane.energy(mesh, active),
             self.bending_law(mesh, active, fabric=fabric),
             FoldLimit(mesh, active, stiffness=float(fabric.alpha.min())),
+            *(law(mesh, active, fabric=fabric) for law in self.others),
         ]
 
     def softened(self, factor: float) -> "Laws":

@@ -8,6 +8,8 @@ import numpy as np
 from sim.errors import InputError
 
 DIAGONALS = ("random", "alternating", "equal")
+RESOLUTIONS = (8, 401)
+"""Vertices a side, or across a disc: fewest, for the plate's rim; most, for memory and time."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,14 @@ class Mesh:
         other = np.where(across[..., 0] == here, across[..., 1], across[..., 0])
         corner_sum = self.faces[other].sum(-1) - self.edges[self.face_edges].sum(-1)
         return np.where(other >= 0, corner_sum, -1)
+
+
+def check_resolution(resolution: int) -> None:
+    """InputError for a specimen of fewer or more vertices a side than :data:`RESOLUTIONS`."""
+    fewest, most = RESOLUTIONS
+    if not fewest <= resolution <= most:
+        raise InputError(f"resolution={resolution} must lie between {fewest} and {most} vertices "
+                         "a side")
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +204,7 @@ def draped_square(
     Args:
         size: side, m.
         plate_radius: m.
-        resolution: vertices per side, at least 8.
+        resolution: vertices per side, within :data:`RESOLUTIONS`.
         offset: specimen's centre relative to the plate's axis, m, in material axes.
         diagonals, jitter, seed: the perturbed triangulation; see :func:`choose_diagonals` and
             :func:`grid_points`.
@@ -204,10 +214,9 @@ def draped_square(
         vertices, and the diagonals (n-1, n-1) bool.
 
     Raises:
-        InputError: too few vertices, or the plate does not lie within the specimen.
+        InputError: too few or many vertices, or the plate does not lie within the specimen.
     """
-    if resolution < 8:
-        raise InputError(f"resolution={resolution}: at least 8 vertices a side are needed")
+    check_resolution(resolution)
     if size / 2 - max(abs(offset[0]), abs(offset[1])) < plate_radius + 2 * size / resolution:
         raise InputError("the specimen's offset leaves the plate uncovered; reduce the offset")
     rng = np.random.default_rng(seed)

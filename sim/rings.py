@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from sim.errors import InputError
-from sim.mesh import Mesh
+from sim.mesh import Mesh, check_resolution
 
 
 def draped_disc(
@@ -21,7 +21,7 @@ def draped_disc(
 
     Args:
         diameter, plate_radius: m.
-        resolution: vertices along a diameter, at least 8.
+        resolution: vertices along a diameter, within :data:`sim.mesh.RESOLUTIONS`.
         offset: specimen's centre relative to the plate's axis, m; rings beyond the rim drift
             towards it.
         perturbed: turn every ring at random and move its vertices, along the ring and across it,
@@ -33,12 +33,11 @@ def draped_disc(
         on the plate.
 
     Raises:
-        InputError: too few vertices, or the plate does not lie within the specimen.
+        InputError: too few or many vertices, or the plate does not lie within the specimen.
     """
-    spacing = diameter / (resolution - 1) if resolution >= 8 else 0.0
+    check_resolution(resolution)
+    spacing = diameter / (resolution - 1)
     overhang = diameter / 2 - plate_radius
-    if not spacing:
-        raise InputError(f"resolution={resolution}: at least 8 vertices across are needed")
     if overhang - np.hypot(*offset) < 1.5 * spacing:
         raise InputError("the specimen's overhang is too narrow; reduce the offset or refine")
     inner, outer = max(2, round(plate_radius / spacing)), max(2, round(overhang / spacing))

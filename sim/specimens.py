@@ -6,7 +6,15 @@ import numpy as np
 
 from sim.energies.contact import Ramp
 from sim.errors import InputError
-from sim.mesh import Mesh, choose_diagonals, draped_square, grid_faces, grid_points, strip
+from sim.mesh import (
+    Mesh,
+    check_resolution,
+    choose_diagonals,
+    draped_square,
+    grid_faces,
+    grid_points,
+    strip,
+)
 from sim.rings import draped_disc
 from sim.scene import Rig, Scene
 from sim.unstructured import unstructured_disc, unstructured_square
@@ -45,8 +53,9 @@ def make_specimen(
     Args:
         mesh: "structured": a regular grid, for discs regular rings; "perturbed": the same with
             its vertices moved at random; "unstructured": see :mod:`sim.unstructured`.
-        resolution: vertices a side or, of a disc, across. An unstructured mesh has edges as long
-            as a grid's spacing.
+        resolution: vertices a side or, of a disc, across, within
+            :data:`sim.mesh.RESOLUTIONS`. An unstructured mesh has edges as long as a grid's
+            spacing.
         offset: specimen's centre from the plate's axis, m.
         jitter: of a perturbed mesh, in spacings.
         diagonals: of a grid, see :data:`sim.mesh.DIAGONALS`; None for random ones in a
@@ -58,8 +67,7 @@ def make_specimen(
     """
     if mesh not in MESHES:
         raise InputError(f"unknown mesh '{mesh}'; choose from {', '.join(MESHES)}")
-    if resolution < 8:
-        raise InputError(f"resolution={resolution}: at least 8 vertices a side are needed")
+    check_resolution(resolution)
     if not rig.has_plate and np.any(offset):
         raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
     if rig.specimen == "disc" and diagonals is not None:

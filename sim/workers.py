@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, parent_process, resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
 
 from sim.errors import InputError
 
@@ -27,6 +28,24 @@ WORKER_ENVIRONMENT = {
 }
 
 
+class _Worker(SpawnProcess):
+    """A fresh process that Ctrl-C does not reach while it imports, before :func:`_start`."""
+
+    def start(self) -> None:
+        """Start the process, which inherits what is blocked here."""
+        # Python's helper, were it started in between, would let Ctrl-C through again.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _WorkerContext(SpawnContext):
+    Process = _Worker
+
+
 @contextmanager
 def worker_pool(
     workers: int, initializer: Callable[..., None] | None = None, *arguments: object
@@ -42,7 +61,7 @@ def worker_pool(
     with _worker_environment():
         pool = ProcessPoolExecutor(
             workers,
-            mp_context=get_context("spawn"),
+            mp_context=_WorkerContext(),
             initializer=_start,
             initargs=(initializer, arguments),
         )

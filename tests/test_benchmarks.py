@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import batched, common, report
+from benchmarks import batched, common, information, report
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from sim.errors import InputError
@@ -43,6 +43,27 @@ def test_finished_cases_are_not_done_again(tmp_path, monkeypatch):
 def test_no_workers_are_refused(tmp_path):
     with pytest.raises(InputError, match="workers=0"):
         run_cases(count_calls, {"a": {"log": "", "value": 1}}, folder=tmp_path, workers=0)
+
+
+def test_places_that_cannot_be_written_to_are_told_before_the_work(tmp_path):
+    (tmp_path / "file").touch()
+    free = str(tmp_path / "new" / "report.json")
+    defaults = {"count": 1, "cases": str(tmp_path / "cases"), "work": "", "out": free}
+    assert common.parse_settings(defaults, ["count=2"]) == defaults | {"count": 2}
+    for word in ("out=/proc/report.json", f"out={tmp_path}", f"out={tmp_path}/file/report.json",
+                 f"cases={tmp_path}/file", "work=/proc/runs"):
+        with pytest.raises(InputError, match="cannot write"):
+            common.parse_settings(defaults, [word])
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("path", sorted(Path(common.__file__).parent.glob("*.py")),
+                         ids=lambda path: path.stem)
+def test_commands_print_their_usage_and_look_at_their_places(path):
+    text = path.read_text(encoding="utf-8")
+    if "run_command(" in text:
+        assert "run_command(main, usage=__doc__)" in text
+        assert "config = parse_settings(DEFAULTS, argv)" in text
 
 
 def test_table_is_aligned():
@@ -136,3 +157,13 @@ def test_alpha_along_other_axes_is_the_same_plates() -> None:
     alike = Cloth(np.r_[np.log([60e-6, 40e-6, 60e-6]), np.zeros(3)])
     turned = alpha_along(alike, np.pi / 4)
     np.testing.assert_allclose(turned, [40e-6, 60e-6, 40e-6])
+
+
+def test_the_axes_of_bounds_can_be_read(tmp_path, monkeypatch):
+    pictures = []
+    monkeypatch.setattr(information, "write_figure", lambda _, figure: pictures.append(figure))
+    found = json.loads((common.REPORTS / "information.json").read_text(encoding="utf-8"))
+    information.draw(found, tmp_path / "information.png")
+    for axes in pictures[0].axes:
+        low, high = axes.get_ylim()
+        assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3

@@ -10,6 +10,7 @@ model     vae1 to vae4, gmm3 to gmm7 or gaussian, default vae4
 """
 
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from data.fabrics import read_fabric_table
 from data.prior import MODELS, sample_admissible, save_prior
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
+from sim.files import require_file
 
 SAMPLES = 1000  # of which the printed description is made
 
@@ -31,6 +33,7 @@ def main(argv: list[str]) -> None:
         raise InputError("a table of fabrics is needed: fit fabrics=FILE")
     if options["model"] not in MODELS:
         raise InputError(f"model={options['model']} is none of {', '.join(MODELS)}")
+    require_file(Path(options["out"]))
     table = read_fabric_table(options["fabrics"])
     start = time.perf_counter()
     prior = MODELS[options["model"]](table.theta)

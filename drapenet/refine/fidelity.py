@@ -67,7 +67,11 @@ def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
 
 def surface_distance(shape: CapturedShape, positions: np.ndarray) -> np.ndarray:
     """Distances (N,), m, of points (N, 3) from the captured surface."""
-    cloud = Cloud.of_mesh(shape.positions, shape.faces)
+    return distances(Cloud.of_mesh(shape.positions, shape.faces), positions)
+
+
+def distances(cloud: Cloud, positions: np.ndarray) -> np.ndarray:
+    """Distances (N,), m, of points (N, 3) from a scanned surface."""
     distance, nearest = cKDTree(cloud.points).query(positions)
     across = np.abs((cloud.normals[nearest] * (positions - cloud.points[nearest])).sum(1))
     # Next to a point of the surface only what lies across counts, beyond the hem all of it.

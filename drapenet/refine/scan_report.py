@@ -3,7 +3,6 @@
 import json
 import math
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,16 @@ from data.prior.files import load_prior
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
-from drapenet.refine.register import register
+from drapenet.refine.register import SLID, edge_strain, laid_anew, register
 from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
-from sim.drape import drape
-from sim.errors import InputError, one_line
+from sim.errors import InputError
 from sim.files import replace_file, require_folder
 from sim.material import DIRECTIONS
 from sim.scene import Rig
 
-SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 2
+SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 3
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
 LEAST_HELD = 0.5
@@ -42,29 +40,16 @@ def refine_scan(
         rig: name of the rig.
         held: see :class:`.captured.CapturedShape`.
         solves: simulations at most.
-        resolution: vertices across the mesh that a raw scan is registered to.
+        resolution: vertices across the mesh that a scan is registered to.
 
     Raises:
         InputError: no such scan, a share out of range, or none of the simulations ended.
     """
     if not LEAST_HELD <= held <= 1.0:
         raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
-    setting = Rig.from_name(rig)
     prior = load_prior("gaussian")
     start = Cloth(prior.mean.copy())
-    registered = None
-    if path.suffix.lower() in RAW:
-        cloud = read_cloud(path, setting)
-        first = drape(start.fabric, rig=setting, resolution=resolution)
-        if not first.converged:
-            raise InputError(f"no drape to register the scan with: {first.message}")
-        shape, distance = register(first, cloud)
-        shape = replace(shape, held_share=held)
-        registered = {"points": len(cloud.points),
-                      "mean_distance_mm": float(1e3 * distance[shape.hanging].mean())}
-    else:
-        scan = read_scan(path, setting)
-        shape = CapturedShape(scan.positions, scan.rest, scan.faces, setting, held)
+    shape, registration = read_shape(path, Rig.from_name(rig), held=held, resolution=resolution)
     with tqdm(total=solves, desc="refining", unit="drape") as bar:
         def report(count: int, least: float) -> None:
             bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
@@ -80,7 +65,7 @@ def refine_scan(
     content = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "scan": {"file": str(path), "rig": rig, "held_share": held, "registration": registered},
+        "scan": {"file": str(path), "rig": rig, "held_share": held, "registration": registration},
         "convention": "axes of the scan's rest points; which of the two yarns is the warp, the "
                       "shape does not say; where both are alike the axes may lie 45° off, "
                       "warp and bias exchanged",
@@ -95,6 +80,32 @@ def refine_scan(
         },
     }
     return content, shape, found
+
+
+def read_shape(
+    path: Path, rig: Rig, *, held: float = 1.0, resolution: int = 51
+) -> tuple[CapturedShape, dict[str, Any] | None]:
+    """The captured shape of a scan, and what ``estimate.json`` says of its registration.
+
+    Raw scans are registered; so are those whose own vertices slid along the cloth. Arguments and
+    errors as for :func:`refine_scan`.
+    """
+    if path.suffix.lower() in RAW:
+        cloud = read_cloud(path, rig)
+        found, strain = register(cloud, rig, resolution=resolution, held=held), None
+    else:
+        scan = read_scan(path, rig)
+        own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
+        strain = edge_strain(own)
+        if strain < SLID:
+            return own, None
+        found = laid_anew(own, resolution=resolution)
+    return found.shape, {
+        "reason": "raw" if strain is None else "vertices slid along the cloth",
+        "edge_strain_before": strain,
+        "edge_strain": edge_strain(found.shape),
+        "mean_distance_mm": float(1e3 * found.distance[found.shape.hanging].mean()),
+    }
 
 
 def _cloth_content(cloth: Cloth) -> dict[str, Any]:
@@ -126,7 +137,7 @@ def infer_scan(config: dict[str, Any]) -> None:
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_scan(content))
     print(f"estimate: {out / 'estimate.json'}")
-    replace_file(out / "report.png", draw(shape, found))
+    replace_file(out / "report.png", draw(shape, found, content))
     print(f"report:   {out / 'report.png'}")
 
 
@@ -154,8 +165,8 @@ def format_scan(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def draw(shape: CapturedShape, found: Found) -> bytes:
-    """PNG: the captured shape, the nearest drape, and their distance on the flat specimen."""
+def draw(shape: CapturedShape, found: Found, content: dict[str, Any]) -> bytes:
+    """PNG: captured shape, nearest drape, their distance on the flat specimen; the moduli below."""
     from io import BytesIO
 
     from matplotlib.figure import Figure
@@ -163,7 +174,7 @@ def draw(shape: CapturedShape, found: Found) -> bytes:
     from data.picture import shade
 
     best, name = found.nearest or found.estimate, "nearest drape" if found.nearest else "held cloth"
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
     axes = figure.subplots(1, 3)
     for axis, positions, title in zip(axes, (shape.positions, best.drape.positions),
                                       ("captured", name), strict=False):
@@ -178,6 +189,7 @@ def draw(shape: CapturedShape, found: Found) -> bytes:
     for axis in axes:
         axis.set_xticks([])
         axis.set_yticks([])
+    figure.supxlabel(format_scan(content), x=0.01, ha="left", family="monospace", fontsize=9)
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return buffer.getvalue()
@@ -200,10 +212,17 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
         faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
             UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read the scan {path} ({one_line(error)})") from None
-    if not 200 <= len(points) <= LARGEST_SCAN or not np.isfinite(points).all():
-        raise InputError(f"{path}: a scan has from 200 to {LARGEST_SCAN} finite points, this one "
+        # What trimesh says of a file that it cannot read is of no use to its owner.
+        reason = getattr(error, "strerror", None) or (
+            "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
+        raise InputError(f"cannot read the scan {path}: {reason}") from None
+    if bad := int((~np.isfinite(points)).any(axis=1).sum()):
+        raise InputError(f"{path}: {bad} of its points are not finite numbers; remove them")
+    if not 200 <= len(points) <= LARGEST_SCAN:
+        raise InputError(f"{path}: a scan has from 200 to {LARGEST_SCAN} points, this one "
                          f"{len(points)}")
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+        raise InputError(f"{path}: a face names a vertex that is not there; export the scan again")
     reach = np.abs(points).max()
     if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
         raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "

@@ -6,10 +6,10 @@ many equilibria near each other. So there are two questions, and the answers dif
 *Which cloth is it?* Weak springs hold the cloth to the captured surface, across it only. One
 equilibrium remains, which moves smoothly with the moduli; the right ones need the springs least.
 
-*Which drape comes nearest?* Let go at the captured shape, cloth keeps the captured folds or loses
-some, and the distance jumps with the moduli. The search walks towards softer cloth, which keeps
-more, follows the best drape by Levenberg-Marquardt until its equilibrium ends, lets the best cloth
-go at the captured shape again, or one like it, and goes on from there.
+*Which drape comes nearest?* Let go at once, cloth keeps the captured folds or loses some, and the
+distance jumps with the moduli. So the springs are weakened step by step, and at each step the
+moduli follow, by Levenberg-Marquardt, so that the folds stay. What simulations are left go to the
+free drape: the best cloth is let go at the captured shape again, or one like it, and followed.
 """
 
 import math
@@ -31,10 +31,10 @@ from sim.sensitivity.tangent import scene_of
 PULL = 0.05
 """Force of the springs at 1 mm, over the cloth's weight. Simulated scans give the same moduli with
 0.05 to 0.3; real ones, whose errors the cloth would follow, softer cloth with 0.3."""
-HELD = 10  # simulations with springs at most
-STRIDE = 0.4  # of log alpha, in the walk
-WALK = 4  # simulations at most
-FOLLOW = 8  # simulations along one equilibrium at most
+HELD = 6  # simulations with these springs at most
+RELEASE = (0.02, 0.01, 0.005, 0.002)  # weaker springs, as PULL
+EACH, FREED = 2, 3  # simulations with each of them, and without any at most
+FOLLOW = 3  # simulations along one equilibrium at most
 HOPELESS = 1.3  # times the least value: such an equilibrium is not followed
 WORTHWHILE = 3e-3  # share of the value that a step along one equilibrium must promise
 JUMP = 0.2  # standard deviation of a jump's unknowns, in their units
@@ -69,9 +69,9 @@ def scan_objective(shape: CapturedShape) -> Objective:
                 Outline(shape.faces, radii, sigma=2e-3, limit=1.0, independent=30.0)])
 
 
-def surface_springs(captured: DrapeResult) -> Springs:
+def surface_springs(captured: DrapeResult, pull: float = PULL) -> Springs:
     """What holds a cloth to a captured shape while its moduli are estimated."""
-    return plane_springs(scene_of(captured), captured.positions, pull=PULL)
+    return plane_springs(scene_of(captured), captured.positions, pull=pull)
 
 
 def search_cloth(
@@ -91,14 +91,15 @@ def search_cloth(
         prior: of theta.
         seed: of the jumps.
         report: called after every simulation with their number and the least value, first of the
-            held cloth, then of the free one.
+            held cloth, then of ever more freely hanging ones.
 
     An interruption ends the search, and the best so far is returned.
     """
     search = _Search(shape, objective, prior, solves, report, Found(None, None, None, Effort()))
     try:
         search.estimate(start)
-        search.nearest(start, np.random.default_rng(seed))
+        search.release(start)
+        search.go_on(np.random.default_rng(seed))
     except KeyboardInterrupt:
         pass
     found = search.found
@@ -144,26 +145,30 @@ class _Search:
         problem = self.problem(start, near=captured, springs=[surface_springs(captured)])
         self.minimise(problem, min(HELD, self.solves), self.keep_estimate)
 
-    def nearest(self, start: Cloth, rng: np.random.Generator) -> None:
-        """Find the drape that rests nearest to the captured shape, beginning with the estimate."""
-        if not self.left:
-            return
-        cloth = self.found.estimate.cloth if self.found.estimate else start
-        self.found.released = self.let_go(cloth)
-        place, least = 0, self.found.nearest
-        for stride in range(1, WALK):
-            softer = self.let_go(_stiffened(cloth, -stride * STRIDE)) if self.left else None
-            if softer is None or (least is not None and softer.value >= least.value):
-                break
-            place, least = stride, softer
-        if place == 0 and self.left:
-            self.let_go(_stiffened(cloth, STRIDE))
-        if self.found.nearest is None:
-            return
+    def release(self, start: Cloth) -> None:
+        """Let the estimate go: at once, and again by ever weaker springs that the moduli follow."""
+        here = self.found.estimate
         if self.left:
-            self.follow(self.found.nearest)
+            self.found.released = self.let_go(here.cloth if here else start)
+        if here is None:
+            return
+        captured = self.shape.as_drape(start.fabric)
+        for pull in RELEASE:
+            problem = self.problem(here.cloth, near=here.drape, spread=math.inf,
+                                   springs=[surface_springs(captured, pull)])
+            if self.left:
+                self.minimise(problem, min(EACH, self.left), self.tell)
+            if problem.best is None:
+                return
+            here = problem.best
+        if self.left:
+            problem = self.problem(here.cloth, near=here.drape, spread=math.inf)
+            self.minimise(problem, min(FREED, self.left), self.keep_nearest)
+
+    def go_on(self, rng: np.random.Generator) -> None:
+        """From the nearest drape to a nearer one, as long as simulations are left."""
         tried = None
-        while self.left:
+        while self.left and self.found.nearest is not None:
             best = self.found.nearest
             again, tried = best is not tried, best
             trial = self.let_go(best.cloth if again else self.jump(best.cloth, rng))
@@ -202,10 +207,6 @@ class _Search:
         if trial is not None and (known is None or trial.value < known.value):
             self.found.nearest = trial
         self.tell(self.found.nearest)
-
-
-def _stiffened(cloth: Cloth, by: float) -> Cloth:
-    return replace(cloth, theta=cloth.theta + by * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
 
 
 def search_curvature(

@@ -133,6 +133,8 @@ def refine_views(
         if run.best is None:
             raise
         run.status, run.message = Status.INTERRUPTED, "interrupted; the best so far"
+        if run.held and not run.drape:
+            run.message += ", its drape still held to the views by springs"
     return RefinedViews(
         run.theta, run.start_value if math.isfinite(run.start_value) else None, run.best,
         run.drape or run.best.drape, run.objective, run.uncertainty, run.simulations,

@@ -22,6 +22,7 @@ from sim.drape import (
     COARSE_OPTIONS,
     FINE_OPTIONS,
     DrapeResult,
+    check_setting,
     coarse_to_fine,
     default_resolution,
     drape,
@@ -31,6 +32,7 @@ from sim.drape import (
 from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
+from sim.mesh import check_resolution
 from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
@@ -64,13 +66,14 @@ def drape_batch(
     seeds: Sequence[int] | None = None,
     offsets: Sequence[tuple[float, float]] | None = None,
     mesh: str = "perturbed",
+    laws: Laws | None = None,
     options: NewtonOptions | None = None,
     device: torch.device | str = "cpu",
     together: bool | None = None,
     at_a_time: int = AT_A_TIME,
     workers: int | None = None,
 ) -> list[DrapeResult]:
-    """Drape every fabric on ``rig`` by the default laws.
+    """Drape every fabric on ``rig``.
 
     A drape does not depend on which others are made with it, but for rounding.
 
@@ -83,6 +86,8 @@ def drape_batch(
         seeds: of the initial shape and triangulation, one each; None for 0, 1, 2, ...
         offsets: (2,) m each, the specimens' centres from the plate's axis; None for none.
         mesh: kind of triangulation, "perturbed" or "structured".
+        laws: of bending, membrane and energies of your own; made together, drapes know only those
+            with a twin in :mod:`sim.batched.energies`.
         options: of the final minimisations.
         device: where the drapes are minimised, "cpu" or "cuda".
         together: whether drapes of one resolution share their minimisation; None: not on a CPU.
@@ -100,7 +105,8 @@ def drape_batch(
     Raises:
         InputError: parameters that make no sense; a worker process that was ended from outside.
     """
-    rig = rig or Rig()
+    rig, laws = rig or Rig(), laws or Laws()
+    check_setting(rig, laws)
     requests = _requests(fabrics, rig, resolution, starts, seeds, offsets)
     if mesh not in MESHES:
         raise InputError(f"unknown mesh '{mesh}' for a batch; choose from {', '.join(MESHES)}")
@@ -112,7 +118,7 @@ def drape_batch(
     device = _device(device)
     together = device.type != "cpu" if together is None else together
     if not together:
-        return _one_by_one(requests, rig, mesh, options, workers)
+        return _one_by_one(requests, rig, mesh, laws, options, workers)
     if rig.specimen != "square":
         raise InputError(f"the specimen of {rig.name} is no grid; give together=False")
     results: list[DrapeResult | None] = [None] * len(requests)
@@ -120,7 +126,8 @@ def drape_batch(
         group = [k for k, request in enumerate(requests) if request.resolution == n]
         for first in range(0, len(group), at_a_time):
             part = group[first : first + at_a_time]
-            made = _together([requests[k] for k in part], rig, mesh, options, device, workers)
+            made = _together([requests[k] for k in part], rig, mesh, laws, options, device,
+                             workers)
             for k, result in zip(part, made, strict=True):
                 results[k] = result
     return results
@@ -159,6 +166,8 @@ def _requests(
     for name, values in given.items():
         if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} fabrics")
+    for n in given["resolution"]:
+        check_resolution(n)
     if not np.isfinite(np.asarray(given["offsets"], dtype=float)).all():
         raise InputError("offsets must be finite numbers, in metres")
     return [
@@ -168,10 +177,15 @@ def _requests(
 
 
 def _one_by_one(
-    requests: list[_Request], rig: Rig, mesh: str, options: NewtonOptions | None, workers: int
+    requests: list[_Request],
+    rig: Rig,
+    mesh: str,
+    laws: Laws,
+    options: NewtonOptions | None,
+    workers: int,
 ) -> list[DrapeResult]:
     """Each drape on its own, ``workers`` at a time, the longest first."""
-    shared = {"rig": rig, "mesh": mesh, "options": options}
+    shared = {"rig": rig, "mesh": mesh, "laws": laws, "options": options}
     workers = min(workers, len(requests))
     if workers <= 1:
         return [drape(**vars(request), **shared) for request in requests]
@@ -190,6 +204,7 @@ def _together(
     requests: list[_Request],
     rig: Rig,
     mesh: str,
+    laws: Laws,
     options: NewtonOptions | None,
     device: torch.device,
     workers: int,
@@ -218,7 +233,7 @@ def _together(
             fabrics,
             [State.at(s.mesh, start) for s, start in zip(specimens, starts, strict=True)],
             analyse_grid(_free_places(rig, level, [r.offset for r in requests]), device),
-            laws=Laws() if last else Laws().softened(COARSE_MEMBRANE),
+            laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
         )
         coarse = [
@@ -230,7 +245,7 @@ def _together(
             spent.update(result.seconds)
     share = (time.perf_counter() - began) / len(requests)
     options = options or FINE_OPTIONS
-    states, freed, seconds = _freed(scenes, fabrics, states, results, options, workers)
+    states, freed, seconds = _freed(scenes, fabrics, states, results, laws, options, workers)
     for k, result in freed.items():
         iterations[k] += result.iterations
         time_spent[k].update(result.seconds)
@@ -255,6 +270,7 @@ def _freed(
     fabrics: list[Fabric],
     states: list[State],
     results: list[NewtonResult],
+    laws: Laws,
     options: NewtonOptions,
     workers: int,
 ) -> tuple[list[State], dict[int, NewtonResult], dict[int, float]]:
@@ -268,7 +284,7 @@ def _freed(
         if result.status is Status.CONVERGED
         and len(self_intersections(state.positions, scene.mesh.faces))
     ]
-    tasks = [(scenes[k], fabrics[k], states[k], options) for k in tangled]
+    tasks = [(scenes[k], fabrics[k], states[k], laws, options) for k in tangled]
     workers = min(workers, len(tasks))
     if workers <= 1:
         made = [_free(*task) for task in tasks]
@@ -286,11 +302,11 @@ def _freed(
 
 
 def _free(
-    scene: Scene, fabric: Fabric, state: State, options: NewtonOptions
+    scene: Scene, fabric: Fabric, state: State, laws: Laws, options: NewtonOptions
 ) -> tuple[State, NewtonResult, float]:
     """One cloth as :func:`find_free_equilibrium` leaves it, and the seconds that took."""
     began = time.perf_counter()
-    state, result = find_free_equilibrium(scene, fabric, state, options=options)
+    state, result = find_free_equilibrium(scene, fabric, state, laws=laws, options=options)
     return state, result, time.perf_counter() - began
 
 

@@ -24,6 +24,9 @@ Keys of estimate:
     out                JSON file with the result
 """
 
+import sim.interrupt  # noqa: F401
+
+# isort: split
 import argparse
 import json
 import sys
@@ -34,18 +37,19 @@ import numpy as np
 
 from sim.cantilever.curves import read_curve
 from sim.cantilever.elastica import aspect_ratio, elastica
-from sim.cantilever.fabric import correct, estimate
+from sim.cantilever.fabric import METHODS, correct, estimate
 from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file
+from sim.files import replace_file, require_file
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
 from sim.scene import GRAVITY
 
 LENGTH = 0.09  # m; only gamma matters
 LARGEST_SIMULATED_GAMMA = 2000.0
+LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what is measured
 CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
 
 DEFAULTS = {
@@ -89,6 +93,8 @@ def print_strips(gammas: list[float], out: str) -> None:
             raise InputError(
                 f"gamma={gamma:g} must lie above 0 and not above {LARGEST_SIMULATED_GAMMA:g}"
             )
+    if out != "-":
+        require_file(Path(out))
     text = json.dumps([simulate(gamma) for gamma in gammas], indent=2) + "\n"
     if out == "-":
         print(text, end="")
@@ -114,13 +120,23 @@ def simulate(gamma: float) -> dict:
 
 def print_estimate(config: dict) -> None:
     """Estimate, print a table in people's units, and write JSON where asked."""
-    files = {d: [Path(f) for f in config[d].split(",")] for d in DIRECTIONS if config[d]}
+    files = {d: config[d].split(",") for d in DIRECTIONS if config[d]}
     if not files:
         raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
+    for direction, names in files.items():
+        if not all(names):
+            raise InputError(f"{direction}={config[direction]} lacks a file's name at a comma")
+    if config["method"] not in (known := [*METHODS, "spline"]):
+        raise InputError(f"unknown method '{config['method']}'; choose from {', '.join(known)}")
     if not config["density"] > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
+    if not LIGHTEST <= config["density"] <= HEAVIEST:
+        raise InputError(f"density={config['density']:g} is no fabric's, {LIGHTEST:g} to "
+                         f"{HEAVIEST:g} g/m²; check its unit")
     if config["rounds"] < 0 or not 0 < config["width"] <= 500:
         raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
+    if config["out"]:
+        require_file(Path(config["out"]))
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
     if config["method"] == "spline":
         print_torque_curves(strips, config)

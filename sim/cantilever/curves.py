@@ -17,7 +17,10 @@ from sim.errors import InputError, one_line
 COLUMNS = ("x_mm", "y_mm")
 FEWEST_POINTS = 12
 LARGEST_FILE = 1 << 20  # bytes
-LONGEST = 2.0  # m
+SHORTEST, LONGEST = 5e-3, 2.0  # m
+BENT_UP = 0.05
+"""Quadratic coefficient of a parabola through a curve, in units of the chord of its ends, that no
+error of reading a nearly straight strip makes."""
 DEGREES = tuple(range(3, 15))
 """Degrees tried for a Bézier curve. A cubic one (section 4.3) cannot follow the curvature from the
 clamp to the free end: it misreads alpha by 6 % at best (docs/validation.md)."""
@@ -33,7 +36,8 @@ def read_curve(path: str | Path) -> np.ndarray:
 
     Raises:
         InputError: no such file, no such columns, a cell that is no number, too few points,
-            points out of order, or not the shape of a hanging strip.
+            points out of order or listed from the free end, or not the size and shape of a
+            hanging strip.
     """
     path = Path(path)
     try:
@@ -73,15 +77,31 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
     curve = points - points[0]
     length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     span = np.linalg.norm(np.ptp(curve, axis=0))
-    if not 0 < span <= LONGEST:
-        raise InputError(f"a curve must span more than 0 and at most {LONGEST:g} m; is it in mm?")
+    if not SHORTEST <= span <= LONGEST:
+        raise InputError(f"a curve that spans {1e3 * span:.6g} mm is no strip's, "
+                         f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; are its columns in mm?")
     reach, drop = curve[-1]
     if abs(reach) < 1e-3 * span or drop == 0:
         raise InputError("the free end must lie beside and below the clamp's edge")
     # A smooth hanging strip is at most reach + drop long; more is disorder.
     if length > 3 * (abs(reach) + abs(drop)):
         raise InputError("the points are out of order; list them from the clamp to the free end")
-    return curve * np.sign([reach, drop])
+    curve = curve * np.sign([reach, drop])
+    if _bends_up(curve):
+        raise InputError("the curve begins steeply and ends level; list its points from the "
+                         "clamp's edge to the free end")
+    return curve
+
+
+def _bends_up(curve: np.ndarray) -> bool:
+    """Whether a curve (N, 2) of positive reach and drop surely bends up from its first point on.
+
+    A strip's weight bends it down all along; listed from the free end to the clamp it bends up.
+    """
+    x, y = curve[-1] / np.linalg.norm(curve[-1]) ** 2
+    along, below = curve @ [x, y], curve @ [-y, x]
+    (bend, _, _), covariance = np.polyfit(along, below, 2, cov=True)
+    return bool(-bend > max(BENT_UP, 4 * np.sqrt(covariance[0, 0])))
 
 
 @dataclass(frozen=True)

@@ -111,11 +111,19 @@ def _strip(table: np.ndarray, step: float, weight: float, length: float) -> np.n
     Args:
         table: (N,) curvatures, 1/m, at torques every ``step`` from 0, N.
         weight: rho g, N/m². length: m.
+
+    Raises:
+        InputError: the law is so soft that any strip hangs straight down.
     """
     shape = np.zeros((POINTS, 2))
+    def beyond_level(tip: float) -> float:
+        return _from_tip(np.exp(tip), table, step, weight, length, shape) - np.pi / 2
+
+    if beyond_level(_SMALLEST_TIP) > 0:
+        raise InputError("no torque curve makes a strip hang like these from a level clamp; check "
+                         "their axes and the clamp")
     # The angle at the clamp grows with that at the tip.
-    tip = brentq(lambda log: _from_tip(np.exp(log), table, step, weight, length, shape) - np.pi / 2,
-                 _SMALLEST_TIP, np.log(np.pi / 2), xtol=1e-12)
+    tip = brentq(beyond_level, _SMALLEST_TIP, np.log(np.pi / 2), xtol=1e-12)
     _from_tip(np.exp(tip), table, step, weight, length, shape)
     return shape[-1] - shape[::-1]
 

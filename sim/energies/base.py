@@ -10,7 +10,8 @@ class Energy(Protocol):
 
     The unknowns are one flat vector ``q``: three coordinates of every vertex (m), vertex by
     vertex, then the rotation of every edge (rad); (3V + E,) float64. Held coordinates are part
-    of it, so energies need not know which ones are free.
+    of it, so energies need not know which ones are free. One of your own goes into a drape by
+    :attr:`sim.laws.Laws.others` (docs/extending.md).
 
     Attributes:
         dofs: (N, K) int64, the entries of ``q`` each of the N elements depends on; -1 marks an

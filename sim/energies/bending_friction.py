@@ -28,7 +28,7 @@ _METRIC = np.array([1.0, 1.0, 2.0])  # of Sxx, Syy, Sxy
 
 @dataclass(frozen=True)
 class Rubbing:
-    """A bending law (:class:`sim.laws.Bending`) with friction.
+    """A bending law (:class:`sim.laws.Law`) with friction.
 
     Attributes:
         torque: m, N·m per metre of width.

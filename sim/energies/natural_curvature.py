@@ -21,7 +21,7 @@ from sim.mesh import Mesh
 
 @dataclass(frozen=True)
 class NaturallyCurved:
-    """A bending law (:class:`sim.laws.Bending`) with a natural curvature.
+    """A bending law (:class:`sim.laws.Law`) with a natural curvature.
 
     Attributes:
         curvature: (Sxx, Syy, Sxy), 1/m, along warp, weft and of twist; positive bends the cloth

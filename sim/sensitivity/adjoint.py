@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 from sim.drape import DrapeResult
 from sim.errors import InputError
-from sim.laws import Laws
+from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
 from sim.newton import NewtonOptions
@@ -48,7 +48,8 @@ def equilibria(
     membrane: Tensor | float = 200.0,
     held: Sequence[Tensor] | None = None,
     rest: Sequence[Tensor] | None = None,
-    bending: str = "midedge",
+    bending: str | Law = "midedge",
+    others: tuple[Law, ...] = (),
     options: NewtonOptions | None = None,
     workers: int = 1,
 ) -> Equilibria:
@@ -67,7 +68,9 @@ def equilibria(
             ``starts``.
         rest: rest points (V, 2), m; None for those of ``starts``. Where the rig holds a vertex
             does not follow its rest point.
-        bending: bending law. Derivatives by ``rest`` are NaN for others than "midedge".
+        bending, others: bending law and laws of further energies, as in :class:`sim.laws.Laws`,
+            the ``others`` as there for cloth of the reference density. Derivatives by ``rest`` are
+            NaN for other laws than "midedge" alone.
         options: of the minimisations.
         workers: processes that find the equilibria; see :func:`sim.batched.drape.drape_batch`.
 
@@ -82,12 +85,13 @@ def equilibria(
         if values is not None and len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} cloths")
     tasks, inputs = [], []
+    made = Laws(bending=bending, others=others)
     for k, start in enumerate(starts):
         here = start.positions[start.held] if held is None else held[k]
         flat = start.rest if rest is None else rest[k]
         inputs.append([alpha[k], beta[k], density[k], membrane[k],
                        torch.as_tensor(here), torch.as_tensor(flat)])
-        tasks.append(_task(start, *(_array(v) for v in inputs[-1]), bending))
+        tasks.append(_task(start, *(_array(v) for v in inputs[-1]), made))
     if workers > 1 and count > 1:
         with worker_pool(min(workers, count)) as pool:
             futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
@@ -117,9 +121,9 @@ def _task(
     membrane: np.ndarray,
     held: np.ndarray,
     rest: np.ndarray,
-    bending: str,
+    laws: Laws,
 ) -> tuple[DrapeResult, Fabric, Laws]:
-    """Start, fabric and laws of one sample."""
+    """Start, fabric and laws of one sample, from the ``laws`` of all but their membrane."""
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
         raise InputError(f"held {held.shape} and rest {rest.shape} do not fit a mesh of "
                          f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
@@ -127,7 +131,7 @@ def _task(
     positions[start.held] = held
     fabric = Fabric(alpha, beta, float(density))
     stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
-    laws = Laws(bending=bending, membrane=Corotational(stiffness=stiffness))
+    laws = replace(laws, membrane=Corotational(stiffness=stiffness))
     return replace(start, positions=positions, rest=rest), fabric, laws
 
 

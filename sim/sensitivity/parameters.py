@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.energies.base import Energy
 from sim.errors import InputError
-from sim.laws import Laws
+from sim.laws import Law, Laws
 from sim.material import DIRECTIONS, Fabric
 from sim.potential import Potential
 from sim.scene import Scene
@@ -60,7 +60,9 @@ def force_derivatives(
     """(BASIC, Q) derivatives of the energy's gradient at the unknowns ``q`` (Q,).
 
     The membrane's forces are proportional to its stiffness, all that are not the cloth's own
-    (weight, contact) to the density: these derivatives are the forces themselves. By the moduli,
+    (weight, contact) to the density: these derivatives are the forces themselves. The energies of
+    ``laws.others`` are those of cloth of the reference density, so for cloth of another they are
+    proportional to the density too, and made of the moduli over the density. By the moduli,
     central differences of the forces, without another equilibrium: the laws are smooth in
     them but for creases, such as the one at isotropic moduli, where this is the mean of both sides.
     The error is below 1e-9 of the bending forces.
@@ -68,18 +70,23 @@ def force_derivatives(
     Args:
         potential: of the cloth's energies and others; ``fabric`` and ``laws`` those it was made of.
     """
-    def bending(row: int, step: float) -> np.ndarray:
-        other = _changed(fabric, row, step)
-        return forces([laws.bending_law(scene.mesh, scene.active, fabric=other)], q)
+    def by_moduli(made: Sequence[Law], row: int, step: float) -> np.ndarray:
+        ahead, behind = (
+            forces([law(scene.mesh, scene.active, fabric=_changed(fabric, row, s))
+                    for law in made], q)
+            for s in (step, -step)
+        )
+        return (ahead - behind) / (2 * step)
 
     result = np.zeros((BASIC, len(q)))
-    cloth = laws.energies(scene.mesh, scene.active, fabric)
-    membrane, _, fold_limit = cloth
+    membrane, _, fold_limit = own = laws.energies(scene.mesh, scene.active, fabric)[:3]
     result[_MEMBRANE] = forces([membrane], q)
-    result[_DENSITY] = forces(potential.energies, q) - forces(cloth, q)
+    result[_DENSITY] = forces(potential.energies, q) - forces(own, q)
     for k in range(3):
         for row, step in ((k, _LOG_STEP), (3 + k, _RATIO_STEP)):
-            result[row] = (bending(row, step) - bending(row, -step)) / (2 * step)
+            result[row] = by_moduli([laws.bending_law, *laws.others], row, step)
+    if laws.others:
+        result[_DENSITY] -= sum(by_moduli(laws.others, k, _LOG_STEP) for k in range(3))
     result[fabric.alpha.argmin()] += forces([fold_limit], q)  # its stiffness is that alpha
     return result
 

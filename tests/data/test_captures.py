@@ -202,6 +202,12 @@ BAD_METRIC = {
     "missing view": (remove("view_2.png"), "view_2.png is missing"),
     "fifth view": (copy("view_0.png", "view_4.png"), "view_4.png is one view too many"),
     "view 10": (copy("view_0.png", "view_10.png"), "view_10.png is one view too many"),
+    "a picture twice": (
+        copy("view_1.png", "view_3.png"), "view_1.png and view_3.png are the same picture"),
+    "a picture written twice": (
+        pictures(lambda a: np.where(np.indices(a.shape)[1] % 80 < 40, 500, 0).astype(a.dtype),
+                 "view_{}.png"), "view_0.png and view_1.png are the same picture"),
+    "blank pictures": (pictures(lambda a: a * 0, "view_{}.png"), "view 0 is all background"),
     "views of two sizes": (picture("view_1.png", lambda a: a[:, ::2]), "view_1.png has 120x180"),
     "too small": (pictures(lambda a: a[::4, ::4], "view_{}.png"), "wrong size, 60x45"),
     "intrinsics of another size": (
@@ -250,6 +256,7 @@ BAD_METRIC = {
 BAD_PUBLISHED = {
     "missing view": (remove("0.png"), "0.png is missing"),
     "fifth view": (copy("0.png", "4.png"), "4.png is one view too many"),
+    "a picture twice": (copy("2.png", "0.png"), "0.png and 2.png are the same picture"),
     "wrong size": (pictures(lambda a: a[:160], "{}.png"), "240x160 pixels; the 8-bit format"),
     "all background": (picture("2.png", lambda a: a * 0 + 255), "view 2 is all background"),
     "truncated picture": (truncate("3.png", 0.7), "3.png cannot be read"),

@@ -23,8 +23,17 @@ def test_groups_and_values_are_overridden():
         ("generate", "--multirun", "--multirun"),
         ("generate", "out=café", "quotes"),
         ("generate", "out=${nowhere}", "nowhere"),
-        ("generate", "colour=red", "colour"),
-        ("generate", "drapes=1.5", "drapes"),
+        ("generate", "colour=red", "unknown key 'colour'; known keys: dataset, drapes, launcher"),
+        ("generate", "+colour=red", "unknown key 'colour'; known keys: dataset"),
+        ("generate", "dataset.colour=red", "configs/dataset"),
+        ("generate", "rig.camera.colour=red", "configs/rig"),
+        ("generate", "drapes", "'drapes' is not of the form key=value; known keys: dataset"),
+        ("generate", "drapes=1.5", "drapes: Value '1.5' of type 'float'"),
+        ("generate", "dataset=[1]", "look at: dataset=[1]"),
+        ("generate", "out=", "out= needs the name of a folder"),
+        ("train", "out=''", "out= needs the name of a folder"),
+        ("train", "colour=red", "known keys: data, device"),
+        ("train", "optim.colour=red", "configs/optim"),
         ("train", "experiment=null", "experiment=null"),
         ("train", "experiment=cpu_smal", "cpu_small"),
     ],
@@ -35,6 +44,7 @@ def test_complaints_are_one_line_that_names_the_cause(name, word, complaint):
         compose_config(name, [word], schema=schema)
     text = str(refusal.value)
     assert complaint in text and "\n" not in text and "Exception" not in text
+    assert "_type" not in text and "+" not in text  # classes; the advice to append keys
 
 
 def test_the_remedy_for_unusual_characters_works():

@@ -305,6 +305,8 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
         (["out=somewhere"], "folder of a dataset is needed"),
         (["nowhere"], "nowhere is no dataset"),
         (["set", "size=3"], "unknown key 'size'"),
+        (["set", "out="], "out= needs the name of a folder"),
+        (["set", "out=/proc/report"], "cannot write to the folder /proc/report"),
         (["set", "sheet=0"], "sheet must be at least 1"),
         (["set", "intersections=-1"], "must not be negative"),
     ],

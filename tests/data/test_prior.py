@@ -152,3 +152,9 @@ def test_bundled_prior_covers_the_published_fabrics(prior):
 def test_command_line_mistakes(words):
     with pytest.raises(InputError):
         main(words)
+
+
+@pytest.mark.parametrize("out", ["", "/proc/prior.json"])
+def test_a_place_that_cannot_be_written_to_is_told_before_the_fit(out):
+    with pytest.raises(InputError, match="cannot write"):
+        main(["fit", "fabrics=nowhere.csv", f"out={out}"])

@@ -50,9 +50,14 @@ def test_scan_comes_back_as_it_was_written(tmp_path):
     (lambda a: a.update(faces=a["faces"] + 1), "indices of vertices"),
     (lambda a: a.update(faces=a["faces"] * 1.0), "indices of vertices"),
     (lambda a: a.update(faces=a["faces"][:0]), "from 3 to"),
+    (lambda a: a.update(faces=a["faces"][:, ::-1]), "counter-clockwise"),
+    (lambda a: a.update(faces=a["faces"][a["faces"].min(axis=1) > 0]), "belongs to no face"),
     (lambda a: a.update(vertices=a["vertices"] * np.nan), "finite"),
     (lambda a: a.update(vertices=a["vertices"].astype(object)), "cannot read"),
     (lambda a: a.update({k: 1e3 * a[k] for k in ("vertices", "rest")}), "in metres"),
+    (lambda a: a.update(vertices=1e3 * a["vertices"]), "must both be in metres"),
+    (lambda a: a.update(vertices=a["vertices"] / 25.4), "must both be in metres"),
+    (lambda a: a.pop("faces"), "it needs vertices, rest, faces"),
     (lambda a: a.update(vertices=a["vertices"][:, [0, 2, 1]]), "z up"),
     (lambda a: a.update(vertices=a["vertices"] * [1, 1, -1]), "below the support"),
 ])
@@ -68,8 +73,9 @@ def test_what_is_no_scan_is_refused_in_one_line(tmp_path, change, complaint):
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"some text", b"\x93NUMPY\x01\x00"])
 def test_files_that_are_no_npz_are_refused(tmp_path, content):
     (tmp_path / "bad.npz").write_bytes(content)
-    with pytest.raises(InputError, match="cannot read the scan"):
+    with pytest.raises(InputError, match="cannot read the scan") as caught:
         read_scan(tmp_path / "bad.npz", RIG)
+    assert "vertices, rest and faces" in str(caught.value) and "pickle" not in str(caught.value)
 
 
 def test_a_bare_array_is_refused(tmp_path):
@@ -80,6 +86,8 @@ def test_a_bare_array_is_refused(tmp_path):
 
 
 def test_absent_scans_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.npz: No such file or directory$"):
+        read_scan(tmp_path / "none.npz", RIG)
     with pytest.raises(InputError, match="name their folder with scans=FOLDER"):
         read_scans(tmp_path / "nowhere", RIG)
 

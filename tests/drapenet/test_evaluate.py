@@ -81,3 +81,5 @@ def test_a_dataset_without_views_is_rendered(
     assert result["dataset"]["sha256"] == f"{8:064x}"
     with pytest.raises(InputError, match="orientations=0"):
         drapenet.evaluate.main([f"data={cloth_dataset}", "orientations=0"])
+    with pytest.raises(InputError, match="out= needs the name of a folder"):
+        drapenet.evaluate.main([f"data={cloth_dataset}", "out="])

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.spatial import cKDTree
 
 from benchmarks.simulated_scans import simulated_scan
 from data.fabrics import fabric_from_theta, to_theta
@@ -25,10 +27,12 @@ from drapenet.refine.captured import (
 )
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.friction import drapes_with_friction
+from drapenet.refine.register import edge_strain, register
 from drapenet.refine.registered import RobustPositions
-from drapenet.refine.scan_report import format_scan, read_cloud
+from drapenet.refine.scan import Cloud, border_edges
+from drapenet.refine.scan_report import format_scan, read_cloud, read_shape
 from drapenet.refine.shape_search import scan_objective, search_cloth
-from sim.drape import drape
+from sim.drape import DrapeResult, drape
 from sim.errors import InputError
 from sim.mesh import vertex_normals
 from sim.newton import NewtonOptions
@@ -195,20 +199,50 @@ def test_a_failed_simulation_is_infinite_and_kept_as_a_message(captured: Capture
     assert problem.effort.solves == 1
 
 
-def test_registration_puts_a_drape_onto_another_mesh() -> None:
-    from drapenet.refine.register import register
-    from drapenet.refine.scan import Cloud
-
+@pytest.fixture(scope="module")
+def scanned() -> DrapeResult:
+    """A drape on a mesh of its own."""
     fabric = fabric_from_theta(THETA)
-    scanned = drape(fabric, rig=DISC_RIG, resolution=33, mesh="unstructured", start="sine", seed=3)
+    return drape(fabric, rig=DISC_RIG, resolution=33, mesh="unstructured", start="sine", seed=3)
+
+
+def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: DrapeResult) -> None:
     noise = np.random.default_rng(4).normal(0, 3e-4, scanned.positions.shape)
-    cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces)
-    template = drape(fabric, rig=DISC_RIG, resolution=25, seed=3)
-    shape, distance = register(template, cloud)
-    assert 1e3 * np.mean(distance[~shape.held]) < 1.0
-    assert np.array_equal(shape.held, template.held)
-    truth = shape.settle(fabric, options=NewtonOptions(residual=1e-2, step=1e-2))
-    assert truth.converged
+    cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces[:, ::-1])
+    found = register(cloud, DISC_RIG, resolution=25, held=0.95)
+    shape = found.shape
+    assert shape.held_share == 0.95
+    assert 1e3 * found.distance[shape.hanging].mean() < 0.5
+    assert edge_strain(shape) < 0.01
+    hem = shape.positions[border_edges(shape.faces)].mean(axis=1)
+    assert 1e3 * cKDTree(cloud.hem).query(hem)[0].max() < 6.0  # the scan's edges are 9 mm long
+    # Vertices lie where the same point of the specimen was draped.
+    inside = shape.rest * (1 - 1e-3)
+    truth = CloughTocher2DInterpolator(scanned.rest, scanned.positions)(inside)
+    gap = 1e3 * np.linalg.norm(shape.positions - truth, axis=1)
+    assert np.nanmean(gap[shape.hanging]) < 1.0
+    assert shape.settle(fabric_from_theta(THETA)).converged
+
+
+def test_a_scan_whose_vertices_slid_is_laid_anew(tmp_path: Path, scanned: DrapeResult) -> None:
+    c, s = math.cos(0.7), math.sin(0.7)
+    turned = scanned.rest @ np.array([[c, -s], [s, c]])  # first rest axis at 0.7 rad on the plate
+    file = tmp_path / "scan.npz"
+    np.savez(file, vertices=scanned.positions, rest=turned, faces=scanned.faces)
+    own, registration = read_shape(file, DISC_RIG, resolution=25)
+    assert registration is None
+    np.testing.assert_array_equal(own.positions, scanned.positions)
+
+    wave = 1.5e-3 * np.sin(100 * turned[:, ::-1]) * own.hanging[:, None]
+    slid = np.minimum(np.linalg.norm(turned + wave, axis=1), 0.15)
+    angle = np.arctan2(*(turned + wave).T[::-1])
+    np.savez(file, vertices=scanned.positions, faces=scanned.faces,
+             rest=np.column_stack([slid * np.cos(angle), slid * np.sin(angle)]))
+    shape, registration = read_shape(file, DISC_RIG, resolution=25)
+    assert registration["edge_strain_before"] > 0.05 > 5 * registration["edge_strain"]
+    plate = ~shape.hanging
+    np.testing.assert_allclose(shape.rest[plate] @ [[c, s], [-s, c]], shape.positions[plate, :2],
+                               atol=1e-4)
 
 
 def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sim.cantilever import heavy_elastica
+from sim.cantilever import elastica, heavy_elastica
 from sim.cantilever.__main__ import main
 from sim.cantilever.curves import Bezier, fit_bezier, oriented_curve, read_curve
 from sim.cantilever.fabric import bending_length, correct, estimate, fabric_of, simulate_strips
@@ -193,6 +193,33 @@ def test_a_curve_that_rises_first_is_still_a_curve():
     assert np.allclose(oriented_curve(curve * [1, -1]), curve)
 
 
+@pytest.mark.parametrize("length", [1.5, 2.5, 4.0])
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_a_curve_listed_from_the_free_end_is_refused(length, noise):
+    curve = heavy_elastica(20e-6, -50e-9, weight=WEIGHT, points=81,
+                           length=length * bending_length(20e-6, 0.3))
+    curve[1:] += np.random.default_rng(0).normal(0, noise, (80, 2))
+    assert np.allclose(oriented_curve(curve), curve)
+    for scale in ((1, 1), (-1, 1), (1, -1)):
+        with pytest.raises(InputError, match="clamp's edge to the free end"):
+            oriented_curve(curve[::-1] * scale)
+
+
+def test_a_nearly_straight_strip_is_a_curve_whatever_its_noise():
+    straight = elastica(0.05, 12) * 0.03
+    for seed in range(100):
+        noise = np.random.default_rng(seed).normal(0, 3e-4, (12, 2))
+        noise[[0, -1]] = 0.0  # so that the free end stays below the clamp
+        assert np.allclose(oriented_curve(straight + noise), straight + noise)
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1e-3, r"0\.0449\d* mm"), (1e3, r"449\d\d\S* mm")])
+def test_a_curve_in_another_unit_is_refused(tmp_path, unit, said):
+    curve = curves_of(*LAWS[0])[1]  # 45 mm from end to end
+    with pytest.raises(InputError, match=f"{said} .* in mm"):
+        read_curve(write_curve(tmp_path / "c.csv", curve * unit))
+
+
 # --- command line ---------------------------------------------------------------------------
 
 
@@ -248,9 +275,25 @@ def test_mistakes_are_one_line(words):
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_methods_and_rounds_without_all_directions_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["method=guess"], "regression, table, spline"), (["rounds=1"], "all three"),
+     (["degree=50"], "degree 50"), (["slope=95"], "slope"), (["slope=nan"], "slope: 'nan'"),
+     (["method=spline", "slope=5"], "level clamp"), (["method=spline", "knots=1"], "knots=1"),
+     (["density=0.3"], "5 to 5000 g/m²"), (["density=300000"], "5 to 5000 g/m²"),
+     (["weft=FILE,,"], "weft=.*comma"), (["out=/proc/moduli.json"], "cannot write"),
+     (["out=FILE/moduli.json"], "cannot write")],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_estimates_that_make_no_sense_are_refused(tmp_path, words, said):
     file = write_curve(tmp_path / "w.csv", curves_of(*LAWS[0])[0])
-    for words in (["method=guess"], ["rounds=1"], ["degree=50"], ["slope=95"],
-                  ["method=spline", "slope=5"], ["method=spline", "knots=1"]):
-        with pytest.raises(InputError):
-            main(["estimate", f"warp={file}", "density=300", *words])
+    words = [word.replace("FILE", str(file)) for word in words]
+    with pytest.raises(InputError, match=said):
+        main(["estimate", f"warp={file}", "density=300", *words])
+
+
+@pytest.mark.parametrize("out", ["/proc/strips.json", "."])
+def test_strips_are_not_simulated_for_a_file_that_cannot_be_written(monkeypatch, out):
+    monkeypatch.setattr("sim.cantilever.__main__.simulate", None)
+    with pytest.raises(InputError, match="cannot write"):
+        main(["--gamma", "1", "--json", out])

@@ -1,13 +1,20 @@
 """``python -m sim``: files, figures, and one line for a mistake."""
 
+import ast
 import json
+import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
+import sim
+from sim.__main__ import main
 from sim.cli import parse_overrides
 from sim.errors import InputError
+from sim.workers import worker_pool
 
 
 def run(*words: str) -> subprocess.CompletedProcess:
@@ -44,15 +51,63 @@ def test_mistakes_end_with_one_line_and_code_2(tmp_path, words):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("out", ["/proc/drape", "FILE", "FILE/below", ""])
+def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, monkeypatch, out):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("sim.__main__.drape", None)
+    with pytest.raises(InputError, match="folder"):
+        main([f"out={out.replace('FILE', str(tmp_path / 'file'))}"])
+
+
 def test_words_take_the_types_of_the_defaults():
     defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None}
-    words = ["name=/x y/=z", "count=3", "ratio=2", "list=[3,4.5]", "any=text"]
+    words = ["name=/x y/=z", "count=3", "ratio=2", "list=[3,-.5]", "any=text"]
     assert parse_overrides(defaults, words) == {
-        "name": "/x y/=z", "count": 3, "ratio": 2.0, "list": [3.0, 4.5], "any": "text"
+        "name": "/x y/=z", "count": 3, "ratio": 2.0, "list": [3.0, -0.5], "any": "text"
     }
 
 
-@pytest.mark.parametrize("word", ["count=1.5", "count=many", "ratio=[1]", "nothing=1", "count"])
-def test_words_of_the_wrong_type_are_refused(word):
-    with pytest.raises(InputError):
-        parse_overrides({"count": 1, "ratio": 1.0}, [word])
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("count=1.5", "count: '1.5' is no whole number"), ("count=many", "no whole number"),
+     ("ratio=[1]", "no finite number"), ("ratio=nan", "ratio: 'nan' is no finite number"),
+     ("ratio=.inf", "no finite number"), ("ratio=1e400", "no finite number"),
+     ("list=1,,2", "list: '' is no finite number; give one like 1"),
+     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value")],
+)
+def test_words_of_the_wrong_type_are_refused(word, said):
+    with pytest.raises(InputError, match=said):
+        parse_overrides({"count": 1, "ratio": 1.0, "list": [1.0]}, [word])
+
+
+# --- Ctrl-C ---------------------------------------------------------------------------------
+
+
+def test_ctrl_c_during_the_imports_is_one_line():
+    done = subprocess.run([sys.executable, "-c", "import sim.interrupt; raise KeyboardInterrupt"],
+                          capture_output=True, text=True)
+    assert done.stderr == "interrupted\n" and done.returncode == -signal.SIGINT  # 130 in a shell
+    done = subprocess.run([sys.executable, "-c", "import sim.interrupt; 1 / 0"],
+                          capture_output=True, text=True)
+    assert "Traceback" in done.stderr and done.returncode == 1
+
+
+@pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
+                                     "sim/__main__.py", "sim/cantilever/__main__.py"])
+def test_commands_see_to_ctrl_c_before_other_imports(command):
+    tree = ast.parse((Path(sim.__file__).parents[1] / command).read_text(encoding="utf-8"))
+    first = next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))
+    assert ast.unparse(first) == "import sim.interrupt"
+
+
+def test_workers_are_born_deaf_to_ctrl_c_and_the_main_process_is_not():
+    def asked_by(pool) -> set:
+        return pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
+
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert signal.SIGINT not in before
+    with worker_pool(1) as pool, ThreadPoolExecutor(1) as thread:
+        # Processes start as they are needed, perhaps from another thread than the main one.
+        assert signal.SIGINT in thread.submit(asked_by, pool).result()
+        assert signal.SIGINT not in asked_by(thread)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before

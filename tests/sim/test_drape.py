@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from sim.drape import coarse_to_fine, default_resolution, drape
+from sim.energies.gravity import Gravity
 from sim.errors import InputError
 from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
 from sim.newton import NewtonOptions
-from sim.scene import Rig
+from sim.scene import GRAVITY, Rig
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
@@ -116,12 +117,36 @@ def test_failure_is_data():
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [({"start": "crumpled"}, "crumpled"), ({"jitter": 0.9}, "jitter"),
-     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution"),
-     ({"seed": -1}, "seed")],
+     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution=4 .* 8 and 401"),
+     ({"resolution": 100_000}, "resolution=100000 .* 8 and 401"),
+     ({"resolution": 402}, "resolution=402"), ({"seed": -1}, "seed"),
+     ({"rig": "disc300_support180"}, r"rig='disc300_support180'.*Rig\.from_name"),
+     ({"laws": "hinge"}, r"laws='hinge'.*Laws\(bending=")],
 )
-def test_nonsense_is_refused_in_words(arguments, word):
+def test_nonsense_is_refused_in_words(monkeypatch, arguments, word):
+    """And before any mesh is solved."""
+    monkeypatch.setattr("sim.drape.find_settled_equilibrium", None)
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), **arguments)
+
+
+def test_a_law_beside_the_others_is_made_on_every_mesh():
+    made = []
+
+    def heavier(mesh, active, *, fabric):
+        made.append(len(mesh.rest))
+        return Gravity(mesh, density=fabric.density, gravity=GRAVITY)
+
+    twice = drape(isotropic(60), resolution=31, laws=Laws(others=(heavier,)))
+    assert twice.converged and made == [16**2, 31**2]
+    light = drape(isotropic(30), resolution=31, laws=Laws(membrane=Corotational(100.0)))
+    assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
+
+
+@pytest.mark.parametrize("others", [lambda mesh, active, fabric: None, ("midedge",)])
+def test_others_that_are_no_tuple_of_laws_are_refused(others):
+    with pytest.raises(InputError, match="tuple of laws"):
+        Laws(others=others)
 
 
 def test_levels_halve_the_spacing():

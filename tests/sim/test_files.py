@@ -1,9 +1,14 @@
 """Files are replaced whole or stay as they were."""
 
+import os
+import tempfile
+from pathlib import Path
+
 import pytest
 
+from sim import kernel_cache
 from sim.errors import InputError, one_line
-from sim.files import replace_file, replacing
+from sim.files import replace_file, replacing, require_file, require_folder
 
 
 def test_a_file_is_made_with_its_folder_and_replaced(tmp_path):
@@ -36,7 +41,69 @@ def test_what_cannot_be_written_is_an_input_error(tmp_path):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder"]
 
 
+def test_places_that_cannot_be_written_to_are_told_beforehand(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
+    for place, reason in ((tmp_path / "file", "in the way"), (tmp_path / "file" / "in", "in the"),
+                          (tmp_path / "gone", "in the way"), (Path("/proc/drapes"), "No such")):
+        with pytest.raises(InputError, match=f"folder {place}: .*{reason}"):
+            require_folder(place)
+        with pytest.raises(InputError, match=f"cannot write {place}/a.json: .*{reason}"):
+            require_file(place / "a.json")
+    with pytest.raises(InputError, match="it is a folder"):
+        require_file(tmp_path)
+
+
+def test_a_place_that_is_looked_at_stays_as_it_was(tmp_path):
+    (tmp_path / "old.json").write_text("mine")
+    for place in (tmp_path, tmp_path / "deep" / "er"):
+        require_folder(place)
+        require_file(place / "new.json")
+    require_file(tmp_path / "old.json")
+    require_file(Path("a.json"))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["old.json"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs another user's rights")
+def test_rights_of_another_user_are_seen():
+    """Of folders that may not be written to and of those that may not be looked into."""
+    nobody = 65534
+    with tempfile.TemporaryDirectory() as root:  # pytest's own are closed to others
+        closed, hidden, free = (Path(root) / name for name in ("closed", "hidden", "free"))
+        for folder, mode in ((Path(root), 0o755), (closed, 0o555), (hidden, 0o700), (free, 0o777)):
+            folder.mkdir(exist_ok=True)
+            folder.chmod(mode)
+        os.seteuid(nobody)
+        try:
+            require_folder(free / "new")
+            for folder in (closed, closed / "new", hidden, hidden / "new"):
+                with pytest.raises(InputError, match="Permission denied"):
+                    require_folder(folder)
+                with pytest.raises(InputError, match="Permission denied"):
+                    require_file(folder / "new" / "a.json")
+        finally:
+            os.seteuid(0)
+
+
 def test_errors_become_one_line():
     assert one_line(ValueError("two\n  lines")) == "two lines"
     assert one_line(KeyError()) == "KeyError"
     assert len(one_line(ValueError("x" * 1000))) == 200
+
+
+def test_kernels_have_a_private_place_where_numba_has_none(tmp_path, monkeypatch):
+    closed = tmp_path / "file"
+    closed.touch()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    for places, shared, given in (((closed, tmp_path), False, False), ((closed,), False, True),
+                                  ((closed,), True, False)):
+        monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+        monkeypatch.setattr(kernel_cache, "PLACES", places)
+        if shared:  # so that others could put code there
+            next(tmp_path.glob("sim_kernels_*")).chmod(0o777)
+        kernel_cache.ensure_kernel_cache()
+        assert ("NUMBA_CACHE_DIR" in os.environ) == given
+        if given:
+            folder = Path(os.environ["NUMBA_CACHE_DIR"])
+            assert folder.parent == tmp_path and folder.stat().st_mode & 0o777 == 0o700

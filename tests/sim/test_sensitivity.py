@@ -300,6 +300,51 @@ def test_other_laws_have_derivatives_too(draped):
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
+class Draught:
+    """A force along x of 0.2 N/m² times the square of the stiffest alpha in 60 µN·m."""
+
+    def __init__(self, mesh, active, *, fabric):
+        self.dofs = 3 * np.arange(len(mesh.rest))[:, None]
+        self.forces = -0.2 * (fabric.alpha.max() / 60e-6) ** 2 * mesh.vertex_areas
+
+    def value(self, q):
+        return float(self.forces @ q[self.dofs[:, 0]])
+
+    def gradient(self, q):
+        return self.forces[:, None]
+
+    def hessian(self, q, convexity):
+        return None
+
+    def allows(self, old, new):
+        return True
+
+
+def test_energies_beside_the_laws_count_in_all_derivatives(draped):
+    """One that depends on the moduli, through PyTorch and against differences."""
+    laws = Laws(others=(Draught,))
+    start = follow(draped, FABRIC, laws=laws, options=TIGHT)
+    assert start.converged and np.abs(start.positions - draped.positions).max() > 1e-3
+    weights = torch.from_numpy(random_weights(draped))
+
+    def weighed(alpha: torch.Tensor, density: torch.Tensor) -> torch.Tensor:
+        found = equilibria([start], alpha=alpha, beta=torch.tensor(FABRIC.beta)[None],
+                           density=density, membrane=100.0, others=laws.others, options=TIGHT)
+        assert found.ok == [True], found.messages
+        return (weights * found.positions[0]).sum()
+
+    alpha = torch.tensor(FABRIC.alpha[None], requires_grad=True)
+    density = torch.tensor(FABRIC.density, dtype=torch.float64, requires_grad=True)
+    weighed(alpha, density).backward()
+    with torch.no_grad():
+        for value, other, step in (
+            (alpha.grad[0, 0], (torch.tensor([[1e-9, 0.0, 0.0]]), 0.0), 1e-9),
+            (density.grad, (0.0, 1e-6), 1e-6),
+        ):
+            ends = [weighed(alpha + s * other[0], density + s * other[1]) for s in (1, -1)]
+            assert float(value) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-3)
+
+
 def test_mistakes_are_named(draped):
     with pytest.raises(InputError, match="unknown parameter 'gamma'"):
         sensitivities(draped, parameters=("gamma",))

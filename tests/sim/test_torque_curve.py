@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.cantilever.elastica import elastica_of_torque
+from sim.cantilever.elastica import elastica, elastica_of_torque
 from sim.cantilever.torque_curve import fit_torque_curve
 from sim.errors import InputError
 
@@ -38,3 +38,9 @@ def test_a_straight_law_stays_straight() -> None:
 def test_knots_are_checked() -> None:
     with pytest.raises(InputError, match="between 2 and 8"):
         fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT, knots=1)
+
+
+def test_strips_of_a_steep_clamp_are_refused() -> None:
+    """No law makes a nearly straight one hang from a level clamp."""
+    with pytest.raises(InputError, match="level clamp"):
+        fit_torque_curve([0.05 * elastica(1.0, slope=0.8)], weight=WEIGHT)

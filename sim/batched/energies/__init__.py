@@ -47,7 +47,8 @@ def batch_energies(
         raise InputError("a batch needs samples with the same kinds of energy")
     for kind in kinds[0]:
         if kind not in _TWINS:
-            raise InputError(f"{kind.__name__} cannot be evaluated in a batch")
+            raise InputError(f"{kind.__name__} cannot be evaluated in a batch; make such drapes "
+                             "one by one (together=False)")
     return [
         _TWINS[kind].stack(terms, device)
         for kind, terms in zip(kinds[0], zip(*samples, strict=True), strict=True)

@@ -14,6 +14,7 @@ from sim.equilibrium import build_potential, cloth_terms
 from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
+from sim.membranes import Corotational
 from sim.newton import NewtonOptions, Status
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig, Scene, State
 from sim.self_contact import self_intersections
@@ -192,6 +193,9 @@ def test_no_fabrics_no_drapes():
     ({"seeds": [1]}, "seeds has 1 entries for 2"),
     ({"starts": ["sine"] * 3}, "starts has 3"),
     ({"resolution": [16]}, "resolution has 1"),
+    ({"resolution": [16, 402]}, "resolution=402"),
+    ({"rig": DISC_RIG.name}, "Rig.from_name"),
+    ({"laws": "midedge"}, "sim.laws.Laws"),
     ({"offsets": [(0, 0), (np.nan, 0)]}, "finite"),
     ({"mesh": "unstructured"}, "unknown mesh"),
     ({"rig": DISC_RIG, "together": True}, "no grid"),
@@ -199,11 +203,22 @@ def test_no_fabrics_no_drapes():
     ({"workers": 0}, "at least one"),
     ({"device": "abacus"}, "unknown device"),
     ({"device": "meta"}, "choose cpu or cuda"),
+    ({"laws": Laws(bending="hinge"), "resolution": 16, "together": True}, "together=False"),
     ({"starts": "crumpled", "resolution": 16, "together": True}, "unknown start"),
 ])
 def test_mistakes(wrong, words):
     with pytest.raises(InputError, match=words):
         drape_batch([STIFF, SOFT], **wrong)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_drapes_of_other_laws(together):
+    laws = Laws(membrane=Corotational(400.0))
+    result, = drape_batch([STIFF], resolution=N, laws=laws, options=TIGHT, together=together,
+                          workers=1)
+    single = drape(STIFF, resolution=N, laws=laws, options=TIGHT)
+    assert result.converged and apart(result, single) < 1e-7
+    assert apart(single, drape(STIFF, resolution=N, options=TIGHT)) > 1e-5
 
 
 def test_terms_without_a_twin_are_refused():

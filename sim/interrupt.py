@@ -1,0 +1,21 @@
+"""Import this before everything else of a command: Ctrl-C during the other imports is one line.
+
+They take seconds, before :func:`sim.cli.run_command` can see to it. The exit code is that of a
+process ended by Ctrl-C, 130 in a shell.
+"""
+
+import sys
+from types import TracebackType
+
+_others = sys.excepthook
+
+
+def _tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """In place of Python's own report of an error that nothing has caught."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        _others(kind, error, trace)
+
+
+sys.excepthook = _tell
