@@ -2,8 +2,9 @@
 
 Fabrics of the prior are draped on the disc rig and scanned in simulation: on another mesh, vertices
 off along the cloth and across it. From the prior's mean, ``refine=scan`` has to find the moduli
-again. Reported are the errors of its estimate, of the cloth of the nearest drape it found, and of
-the prior's mean. Errors of alpha are taken along the true warp, bias and weft: cloth whose yarns
+again. Reported are the errors of its estimate, of the cloth of the nearest drape it found, of
+the estimate from the same surface without its vertices' places (a raw scan), and of the prior's
+mean. Errors of alpha are taken along the true warp, bias and weft: cloth whose yarns
 are alike is the same in axes turned by 45°, where warp and bias change places.
 
 Keys (``key=value``):
@@ -40,7 +41,9 @@ from data.prior.files import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from drapenet.refine.captured import CapturedShape, Cloth, turned_rest
 from drapenet.refine.fidelity import fidelity
-from drapenet.refine.shape_search import scan_objective, search_cloth
+from drapenet.refine.register import register
+from drapenet.refine.scan import Cloud
+from drapenet.refine.shape_search import HELD, scan_objective, search_cloth
 from sim.cli import run_command
 from sim.drape import drape
 from sim.errors import InputError
@@ -113,12 +116,21 @@ def refined(
                          solves=solves)
     if found.estimate is None or found.nearest is None:
         raise InputError(f"no simulation of scan {seed} ended: {found.effort.failures}")
+    surface = Cloud.of_mesh(scan.positions, scan.faces)
+    raw = register(surface, DISC_RIG, resolution=SCANNED).shape
+    of_raw = search_cloth(raw, scan_objective(raw), Cloth(prior.mean.copy()), prior=prior,
+                          solves=HELD)
+    if of_raw.estimate is None:
+        raise InputError(f"no simulation of the raw scan {seed} ended: {of_raw.effort.failures}")
     row = {"alpha_uN_m": (np.exp(truth[:3]) / MICRO).tolist(), "warp_deg": math.degrees(warp),
            "solves": found.effort.solves,
            "nearest_mm": fidelity(scan, found.nearest.drape).displacement_mm}
-    for name, cloth in (("estimate", found.estimate.cloth), ("nearest", found.nearest.cloth),
-                        ("prior", Cloth(prior.mean, warp=warp))):
-        errors = np.log(alpha_along(cloth, warp)) - truth[:3]
+    # A raw scan's axes are those of the simulation.
+    for name, cloth, axis in (("estimate", found.estimate.cloth, warp),
+                              ("nearest", found.nearest.cloth, warp),
+                              ("raw", of_raw.estimate.cloth, 0.0),
+                              ("prior", Cloth(prior.mean), 0.0)):
+        errors = np.log(alpha_along(cloth, axis)) - truth[:3]
         row[name] = {"log_alpha": errors.tolist(), "warp_deg": math.degrees(cloth.warp),
                      "ratio_mm": (1e3 * (cloth.theta[3:] - truth[3:])).tolist()}
     return row
@@ -153,11 +165,11 @@ def main(argv: list[str]) -> None:
     rows = list(found.values())
     print(table(
         ["fabric", "α warp, bias, weft", "errors of the estimate", "of the nearest drape's cloth",
-         "warp, found, °", "nearest, mm"],
+         "from a raw scan", "warp, found, °", "nearest, mm"],
         [[k, *(", ".join(words) for words in (
             [f"{a:.1f}" for a in r["alpha_uN_m"]],
             *([f"{100 * np.expm1(e):+.0f} %" for e in r[n]["log_alpha"]]
-              for n in ("estimate", "nearest")))),
+              for n in ("estimate", "nearest", "raw")))),
           f"{r['warp_deg']:.0f}, {r['estimate']['warp_deg']:.0f}", r["nearest_mm"]]
          for k, r in enumerate(rows)]))
     summary = {
@@ -165,7 +177,7 @@ def main(argv: list[str]) -> None:
             "median_alpha_error": float(np.expm1(np.median(np.abs(
                 [r[name]["log_alpha"] for r in rows])))),
             "median_ratio_error_mm": float(np.median(np.abs([r[name]["ratio_mm"] for r in rows]))),
-        } for name in ("estimate", "nearest", "prior")}
+        } for name in ("estimate", "nearest", "raw", "prior")}
     for name, figures in summary.items():
         print(f"{name}: median error of α {100 * figures['median_alpha_error']:.0f} %, of β/α "
               f"{figures['median_ratio_error_mm']:.2f} mm")
@@ -176,11 +188,13 @@ def main(argv: list[str]) -> None:
 
 
 def draw(rows: list[dict], path: Path) -> None:
-    """Found against true alpha, of the estimate and of the nearest drape."""
-    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    """Found against true alpha: the estimate, the nearest drape, the estimate from a raw scan."""
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
     truth = np.array([r["alpha_uN_m"] for r in rows])
-    for axis, name, title in zip(figure.subplots(1, 2, sharey=True), ("estimate", "nearest"),
-                                 ("estimate (held)", "cloth of the nearest drape"), strict=True):
+    shown = {"estimate": "estimate (held)", "nearest": "cloth of the nearest drape",
+             "raw": "estimate from a raw scan"}
+    for axis, (name, title) in zip(figure.subplots(1, 3, sharey=True), shown.items(),
+                                   strict=True):
         errors = np.array([r[name]["log_alpha"] for r in rows])
         for k, direction in enumerate(("warp", "bias", "weft")):
             axis.loglog(truth[:, k], truth[:, k] * np.exp(errors[:, k]), "o", ms=4,

@@ -216,6 +216,21 @@ def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -
 
 
 @pytest.mark.slow
+def test_an_interrupted_report_does_not_lose_the_estimate(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drapenet.report.draw_report", interrupted)
+    infer.main(words(capture, checkpoint, "drapes=1", "resolution=17"))
+    out = capture.parent / "out"
+    assert [file.name for file in out.iterdir()] == ["estimate.json"]
+    content = json.loads((out / "estimate.json").read_text())
+    assert any("interrupted" in warning for warning in content["warnings"])
+    assert content["moduli"]
+
+
 def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
     infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth"])

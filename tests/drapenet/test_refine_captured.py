@@ -266,6 +266,16 @@ def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
     trimesh.Trimesh(captured.positions * [1, 1, -1], captured.faces, process=False).export(standing)
     with pytest.raises(InputError, match="z must point up"):
         read_cloud(standing, DISC_RIG)
+    vertices = captured.positions.copy()
+    vertices[3, 1] = np.nan
+    unknown = tmp_path / "nan.ply"
+    trimesh.Trimesh(vertices, captured.faces, process=False).export(unknown)
+    with pytest.raises(InputError, match="1 of its points are not finite"):
+        read_cloud(unknown, DISC_RIG)
+    far = tmp_path / "far.ply"
+    trimesh.Trimesh(captured.positions, captured.faces + np.array([0, 0, 10**6]), process=False).export(far)
+    with pytest.raises(InputError, match="names a vertex that is not there"):
+        read_cloud(far, DISC_RIG)
     for content in (b"", b"ply\nformat ascii 1.0\n", b"\x00\xff" * 50):
         bad = tmp_path / "bad.ply"
         bad.write_bytes(content)
@@ -287,6 +297,8 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
         ([f"scan={tmp_path / 'missing.obj'}"], "cannot read the scan"),
         (["scan=x.npz", f"out={bad}"], "a file is in the way"),
         (["scan=x.npz", "held=1.2"], "held=1.2: give a share"),
+        (["scan=x.npz", "resolution=61"], "resolution= has no effect with scan=FILE"),
+        (["capture=x", "held=0.95"], "held= has no effect with capture=DIR"),
     ):
         with pytest.raises(InputError, match=message) as error:
             main([f"out={tmp_path / 'out'}", *words])
