@@ -273,7 +273,8 @@ def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
     with pytest.raises(InputError, match="1 of its points are not finite"):
         read_cloud(unknown, DISC_RIG)
     far = tmp_path / "far.ply"
-    trimesh.Trimesh(captured.positions, captured.faces + np.array([0, 0, 10**6]), process=False).export(far)
+    faces = captured.faces + np.array([0, 0, 10**6])
+    trimesh.Trimesh(captured.positions, faces, process=False).export(far)
     with pytest.raises(InputError, match="names a vertex that is not there"):
         read_cloud(far, DISC_RIG)
     for content in (b"", b"ply\nformat ascii 1.0\n", b"\x00\xff" * 50):
