@@ -27,6 +27,7 @@ RAW = (".ply", ".obj")
 _START = "disc300_support180"
 LEAST_HELD = 0.5
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
+_APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
 
 
 def refine_scan(
@@ -88,7 +89,7 @@ def read_shape(
     """The captured shape of a scan, and what ``estimate.json`` says of its registration.
 
     Raw scans are registered; so are those whose own vertices slid along the cloth. Arguments and
-    errors as for :func:`refine_scan`.
+    errors as for :func:`refine_scan`; a surface that the specimen cannot be laid on is one.
     """
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
@@ -100,11 +101,16 @@ def read_shape(
         if strain < SLID:
             return own, None
         found = laid_anew(own, resolution=resolution)
+    apart = float(found.distance[found.shape.hanging].mean())
+    if apart > _APART:
+        raise InputError(f"{path}: a specimen of {rig.name} cannot be laid on this surface, it "
+                         f"stays {1e3 * apart:.0f} mm away on average; give all of the cloth and "
+                         "nothing else, in metres")
     return found.shape, {
         "reason": "raw" if strain is None else "vertices slid along the cloth",
         "edge_strain_before": strain,
         "edge_strain": edge_strain(found.shape),
-        "mean_distance_mm": float(1e3 * found.distance[found.shape.hanging].mean()),
+        "mean_distance_mm": 1e3 * apart,
     }
 
 
@@ -147,6 +153,9 @@ def format_scan(content: dict[str, Any]) -> str:
     for name, row in content["moduli_at_300_g_m2"].items():
         before = content["prior_moduli_at_300_g_m2"][name]["alpha_uN_m"]
         lines.append(f"{name:12}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}{before:13.3g}")
+    if registration := content["scan"]["registration"]:
+        lines.append(f"registered ({registration['reason']}): "
+                     f"{registration['mean_distance_mm']:.2f} mm from the scan on average")
     lines.append(f"membrane {content['membrane_N_m']:.3g} N/m, warp at "
                  f"{content['warp_direction_deg']:.0f}°, {content['simulations']} simulations")
     nearest = content["nearest_drape"]

@@ -245,6 +245,21 @@ def test_a_scan_whose_vertices_slid_is_laid_anew(tmp_path: Path, scanned: DrapeR
                                atol=1e-4)
 
 
+def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
+    tmp_path: Path, scanned: DrapeResult
+) -> None:
+    import trimesh
+
+    near = scanned.rest[:, 0] < 0.03  # one side is missing
+    trimesh.PointCloud(scanned.positions[near]).export(tmp_path / "part.ply")
+    with pytest.raises(InputError, match="cannot be laid on this surface"):
+        read_shape(tmp_path / "part.ply", DISC_RIG, resolution=25)
+    trimesh.PointCloud(scanned.positions).export(tmp_path / "points.ply")
+    shape, registration = read_shape(tmp_path / "points.ply", DISC_RIG, resolution=25)
+    assert registration["mean_distance_mm"] < 1.0
+    assert edge_strain(shape) < 0.01
+
+
 def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
     import trimesh
 
