@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import yaml
 
 from sim.errors import InputError, one_line
+from sim.files import folder_named
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -51,8 +52,8 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
     except (ValueError, TypeError) as error:
         # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
         raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
-    if config.get("out") == "":
-        raise InputError("out= needs the name of a folder")  # Path("") would be the current one
+    if config.get("out") is not None:
+        folder_named(config["out"])
     return config
 
 

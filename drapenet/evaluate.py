@@ -28,7 +28,7 @@ from drapenet.predict import average_orders
 from drapenet.targets import direction_vectors, to_stiff_soft
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file
+from sim.files import folder_named, replace_file
 
 
 def evaluate(header: Header, drapes: SplitDataset) -> dict:
@@ -86,11 +86,9 @@ def main(argv: list[str]) -> None:
     config = parse_overrides(read_config("evaluate"), argv)
     if config["orientations"] < 1:
         raise InputError(f"orientations={config['orientations']} must be at least 1")
-    if not config["out"]:
-        raise InputError("out= needs the name of a folder")
+    out, data = folder_named(config["out"]), config["data"]
     header = read_header(config["checkpoint"] or BUNDLED)
     noise = SensorNoise.load(config["sensor"])  # before minutes of simulation
-    out, data = Path(config["out"]), config["data"]
     if data:
         require_unseen(header, finished_manifest(data)["config"])
     else:

@@ -32,7 +32,7 @@ from sim.cli import parse_overrides, run_command
 from sim.drape import DrapeResult, drape
 from sim.drape_file import read_borrowed, write_drape
 from sim.errors import InputError
-from sim.files import replace_file, require_folder
+from sim.files import folder_named, replace_file, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
@@ -58,8 +58,7 @@ def main(argv: list[str]) -> None:
         print(__doc__)
         return
     config = parse_overrides(DEFAULTS, argv)
-    if not config["out"]:
-        raise InputError("out= needs the name of a folder")
+    folder = folder_named(config["out"])
     if len(config["offset"]) != 2:
         raise InputError("offset needs two values in mm: along warp, along weft")
     fabric = Fabric(
@@ -67,7 +66,6 @@ def main(argv: list[str]) -> None:
         beta=np.array(config["beta"]) * NANO,
         density=config["density"] * 1e-3,
     )
-    folder = Path(config["out"])
     require_folder(folder)
     result = drape(
         fabric,

@@ -39,6 +39,13 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def folder_named(out: str) -> Path:
+    """The folder of a key ``out=``, which must have a name: an empty one would be the current."""
+    if not out:
+        raise InputError("out= needs the name of a folder")
+    return Path(out)
+
+
 def require_folder(out: Path) -> None:
     """InputError where ``out`` is no folder to write in and cannot become one.
 

@@ -8,7 +8,7 @@ from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots, views_report
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file, require_folder
+from sim.files import folder_named, replace_file, require_folder
 
 DEFAULTS = {"out": "outputs/inspect", "intersections": 500, "sheet": 48}
 
@@ -34,9 +34,7 @@ def main(argv: list[str]) -> None:
     options = parse_overrides(DEFAULTS, argv[1:])
     if options["intersections"] < 0 or options["sheet"] < 1:
         raise InputError("intersections must not be negative, sheet must be at least 1")
-    if not options["out"]:
-        raise InputError("out= needs the name of a folder")
-    root, out = Path(argv[0]), Path(options["out"])
+    root, out = Path(argv[0]), folder_named(options["out"])
     require_folder(out)
     manifest = check_dataset(root)
     drapes = read_drapes(root, manifest, intersections=options["intersections"])

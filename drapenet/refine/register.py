@@ -15,7 +15,7 @@ import numpy as np
 from drapenet.refine.attraction import captured_shape, pulled
 from drapenet.refine.captured import CapturedShape
 from drapenet.refine.fidelity import distances
-from drapenet.refine.scan import Cloud
+from drapenet.refine.scan import Cloud, rotation
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.mesh import edges_of
@@ -55,15 +55,14 @@ def register(
         turn: rad, direction of the mesh's first rest axis on the plate. A scan does not tell it.
         held: see :class:`.captured.CapturedShape`.
     """
-    c, s = np.cos(turn), np.sin(turn)
-    onto = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # rows: rest axes to the rig's
+    back = rotation(turn)  # of rows: from the rig's axes to the rest axes
     # Which side a scanned normal points to is not known.
-    points = np.tile(cloud.points, (2, 1)) @ onto.T
-    normals = np.concatenate([cloud.normals, -cloud.normals]) @ onto.T
+    points = np.tile(cloud.points, (2, 1)) @ back
+    normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     laid = captured_shape(SOFT, points, normals, rig=rig, resolution=resolution)
     state, _ = pulled(scene_of(laid), SOFT, State(laid.positions, laid.rotations), points, normals,
                       laws=Laws(), pulls=[FIRMLY])
-    shape = CapturedShape(state.positions @ onto, laid.rest, laid.faces, rig, held)
+    shape = CapturedShape(state.positions @ back.T, laid.rest, laid.faces, rig, held)
     return Registered(shape, distances(cloud, shape.positions))
 
 

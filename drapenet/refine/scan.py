@@ -247,12 +247,12 @@ class Placed:
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
         """The same with derivatives."""
         inner = self._objective.linearised(_move(positions, nuisance), np.zeros(0))
-        turned = positions @ _rotation(nuisance[0]).T
+        turned = positions @ rotation(nuisance[0]).T
         own = np.zeros((3, *positions.shape))
         own[0, :, 0], own[0, :, 1] = -turned[:, 1], turned[:, 0]
         own[1, :, 0] = own[2, :, 1] = 1.0
         return Linearised(inner.residuals,
-                          lambda moves: inner.along(moves @ _rotation(nuisance[0]).T),
+                          lambda moves: inner.along(moves @ rotation(nuisance[0]).T),
                           inner.along(own))
 
 
@@ -296,13 +296,14 @@ def _rays(count: int) -> np.ndarray:
     return np.column_stack([np.cos(azimuth), np.sin(azimuth)])
 
 
-def _rotation(turn: float) -> np.ndarray:
+def rotation(turn: float) -> np.ndarray:
+    """(3, 3), by ``turn``, rad, about the vertical."""
     c, s = math.cos(turn), math.sin(turn)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _move(positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-    return positions @ _rotation(nuisance[0]).T + np.array([nuisance[1], nuisance[2], 0.0])
+    return positions @ rotation(nuisance[0]).T + np.array([nuisance[1], nuisance[2], 0.0])
 
 
 

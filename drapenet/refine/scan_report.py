@@ -26,12 +26,14 @@ SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 3
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
 LEAST_HELD = 0.5
+RESOLUTION = 51  # vertices across the mesh that a scan is registered to
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 _APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
 
 
 def refine_scan(
-    path: Path, *, rig: str = _START, held: float = 1.0, solves: int = 25, resolution: int = 51
+    path: Path, *, rig: str = _START, held: float = 1.0, solves: int = 25,
+    resolution: int = RESOLUTION,
 ) -> tuple[dict[str, Any], CapturedShape, Found]:
     """The content of ``estimate.json``, the captured shape and what the search has found.
 
@@ -84,7 +86,7 @@ def refine_scan(
 
 
 def read_shape(
-    path: Path, rig: Rig, *, held: float = 1.0, resolution: int = 51
+    path: Path, rig: Rig, *, held: float = 1.0, resolution: int = RESOLUTION
 ) -> tuple[CapturedShape, dict[str, Any] | None]:
     """The captured shape of a scan, and what ``estimate.json`` says of its registration.
 

@@ -156,10 +156,11 @@ class _Search:
             return
         captured = self.shape.as_drape(start.fabric)
         for pull in RELEASE:
+            if not self.left:
+                return
             problem = self.problem(here.cloth, near=here.drape, spread=math.inf,
                                    springs=[surface_springs(captured, pull)])
-            if self.left:
-                self.minimise(problem, min(EACH, self.left), self.tell)
+            self.minimise(problem, min(EACH, self.left), self.tell)
             if problem.best is None:
                 return
             here = problem.best
