@@ -2,10 +2,10 @@
 
 Each scan of a real fabric on the disc rig is refined from the prior's mean: six moduli, the
 membrane's stiffness and the direction of the warp. Judged are the estimate, by the agreement of
-samples of one fabric, and the nearest drape that the search has found, by its distance and its
-drape coefficient. Beside it stand the best isotropic linear fabric, and what a natural curvature,
-added to the nearest drape, would improve. The fabrics' densities are unknown: moduli are those at
-300 g/m².
+samples of one fabric (and how much worse another sample's moduli explain a scan), and the nearest
+drape that the search has found, by its distance and its drape coefficient. Beside it stand the best
+isotropic linear fabric, and what a natural curvature, added to the nearest drape, would improve.
+The fabrics' densities are unknown: moduli are those at 300 g/m².
 
 Keys (``key=value``):
 
@@ -41,7 +41,7 @@ from benchmarks.common import (
 from data.picture import shade
 from data.prior.files import load_prior
 from data.scans import Scan, read_scans
-from drapenet.refine.captured import CapturedShape, Cloth, Settled
+from drapenet.refine.captured import CapturedProblem, CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.friction import drapes_with_friction
 from drapenet.refine.registered import RobustPositions
@@ -51,6 +51,7 @@ from drapenet.refine.shape_search import (
     search_cloth,
     search_curvature,
     stiffness_only,
+    surface_springs,
 )
 from sim.cli import run_command
 from sim.errors import InputError
@@ -75,55 +76,82 @@ DEFAULTS = {
 }
 
 
-def _read(path: str, held: float) -> CapturedShape:
-    """A scan as a shape to refine."""
-    return read_shape(Path(path), DISC_RIG, held=held)[0]
+def laid(path: str, held: float) -> dict:
+    """A scan as a shape to refine: how its specimen was laid on it, and where that lies."""
+    shape, registration = read_shape(Path(path), DISC_RIG, held=held)
+    return {"registration": registration,
+            "arrays": {"positions": shape.positions, "rest": shape.rest, "faces": shape.faces}}
 
 
-def best_isotropic(path: str, held: float, count: int) -> dict:
+def shape_of(name: str, cases: str, held: float) -> CapturedShape:
+    """The shape of the scan ``name`` among the finished ``cases``."""
+    return CapturedShape(**load_arrays(Path(cases), f"laid_{name}"), rig=DISC_RIG, held_share=held)
+
+
+def best_isotropic(name: str, cases: str, held: float, count: int) -> dict:
     """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
-    shape = _read(path, held)
+    shape = shape_of(name, cases, held)
     alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
     tried = [_result(shape, settled)
              for settled in stiffness_only(shape, RobustPositions.of(shape), alphas)]
     return {**min(tried, key=lambda result: result["displacement_mm"]), "tried": len(alphas)}
 
 
-def refined(path: str, held: float, solves: int) -> dict:
+def refined(name: str, cases: str, held: float, solves: int) -> dict:
     """The refinement of a scan: the nearest drape, and the estimate."""
-    shape, prior = _read(path, held), load_prior("gaussian")
+    shape, prior = shape_of(name, cases, held), load_prior("gaussian")
     found = search_cloth(shape, scan_objective(shape), Cloth(prior.mean.copy()), prior=prior,
                          solves=solves)
     if found.nearest is None or found.released is None:
-        raise InputError(f"{path}: no simulation ended: {found.effort.failures}")
+        raise InputError(f"{name}: no simulation ended: {found.effort.failures}")
     return {**_result(shape, found.nearest), "estimate": _result(shape, found.released),
             "solves": found.effort.solves, "seconds": found.effort.seconds,
             "failures": found.effort.failures,
             "arrays": {"positions": found.nearest.drape.positions}}
 
 
-def curved(path: str, held: float, solves: int, cloth: dict, cases: str) -> dict:
+def exchanged(name: str, cases: str, held: float, cloth: dict, thetas: dict) -> dict:
+    """Misfit of a scan to its estimate's ``cloth`` under the springs, and with other moduli.
+
+    Args:
+        thetas: (6,) moduli by the name of the scan whose estimate they are.
+    """
+    shape, own = shape_of(name, cases, held), _cloth(cloth)
+    captured = shape.as_drape(own.fabric)
+    misfits = {}
+    for other, theta in thetas.items():
+        problem = CapturedProblem(
+            shape, scan_objective(shape), replace(own, theta=np.array(theta)),
+            prior=load_prior("gaussian"), near=captured, springs=[surface_springs(captured)])
+        problem.value(problem.start)
+        misfits[other] = problem.best and problem.best.value
+    return misfits
+
+
+def curved(name: str, cases: str, held: float, solves: int, cloth: dict) -> dict:
     """The nearest drape of a scan, among the finished ``cases``, with a natural curvature."""
-    shape = _read(path, held)
-    start = Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"])
-    positions = load_arrays(Path(cases), f"refined_{Path(path).stem}")["positions"]
+    shape, start = shape_of(name, cases, held), _cloth(cloth)
+    positions = load_arrays(Path(cases), f"refined_{name}")["positions"]
     near = replace(shape.as_drape(start.fabric, start.warp), positions=positions)
     best, count = search_curvature(shape, scan_objective(shape), start, near,
                                    prior=load_prior("gaussian"), solves=solves)
     if best is None:
-        raise InputError(f"{path}: no simulation ended")
+        raise InputError(f"{name}: no simulation ended")
     return {**_result(shape, best), "solves": count}
 
 
-def rubbing(path: str, held: float, cloth: dict, friction: list[float]) -> dict:
+def rubbing(name: str, cases: str, held: float, cloth: dict, friction: list[float]) -> dict:
     """How far the estimate's cloth goes when its springs let go and friction of ``friction``,
     µN·m per metre, holds it."""
-    shape = _read(path, held)
-    drapes = drapes_with_friction(
-        shape, Cloth(np.array(cloth["theta"]), cloth["membrane"], cloth["warp"]),
-        [MICRO * torque for torque in friction])
+    shape = shape_of(name, cases, held)
+    drapes = drapes_with_friction(shape, _cloth(cloth), [MICRO * torque for torque in friction])
     gaps = [fidelity(shape, d).displacement_mm if d.converged else None for d in drapes]
     return {"held_mm": gaps[0], "friction_mm": gaps[1:]}
+
+
+def _cloth(found: dict) -> Cloth:
+    """The cloth of :func:`_result`."""
+    return Cloth(np.array(found["theta"]), found["membrane"], found["warp"])
 
 
 def _result(shape: CapturedShape, settled: Settled) -> dict:
@@ -146,37 +174,40 @@ def main(argv: list[str]) -> None:
     scans = [s for s in read_scans(Path(config["scans"]), DISC_RIG) if config["only"] in s.name]
     if not scans:
         raise InputError(f"no scan's name contains '{config['only']}'")
-    common = {s.name: {"path": str(Path(config["scans"]) / f"{s.name}.npz"),
-                       "held": config["held"]} for s in scans}
     work = {"folder": folder, "workers": config["workers"], "sources": ESTIMATOR}
+    names = [s.name for s in scans]
+    lying = run_cases(laid, {
+        f"laid_{n}": {"path": str(Path(config["scans"]) / f"{n}.npz"), "held": config["held"]}
+        for n in names}, **work)
+    common = {n: {"name": n, "cases": str(folder), "held": config["held"]} for n in names}
     isotropic = run_cases(best_isotropic, {
-        f"isotropic_{n}": {**c, "count": config["isotropic"]} for n, c in common.items()
-    }, **work)
+        f"isotropic_{n}": {**common[n], "count": config["isotropic"]} for n in names}, **work)
     found = run_cases(refined, {
-        f"refined_{n}": {**c, "solves": config["solves"]} for n, c in common.items()}, **work)
+        f"refined_{n}": {**common[n], "solves": config["solves"]} for n in names}, **work)
+    estimates = {n: found[f"refined_{n}"]["estimate"]["cloth"] for n in names}
+    exchange = run_cases(exchanged, {
+        f"exchanged_{n}": {**common[n], "cloth": estimates[n], "thetas": {
+            other: estimates[other]["theta"] for other in names if fabric(other) == fabric(n)}}
+        for n in names}, **work)
     extended = {}
     if config["curvature"]:
         extended = run_cases(curved, {
-            f"curved_{n}": {**c, "solves": config["curvature"],
-                            "cloth": found[f"refined_{n}"]["cloth"], "cases": str(folder)}
-            for n, c in common.items()}, **work)
+            f"curved_{n}": {**common[n], "solves": config["curvature"],
+                            "cloth": found[f"refined_{n}"]["cloth"]} for n in names}, **work)
     rubbed = run_cases(rubbing, {
-        f"friction_{n}": {**c, "friction": config["friction"],
-                          "cloth": found[f"refined_{n}"]["estimate"]["cloth"]}
-        for n, c in common.items()}, **work)
+        f"friction_{n}": {**common[n], "friction": config["friction"], "cloth": estimates[n]}
+        for n in names}, **work)
     rows = []
     shapes = []
-    for scan in scans:
-        shape, registration = read_shape(Path(common[scan.name]["path"]), DISC_RIG,
-                                         held=config["held"])
-        shapes.append(shape)
-        positions = load_arrays(folder, f"refined_{scan.name}")["positions"]
-        row = {"scan": scan.name, "registration": registration,
-               "isotropic": isotropic[f"isotropic_{scan.name}"],
-               "refined": found[f"refined_{scan.name}"], "gaps": gaps(shape, positions),
-               "friction": rubbed[f"friction_{scan.name}"]}
+    for n in names:
+        shapes.append(shape_of(n, str(folder), config["held"]))
+        positions = load_arrays(folder, f"refined_{n}")["positions"]
+        row = {"scan": n, "registration": lying[f"laid_{n}"]["registration"],
+               "isotropic": isotropic[f"isotropic_{n}"], "refined": found[f"refined_{n}"],
+               "exchanged": exchange[f"exchanged_{n}"], "gaps": gaps(shapes[-1], positions),
+               "friction": rubbed[f"friction_{n}"]}
         if extended:
-            row["curved"] = extended[f"curved_{scan.name}"]
+            row["curved"] = extended[f"curved_{n}"]
         rows.append(row)
     summary = judge(rows)
     show(rows, summary, config["friction"])
@@ -238,9 +269,8 @@ def judge(rows: list[dict]) -> dict:
     better = [r["refined"]["displacement_mm"] < r["isotropic"]["displacement_mm"] for r in rows]
     ratios = {}
     for row in rows:
-        fabric = row["scan"].split("_sample")[0]
         alpha = sorted_alpha(row["refined"]["estimate"])
-        ratios.setdefault(fabric, []).append(alpha)
+        ratios.setdefault(fabric(row["scan"]), []).append(alpha)
     agreement = {f: float(np.max([np.exp(np.abs(np.log(a / b))).max() for a in v for b in v]))
                  for f, v in ratios.items() if len(v) > 1}
     return {
@@ -259,6 +289,11 @@ def judge(rows: list[dict]) -> dict:
                    "coefficient": bool(max(points) <= GOAL_POINTS),
                    "samples": bool(max(agreement.values(), default=1.0) <= GOAL_RATIO)},
     }
+
+
+def fabric(scan: str) -> str:
+    """The fabric whose sample a scan of this name shows."""
+    return scan.split("_sample")[0]
 
 
 def sorted_alpha(result: dict) -> np.ndarray:
@@ -295,6 +330,11 @@ def show(rows: list[dict], summary: dict, friction: list[float]) -> None:
                       ("no", "-") if r["registration"] is None else
                       (f"{r['registration']['edge_strain_before']:.1%}",
                        r["registration"]["mean_distance_mm"]))] for r in rows]))
+    print("\nMisfit under the springs, with the scan's own estimate and those of other samples:")
+    for row in rows:
+        print(f"  {row['scan']}: {row['exchanged'][row['scan']]:.1f}; " + ", ".join(
+            f"{other} {misfit:.1f}" if misfit else f"{other} did not settle"
+            for other, misfit in row["exchanged"].items() if other != row["scan"]))
     print("\nThe estimate's cloth, let go from under its springs with friction, mm:")
     print(table(["scan", "under the springs", *(f"{torque:g} µN·m/m" for torque in friction)],
                 [[r["scan"], *("-" if mm is None else mm for mm in

@@ -9,8 +9,8 @@ equilibrium remains, which moves smoothly with the moduli; the right ones need t
 *Which drape comes nearest?* Let go at once, cloth keeps the captured folds or loses some, and the
 distance jumps with the moduli. So the springs are weakened step by step, and at each step the
 moduli follow, by Levenberg-Marquardt, so that the folds stay. What simulations are left go to the
-free drape: the best cloth is let go at the captured shape again, or a softer one, or one like it,
-and followed.
+free drape: an isotropic linear cloth is let go at the captured shape, then the best cloth again, or
+a softer one, or one like it, and followed.
 """
 
 import math
@@ -21,7 +21,14 @@ import numpy as np
 
 from data.prior.gaussian import GaussianPrior
 from drapenet.refine.attraction import Springs, plane_springs
-from drapenet.refine.captured import CapturedProblem, CapturedShape, Cloth, Effort, Settled
+from drapenet.refine.captured import (
+    USUAL_MEMBRANE,
+    CapturedProblem,
+    CapturedShape,
+    Cloth,
+    Effort,
+    Settled,
+)
 from drapenet.refine.objective import Objective, Sum
 from drapenet.refine.optimisers import Limits, Status, minimise
 from drapenet.refine.registered import RobustPositions
@@ -35,6 +42,7 @@ PULL = 0.05
 HELD = 6  # simulations with these springs at most
 RELEASE = (0.02, 0.01, 0.005, 0.002)  # weaker springs, as PULL
 EACH, FREED = 2, 2  # simulations with each of them, and without any at most
+PLAIN = 0.5  # alpha of isotropic linear cloth over that of softening cloth which drapes like it
 SOFTER = 0.4  # of log alpha: softer cloth keeps more of the folds it is let go with
 FOLLOW = 3  # simulations along one equilibrium at most
 HOPELESS = 1.3  # times the least value: such an equilibrium is not followed
@@ -170,22 +178,28 @@ class _Search:
 
     def go_on(self, rng: np.random.Generator) -> None:
         """From the nearest drape to a nearer one, as long as simulations are left."""
+        if self.left and self.found.nearest is not None:
+            self.attempt(_plain(self.found.nearest.cloth))
         tried, softer = None, False
         while self.left and self.found.nearest is not None:
             best = self.found.nearest
             again, tried = best is not tried, best
             if again:
-                cloth = best.cloth
+                self.attempt(best.cloth, known=best.value)
             elif not softer:
-                cloth, softer = _softened(best.cloth), True
+                self.attempt(_softened(best.cloth))
+                softer = True
             else:
-                cloth = self.jump(best.cloth, rng)
-            trial = self.let_go(cloth)
-            if trial is None or trial.value >= HOPELESS * best.value:
-                continue
-            known = again and math.isclose(trial.value, best.value, rel_tol=1e-3)
-            if self.left and not known:
-                self.follow(trial)
+                self.attempt(self.jump(best.cloth, rng))
+
+    def attempt(self, cloth: Cloth, known: float = math.inf) -> None:
+        """``cloth`` let go at the captured shape, and followed if it comes near, unless its value
+        is ``known``."""
+        trial = self.let_go(cloth)
+        if trial is None or trial.value >= HOPELESS * self.found.nearest.value:
+            return
+        if self.left and not math.isclose(trial.value, known, rel_tol=1e-3):
+            self.follow(trial)
 
     def let_go(self, cloth: Cloth) -> Settled | None:
         """``cloth`` let go at the captured shape."""
@@ -216,6 +230,12 @@ class _Search:
         if trial is not None and (known is None or trial.value < known.value):
             self.found.nearest = trial
         self.tell(self.found.nearest)
+
+
+def _plain(cloth: Cloth) -> Cloth:
+    """Isotropic linear cloth about as stiff as ``cloth`` is in the folds of a drape."""
+    log_alpha = cloth.theta[:3].mean() + math.log(PLAIN)
+    return Cloth(np.r_[np.full(3, log_alpha), np.zeros(3)], USUAL_MEMBRANE, cloth.warp)
 
 
 def _softened(cloth: Cloth) -> Cloth:
