@@ -25,7 +25,7 @@ from sim.files import replace_file, require_folder
 
 def infer(
     capture: Capture, header: Header, *, refine: str = "none", drapes: int = 2,
-    resolution: int = 41,
+    resolution: int = 0,
 ) -> tuple[dict, bytes | None]:
     """The content of ``estimate.json`` and, unless ``drapes`` is 0, the bytes of ``report.png``."""
     # Imported here because torch takes seconds, and a bad capture should be told at once.
@@ -41,9 +41,10 @@ def infer(
     refined = None
     if refine == "depth":
         from drapenet.refine.capture_report import refine_capture
+        from drapenet.refine.views import FINE
 
         refined = refine_capture(estimate, capture, views, rig, known=belief(prediction, header),
-                                 resolution=resolution)
+                                 resolution=resolution or FINE)
         estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
     if refined:
@@ -53,12 +54,12 @@ def infer(
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:
-            from drapenet.resimulate import resimulate
+            from drapenet.resimulate import RESOLUTION, resimulate
             from sim.scene import Rig
 
             drape = resimulate(
                 estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
-                resolution=resolution, drapes=drapes)
+                resolution=resolution or RESOLUTION, drapes=drapes)
         if drape:
             from drapenet.limits import add_limits
 

@@ -5,7 +5,7 @@ the nominal camera) with 1 mm of noise and one independent pixel in a hundred; s
 :mod:`drapenet.information`. Orientation and offset of the specimen are unknown; the table also
 says what the camera's pose costs when it is unknown too, and what each modulus would have if the
 others were known. Beside the bounds stands what refinement and the network reach, where their
-reports are there (docs/validation/recovery.json).
+report is there (docs/validation/refine_views.json).
 
 Keys (``key=value``):
 
@@ -16,7 +16,7 @@ Keys (``key=value``):
     pixels        for one independent measurement
     workers       processes, one thread each
     cases         folder of finished fabrics; an interrupted run goes on from there
-    recovery      report of benchmarks.recovery
+    refine_views  report of benchmarks.refine_views
     out           the report, JSON; a picture of the same name beside it
 """
 
@@ -65,7 +65,7 @@ DEFAULTS = {
     "pixels": 100.0,
     "workers": 1,
     "cases": "outputs/validation/information",
-    "recovery": str(REPORTS / "recovery.json"),
+    "refine_views": str(REPORTS / "refine_views.json"),
     "out": str(REPORTS / "information.json"),
 }
 
@@ -153,7 +153,7 @@ def main(argv: list[str]) -> None:
     }
     if rows:
         report["summary"] = summarise(rows)
-        report["reached"] = reached(Path(config["recovery"]))
+        report["reached"] = reached(Path(config["refine_views"]))
         show(report)
     report["fabrics"] = rows
     write_report(out, report)

@@ -1,28 +1,20 @@
 """Do refinements find moduli that are known? ``python -m benchmarks.recovery [key=value ...]``.
 
-Registered: a drape of a known fabric, its vertices known, and a start whose six moduli are the
-true ones times random factors in [0.5, 2]. Every optimiser begins there, and springs hold the
-simulated cloth to the known vertices (:mod:`drapenet.refine.held`), or it is free. How many
-simulations until each alpha is within 2 % and each beta/alpha within 10 %?
-
-Views: four noisy depth views of a known fabric, from a camera beside its nominal place, of a drape
-on a finer mesh and in other folds than those of the fabric first estimated. The network estimates,
-the refinement starts from there, and both are compared with the truth, and with the prior's mean.
-The direction of the warp is known to a degree.
+A drape of a known fabric, its vertices known, and a start whose six moduli are the true ones times
+random factors in [0.5, 2]. Every optimiser begins there, and springs hold the simulated cloth to
+the known vertices (:mod:`drapenet.refine.held`), or it is free. How many simulations until each
+alpha is within 2 % and each beta/alpha within 10 %? Views instead: :mod:`benchmarks.refine_views`.
 
 Keys (``key=value``):
 
-    part          registered, views or all
     fabrics       number of fabrics, drawn from the prior
-    resolution    vertices a side of the registered drapes
+    resolution    vertices a side
     methods       optimisers
     slow          fabrics on which those are tried that take many simulations: all but lm and
                   gauss_newton
     evaluations   simulations of methods with derivatives; of the others: ``evaluations_free``
     noise         of the registered vertices, mm
-    hold          force of the springs at 1 mm over the cloth's weight, registered drapes; 0: none
-    views_resolution   vertices a side of the refined drape; of the captured one: ``truth``
-    sensor        noise of the views, a file of configs/sensor
+    hold          force of the springs at 1 mm over the cloth's weight; 0: none
     seed          of everything
     workers       processes, one thread each
     cases         folder of finished cases; an interrupted run goes on from there
@@ -37,7 +29,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import (
-    ESTIMATOR,
     REPORTS,
     parse_settings,
     run_cases,
@@ -47,20 +38,14 @@ from benchmarks.common import (
 )
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
-from data.prior.gaussian import GaussianPrior
 from sim.cli import run_command
-from sim.comparison import same_folds
 from sim.drape import DrapeResult, drape
-from sim.errors import InputError
-from sim.material import bias_limit, is_admissible
-from sim.measures import fold_outline
-from sim.scene import Rig
+from sim.material import is_admissible
 
 WITH_DERIVATIVES = ("lm", "gauss_newton", "lbfgs")
 QUICK = ("lm", "gauss_newton")
-GOAL_ALPHA, GOAL_RATIO, GOAL_FABRICS, GOAL_VIEWS = 0.02, 0.10, 0.9, 0.15
+GOAL_ALPHA, GOAL_RATIO, GOAL_FABRICS = 0.02, 0.10, 0.9
 DEFAULTS = {
-    "part": "all",
     "fabrics": 20,
     "resolution": 50,
     "methods": "lm,gauss_newton,lbfgs,cmaes,one_plus_one",
@@ -69,9 +54,6 @@ DEFAULTS = {
     "evaluations_free": 500,
     "noise": 0.0,
     "hold": 30.0,
-    "views_resolution": 41,
-    "truth": 51,
-    "sensor": "tof",
     "seed": 77,
     "workers": 2,
     "cases": "outputs/validation/recovery",
@@ -157,61 +139,7 @@ def registered_case(
     }
 
 
-def views_case(
-    *, number: int, resolution: int, truth: int, sensor: str, seed: int
-) -> dict:
-    """The network and the refinement on one capture."""
-    import torch
-
-    from data.cameras import CameraRig
-    from data.rasterise import camera_tensors
-    from data.render import render_views
-    from data.sensor import SensorNoise
-    from drapenet.checkpoint import BUNDLED, load_model, read_header
-    from drapenet.estimate import belief
-    from drapenet.predict import predict
-    from drapenet.refine.views import refine_views
-    from drapenet.registration import locate_camera
-
-    known, shape = known_drape(seed, number, truth)
-    rng = np.random.default_rng([seed, number, 2])
-    rig = CameraRig.load()
-    camera, turn = rig.sample(rng), float(rng.uniform(0, 2 * np.pi))
-    views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
-    intrinsics, _ = camera_tensors([camera])
-    generator = torch.Generator().manual_seed(number)
-    views = SensorNoise.load(sensor)(views, intrinsics[0], generator).numpy()
-
-    header = read_header(BUNDLED)
-    found = predict(load_model(header), views, form=header.form, scale=header.scale)
-    turned = (found.axis - turn) % np.pi
-    order = [0, 1, 2] if min(turned, np.pi - turned) <= np.pi / 4 else [2, 1, 0]
-    order += [3 + k for k in order]
-    network, said = found.targets[order], belief(found, header)
-    if not is_admissible(*from_theta(network)):
-        network[1] = np.log(1.01 * bias_limit(np.exp(network[:3])))
-    mean = load_prior("gaussian").mean
-    first = drape(fabric_from_theta(network if is_admissible(*from_theta(network)) else mean),
-                  resolution=resolution, seed=number)
-    outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
-    refined = refine_views(
-        views, locate_camera(views, rig.nominal()), network,
-        turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
-        prior=GaussianPrior(network, said.covariance[np.ix_(order, order)], fabrics=0))
-    theta = network if refined is None else refined.best.theta
-    result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
-              for name, values in (("refined", theta), ("network", network), ("prior", mean))}
-    result |= {"theta": known.tolist(), "found": theta.tolist(), "estimated": network.tolist(),
-               "other_folds": not same_folds(*outlines)}
-    if refined is not None:
-        deviation = refined.uncertainty.theta.tolist() if refined.uncertainty else None
-        result |= {"status": refined.status.value, "simulations": refined.simulations,
-                   "seconds": refined.seconds, "start_value": refined.start_value,
-                   "value": refined.best.value, "deviation": deviation}
-    return result
-
-
-def summarise_registered(results: dict[str, dict]) -> dict[str, dict]:
+def summarise(results: dict[str, dict]) -> dict[str, dict]:
     """Figures of each optimiser, over fabrics."""
     summary = {}
     for method in dict.fromkeys(name.split("_", 2)[2] for name in results):
@@ -256,130 +184,60 @@ def speed_up(results: dict[str, dict], slow: str, fast: str = "lm") -> dict[str,
     return {"simulations": float(middle[0]), "seconds": float(middle[1]), "fabrics": len(ratios)}
 
 
-def summarise_views(results: dict[str, dict]) -> dict[str, dict]:
-    """Median errors over all alphas of all fabrics, of each way to estimate them."""
-    summary = {}
-    for name in ("refined", "network", "prior"):
-        alpha = np.array([r[name]["alpha"] for r in results.values()])
-        found = {"refined": "found", "network": "estimated"}.get(name)
-        mean = load_prior("gaussian").mean
-        gap = np.abs([np.array(r[found] if found else mean)[3:] - np.array(r["theta"])[3:]
-                      for r in results.values()])
-        summary[name] = {
-            "alpha_median": float(np.median(alpha)),
-            "alpha_by_direction": np.median(alpha, axis=0).tolist(),
-            "alpha_worst_fabric": float(np.median(alpha, axis=1).max()),
-            "ratio_median_mm": 1e3 * float(np.median(gap)),
-        }
-    return summary
-
-
-def spreads(results: dict[str, dict]) -> dict[str, list[float]]:
-    """Usual errors (6,) of log alpha and, in m, of beta/alpha, of refinement and network.
-
-    1.48 times the median of their sizes: the standard deviation of a normal distribution.
-    """
-    theta = np.array([r["theta"] for r in results.values()])
-    return {name: (1.4826 * np.median(np.abs([r[key] for r in results.values()] - theta),
-                                      axis=0)).tolist()
-            for name, key in (("refined from views", "found"), ("network", "estimated"))}
-
-
-def picture(views: dict[str, dict], registered: dict[str, dict], path: Path) -> None:
-    """True against found alpha, and the way of each optimiser to the goal."""
-    figure = Figure(figsize=(5.5 * (bool(views) + bool(registered)), 4.6), layout="constrained")
-    axes = list(figure.subplots(1, bool(views) + bool(registered), squeeze=False)[0])
-    if views:
-        left = axes.pop(0)
-        for name, key, colour in (("network", "estimated", "0.6"), ("refined", "found", "C1")):
-            for k, marker in enumerate("os^"):
-                left.plot([1e6 * math.exp(r["theta"][k]) for r in views.values()],
-                          [1e6 * math.exp(r[key][k]) for r in views.values()], marker,
-                          color=colour, ms=4, label=f"{name}, {('warp', 'bias', 'weft')[k]}")
-        left.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]",
-                 title="from four noisy views")
-        ends = np.array(left.get_xlim())
-        left.plot(ends, ends, color="k", lw=0.8)
-        left.legend(fontsize=7, frameon=False)
-    if registered:
-        right = axes.pop(0)
-        methods = list(dict.fromkeys(name.split("_", 2)[2] for name in registered))
-        for name, result in registered.items():
-            method = name.split("_", 2)[2]
-            if result["start"] == "converged":
-                right.plot([t["simulations"] for t in result["trace"]],
-                           [100 * t["alpha"] for t in result["trace"]], lw=0.8,
-                           color=f"C{methods.index(method)}",
-                           label=method if name.startswith("registered_0") else None)
-        right.axhline(100 * GOAL_ALPHA, color="k", lw=0.8, ls=":")
-        right.legend(fontsize=7, frameon=False)
-        right.set(xscale="log", yscale="log", xlabel="simulations",
-                  ylabel="largest error of alpha [%]", title="registered drape")
+def picture(results: dict[str, dict], path: Path) -> None:
+    """The way of each optimiser to the goal."""
+    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
+    axis = figure.subplots()
+    methods = list(dict.fromkeys(name.split("_", 2)[2] for name in results))
+    for name, result in results.items():
+        method = name.split("_", 2)[2]
+        if result["start"] == "converged":
+            axis.plot([t["simulations"] for t in result["trace"]],
+                      [100 * t["alpha"] for t in result["trace"]], lw=0.8,
+                      color=f"C{methods.index(method)}",
+                      label=method if name.startswith("registered_0") else None)
+    axis.axhline(100 * GOAL_ALPHA, color="k", lw=0.8, ls=":")
+    axis.legend(fontsize=7, frameon=False)
+    axis.set(xscale="log", yscale="log", xlabel="simulations",
+             ylabel="largest error of alpha [%]", title="registered drape")
     write_figure(path, figure)
 
 
 def main(argv: list[str]) -> None:
-    """Run what is missing, print the tables, write the report and its picture."""
+    """Run what is missing, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
-    if config["part"] not in ("all", "registered", "views"):
-        raise InputError(f"part={config['part']}: choose registered, views or all")
-    folder, registered, views = Path(config["cases"]), {}, {}
-    report = {"settings": {k: v for k, v in config.items()
-                           if k not in ("out", "cases", "workers")}}
-    if config["part"] != "views":
-        cases = {}
-        for method in config["methods"].split(","):
-            free = method not in WITH_DERIVATIVES
-            for k in range(config["fabrics"] if method in QUICK
-                           else min(config["fabrics"], config["slow"])):
-                cases[f"registered_{k}_{method}"] = {
-                    "number": k, "method": method, "resolution": config["resolution"],
-                    "evaluations": config["evaluations_free" if free else "evaluations"],
-                    "noise": config["noise"], "hold": config["hold"], "seed": config["seed"]}
-        registered = run_cases(registered_case, cases, folder=folder, workers=config["workers"],
-                               sources=("sim", "drapenet/refine"))
-        summary = summarise_registered(registered)
-        speed = {slow: speed_up(registered, slow) for slow in summary if slow != "lm"}
-        report |= {"registered": {"methods": summary, "speed_up_of_lm": speed,
-                                  "cases": registered}}
-        print(f"\nRegistered drapes, {config['resolution']} vertices a side, medians over fabrics; "
-              f"goal: alpha {GOAL_ALPHA:.0%}, beta/alpha {GOAL_RATIO:.0%}\n")
-        print(table(
-            ["method", "fabrics", "at the goal", "iterations", "simulations", "to the goal",
-             "s to the goal", "alpha", "beta/alpha", "simulations over lm's"],
-            [[name, *(m[key] if m[key] is not None else "-" for key in
-                      ("fabrics", "within", "iterations", "simulations", "simulations_to_goal",
-                       "seconds_to_goal", "alpha_error", "ratio_error")),
-              speed[name]["simulations"] if speed.get(name) else "-"]
-             for name, m in summary.items()]))
-        if "lm" in summary:
-            share = summary["lm"]["within"] / max(summary["lm"]["fabrics"], 1)
-            print(f"lm: {share:.0%} of the fabrics at the goal "
-                  f"({'passed' if share >= GOAL_FABRICS else 'not passed'})")
-    if config["part"] != "registered":
-        cases = {f"views_{k}": {
-            "number": k, "resolution": config["views_resolution"], "truth": config["truth"],
-            "sensor": config["sensor"], "seed": config["seed"]}
-            for k in range(config["fabrics"])}
-        views = run_cases(views_case, cases, folder=folder, workers=config["workers"],
-                          sources=ESTIMATOR)
-        summary = summarise_views(views)
-        report |= {"spread": spreads(views), "views": {
-            "summary": summary, "cases": views,
-            "other_folds": sum(r["other_folds"] for r in views.values())}}
-        print("\nFour noisy views, median errors\n")
-        print(table(["estimate", "alpha", "warp", "bias", "weft", "worst fabric",
-                     "beta/alpha, mm"],
-                    [[name, m["alpha_median"], *m["alpha_by_direction"], m["alpha_worst_fabric"],
-                      m["ratio_median_mm"]] for name, m in summary.items()]))
-        print(f"{report['views']['other_folds']} of {len(views)} captured drapes have other folds "
-              "than a drape of the network's estimate")
-        worst = summary["refined"]["alpha_median"]
-        print(f"refined: median error of alpha {worst:.1%} "
-              f"({'passed' if worst <= GOAL_VIEWS else 'not passed'}: {GOAL_VIEWS:.0%})")
+    cases = {}
+    for method in config["methods"].split(","):
+        free = method not in WITH_DERIVATIVES
+        for k in range(config["fabrics"] if method in QUICK
+                       else min(config["fabrics"], config["slow"])):
+            cases[f"registered_{k}_{method}"] = {
+                "number": k, "method": method, "resolution": config["resolution"],
+                "evaluations": config["evaluations_free" if free else "evaluations"],
+                "noise": config["noise"], "hold": config["hold"], "seed": config["seed"]}
+    results = run_cases(registered_case, cases, folder=Path(config["cases"]),
+                        workers=config["workers"], sources=("sim", "drapenet/refine"))
+    summary = summarise(results)
+    speed = {slow: speed_up(results, slow) for slow in summary if slow != "lm"}
+    print(f"\nRegistered drapes, {config['resolution']} vertices a side, medians over fabrics; "
+          f"goal: alpha {GOAL_ALPHA:.0%}, beta/alpha {GOAL_RATIO:.0%}\n")
+    print(table(
+        ["method", "fabrics", "at the goal", "iterations", "simulations", "to the goal",
+         "s to the goal", "alpha", "beta/alpha", "simulations over lm's"],
+        [[name, *(m[key] if m[key] is not None else "-" for key in
+                  ("fabrics", "within", "iterations", "simulations", "simulations_to_goal",
+                   "seconds_to_goal", "alpha_error", "ratio_error")),
+          speed[name]["simulations"] if speed.get(name) else "-"]
+         for name, m in summary.items()]))
+    if "lm" in summary:
+        share = summary["lm"]["within"] / max(summary["lm"]["fabrics"], 1)
+        print(f"lm: {share:.0%} of the fabrics at the goal "
+              f"({'passed' if share >= GOAL_FABRICS else 'not passed'})")
     out = Path(config["out"])
-    write_report(out, report)
-    picture(views, registered, out.with_suffix(".png"))
+    write_report(out, {
+        "settings": {k: v for k, v in config.items() if k not in ("out", "cases", "workers")},
+        "methods": summary, "speed_up_of_lm": speed, "cases": results})
+    picture(results, out.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from sim.material import Fabric
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
+RESOLUTION = 41  # vertices a side that show the folds of most fabrics
 PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 

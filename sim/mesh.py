@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from sim.errors import InputError
 
@@ -110,6 +111,14 @@ def grid_faces(diagonals: np.ndarray) -> np.ndarray:
     main = np.stack([a, b, c, a, c, d], axis=-1)
     cross = np.stack([a, b, d, b, c, d], axis=-1)
     return np.where(diagonals[..., None], main, cross).reshape(-1, 3)
+
+
+def adjacency(mesh: Mesh) -> sparse.csr_matrix:
+    """(V, V) with a one for each two vertices that an edge joins."""
+    first, second = mesh.edges.T
+    size = (len(mesh.rest),) * 2
+    one_way = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=size)
+    return (one_way + one_way.T).tocsr()
 
 
 def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, import_ipctk
 from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh import Mesh
+from sim.mesh import Mesh, adjacency
 from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Scene, State
 
@@ -102,11 +101,8 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
         held: (V,) bool.
         positions: (V, 3) m.
     """
-    first, second = mesh.edges.T
     vertices = len(positions)
-    ones = np.ones(len(first))
-    one_way = sparse.coo_matrix((ones, (first, second)), shape=(vertices, vertices))
-    adjacent = (one_way + one_way.T).tocsr()
+    adjacent = adjacency(mesh)
     degree = np.bincount(mesh.edges.ravel(), minlength=vertices)[:, None]
     x = positions.copy()
     for step in range(_UNTANGLING_ROUNDS):

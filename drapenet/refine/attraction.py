@@ -14,16 +14,21 @@ from scipy.spatial import cKDTree
 
 from drapenet.refine.guided import surface_positions
 from sim.drape import COARSE_MEMBRANE, DrapeResult, coarse_to_fine, drape_result
+from sim.energies.hinge_stencils import find_hinges, hinge_angles
 from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import vertex_normals
+from sim.mesh import adjacency, vertex_normals
 from sim.newton import NewtonOptions, NewtonResult
 from sim.scene import Rig, Scene, State
 from sim.specimens import make_specimen
 
-COARSEST = 24
+COARSEST = 16
+BENT = 1.5
+"""rad; hinges of the first mesh that are bent more are smoothed. Laid on a surface with narrow
+folds, cloth is so crumpled that soft fabrics came out entangled, or no minimum was found at all."""
+_SMOOTHINGS = 50
 PULLS = (3.0, 10.0, 10.0)
 """Force of the springs at a distance of 1 mm, over the cloth's weight, round by round."""
 REACH = 0.02  # m, further away a captured point says nothing of a vertex
@@ -90,12 +95,14 @@ def captured_shape(
         last = level == resolution
         specimen = make_specimen(rig, resolution=level, seed=seed)
         rest = specimen.mesh.rest
+        scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles)
         if coarse is None:
             positions = surface_positions(rest, points, rig)
         else:
             positions = interpolate_positions(*coarse, rest)
         positions[specimen.held] = rig.place(rest[specimen.held])
-        scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles)
+        if coarse is None:
+            positions = smoothed(scene, positions)
         state, result = pulled(
             scene, fabric, State.at(specimen.mesh, positions), points, normals,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
@@ -104,6 +111,26 @@ def captured_shape(
     return drape_result(fabric, rig, specimen, state, result, resolution=resolution,
                         iterations=result.iterations, seconds=time.perf_counter() - began,
                         time_spent=result.seconds)
+
+
+def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    """Positions (V, 3), m, with few hinges bent beyond :data:`BENT`.
+
+    Free vertices around those move half-way to the mean of their neighbours, again and again.
+    """
+    mesh, x = scene.mesh, positions.copy()
+    adjacent = adjacency(mesh)
+    degree = adjacent.sum(axis=1)
+    hinges = find_hinges(mesh, scene.active)
+    for _ in range(_SMOOTHINGS):
+        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > BENT
+        if not bent.any():
+            break
+        moving = np.zeros(len(x), dtype=bool)
+        moving[hinges.corners[bent]] = True
+        moving &= ~scene.held
+        x[moving] = 0.5 * (x + np.asarray(adjacent @ x / degree))[moving]
+    return x
 
 
 def pulled(

@@ -8,7 +8,8 @@
    Then a specimen is pulled and released again, for the first shape was that of the wrong fabric,
    seen from a little beside.
 4. Twice more a specimen is pulled onto the surface, and Levenberg-Marquardt goes on while weak
-   springs hold the cloth to it (:mod:`.held`), weaker the second time. Its value is the misfit.
+   springs hold the cloth to it (:mod:`.held`), weaker the second time, and then on a finer mesh:
+   in the end it is the mesh that errs (``benchmarks/refine_bias.py``). The value is the misfit.
 
 What is known beforehand, such as the network's word with its usual error, counts as a measurement,
 by as much more as the views are met worse than their assumed errors say.
@@ -42,6 +43,8 @@ FREE_ROUNDS = (4, 5)
 """Simulations of each Levenberg-Marquardt of free cloth."""
 HELD_ROUNDS = ((8, 0.3), (10, 0.1))
 """The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
+COARSE, FINE = 41, 61
+"""Vertices a side until the last round, where folds and pose are found as well, and in it."""
 SPREAD = (0.0, 0.7, -0.7)
 """What is added to log alpha for the starts."""
 SHAPES = ("captured", "sine", "fold")
@@ -89,7 +92,7 @@ def refine_views(
     *,
     turns: Sequence[float],
     rig: Rig | None = None,
-    resolution: int = 41,
+    resolution: int = FINE,
     seed: int = 0,
     shape: str = "captured",
     prior: GaussianPrior | None = None,
@@ -105,14 +108,18 @@ def refine_views(
         views: (4, H, W) z-depth, m, background 0.
         camera: of all of them, as well as it is known.
         turns: possible directions of the warp in the first view, rad; all are tried.
-        resolution: vertices a side of the specimen; seed: of its mesh, and of the other shapes.
+        resolution: vertices a side of the specimen in the last round, before it :data:`COARSE` at
+            most; seed: of its meshes, and of the other shapes.
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
         prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
     """
-    faces = make_specimen(rig or Rig(), resolution=resolution, seed=seed).mesh.faces
-    run = _Run(DepthViews(views, camera, faces, weights=weights), np.asarray(theta, np.float64),
-               {"rig": rig or Rig(), "resolution": resolution, "seed": seed}, prior, progress)
     began = time.perf_counter()
+    meshes = []
+    for vertices in (min(resolution, COARSE), resolution):
+        specimen = {"rig": rig or Rig(), "resolution": vertices, "seed": seed}
+        faces = make_specimen(**specimen).mesh.faces
+        meshes.append(_Mesh(specimen, DepthViews(views, camera, faces, weights=weights)))
+    run = _Run(meshes[0], np.asarray(theta, np.float64), prior, progress)
     try:
         for initial in dict.fromkeys((shape, *SHAPES)):
             run.start(initial, turns)
@@ -126,8 +133,8 @@ def refine_views(
             run.weigh_prior()
             run.compare_again()
             run.improve(run.problem(run.best), evaluations)
-        for evaluations, pull in HELD_ROUNDS:
-            run.hold(evaluations, pull)
+        for mesh, (evaluations, pull) in zip(meshes, HELD_ROUNDS, strict=True):
+            run.hold(mesh, evaluations, pull)
         run.conclude()
     except KeyboardInterrupt:
         if run.best is None:
@@ -137,23 +144,29 @@ def refine_views(
             run.message += ", its drape still held to the views by springs"
     return RefinedViews(
         run.theta, run.start_value if math.isfinite(run.start_value) else None, run.best,
-        run.drape or run.best.drape, run.objective, run.uncertainty, run.simulations,
+        run.drape or run.best.drape, run.mesh.objective, run.uncertainty, run.simulations,
         time.perf_counter() - began, run.status, run.message)
 
 
+@dataclass(frozen=True)
+class _Mesh:
+    """Keys of the specimen, and the objective that knows its triangles."""
+
+    specimen: dict
+    objective: DepthViews
+
+
 class _Run:
-    """One refinement: its objective, its mesh, and the best trial of what is under way."""
+    """One refinement: its mesh with the objective, and the best trial of what is under way."""
 
     def __init__(
         self,
-        objective: DepthViews,
+        mesh: _Mesh,
         theta: np.ndarray,
-        specimen: dict,
         prior: GaussianPrior | None,
         progress: Progress | None,
     ) -> None:
-        self.objective, self.theta = objective, theta
-        self.specimen, self.progress = specimen, progress
+        self.mesh, self.theta, self.progress = mesh, theta, progress
         self.known = self.prior = prior
         self.simulations = 0
         self.best: Trial | None = None
@@ -167,22 +180,22 @@ class _Run:
         """Release the initial shape with several fabrics, in every turn."""
         wide = [self.theta + np.repeat([shift, 0.0], 3) for shift in SPREAD]
         for turn in turns:
-            nuisance = self.objective.start.copy()
+            nuisance = self.mesh.objective.start.copy()
             nuisance[0] = turn
             if initial == "captured":
-                shape = self.shape(self.theta, nuisance)
+                shape = self.shape(self.mesh, self.theta, nuisance)
             else:
                 self.simulations += 1
-                shape = drape(fabric_from_theta(self.theta), start=initial, **self.specimen)
+                shape = drape(fabric_from_theta(self.theta), start=initial, **self.mesh.specimen)
             for theta in wide:
                 self.release(shape, theta, nuisance)
 
-    def shape(self, theta: np.ndarray, nuisance: np.ndarray) -> DrapeResult:
+    def shape(self, mesh: _Mesh, theta: np.ndarray, nuisance: np.ndarray) -> DrapeResult:
         """The captured shape, as a specimen of ``theta`` takes it."""
         self.simulations += 1
         self.report()
-        return captured_shape(fabric_from_theta(theta), *self.objective.points(nuisance),
-                              **self.specimen)
+        return captured_shape(fabric_from_theta(theta), *mesh.objective.points(nuisance),
+                              **mesh.specimen)
 
     def release(self, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray) -> None:
         """Let ``shape`` go with the fabric ``theta``, and keep it if it is the best."""
@@ -201,17 +214,17 @@ class _Run:
     def pull_again(self) -> None:
         """Release the captured shape of the best fabric, seen from where it fits best."""
         theta, nuisance = self.best.theta, self.best.nuisance
-        self.release(self.shape(theta, nuisance), theta, nuisance)
+        self.release(self.shape(self.mesh, theta, nuisance), theta, nuisance)
 
     def problem(
         self, drape: DrapeResult | Trial, theta: np.ndarray | None = None,
-        nuisance: np.ndarray | None = None, **more: object,
+        nuisance: np.ndarray | None = None, mesh: _Mesh | None = None, **more: object,
     ) -> DrapeProblem:
         """The problem that starts at a trial, or at a drape of theta."""
         if isinstance(drape, Trial):
             drape, theta, nuisance = drape.drape, drape.theta, drape.nuisance
-        return DrapeProblem(drape, theta, self.objective, nuisance=nuisance, prior=self.prior,
-                            **more)
+        return DrapeProblem(drape, theta, (mesh or self.mesh).objective, nuisance=nuisance,
+                            prior=self.prior, **more)
 
     def refit(self, problem: DrapeProblem) -> DrapeProblem:
         """``problem``, its start evaluated, and again with the nuisances that fit that best."""
@@ -219,9 +232,9 @@ class _Run:
         self.simulations += problem.solves
         if problem.best:
             trial = problem.best
-            nuisance = fit_nuisances(self.objective, trial.drape.positions, trial.nuisance)
+            nuisance = fit_nuisances(problem.objective, trial.drape.positions, trial.nuisance)
             problem.value(np.concatenate([trial.x[: -len(nuisance)],
-                                          nuisance / self.objective.scale]))
+                                          nuisance / problem.objective.scale]))
         return problem
 
     def improve(self, problem: DrapeProblem, evaluations: int) -> Outcome:
@@ -240,24 +253,25 @@ class _Run:
         self.status, self.message = outcome.status, outcome.message
         return outcome
 
-    def hold(self, evaluations: int, pull: float) -> None:
-        """A round with springs to the surface as the best trial sees it."""
+    def hold(self, mesh: _Mesh, evaluations: int, pull: float) -> None:
+        """A round on ``mesh`` with springs to the surface as the best trial sees it."""
         trial = self.best
         self.weigh_prior()
-        points = self.objective.points(trial.nuisance)
+        points = self.mesh.objective.points(trial.nuisance)
         # Pulled from afar, the specimen may end entangled; the best drape has the folds as well.
-        for shape in (self.shape(trial.theta, trial.nuisance), trial.drape):
+        for own, shape in ((mesh, self.shape(mesh, trial.theta, trial.nuisance)),
+                           (self.mesh, trial.drape)):
             cloth = HeldCloth.to_surface(shape, *points, pull=pull)
-            found, first = (self.held_trial(cloth, shape, theta, trial.nuisance)
+            found, first = (self.held_trial(cloth, own, shape, theta, trial.nuisance)
                             for theta in (trial.theta, self.theta))
             trials = [t for t in (found, first) if t is not None]
             if trials:
                 break
-        if not trials:
+        else:
             self.compare_again()
             return
         # Values with other springs are not compared.
-        self.best = min(trials, key=lambda t: t.value)
+        self.mesh, self.best = own, min(trials, key=lambda t: t.value)
         self.start_value = math.inf if first is None else first.value
         self.held = self.problem(self.best, simulator=cloth)
         self.improve(self.held, evaluations)
@@ -266,7 +280,7 @@ class _Run:
         """Let the prior count as much as the views do: they say less, the less they are met."""
         if self.known is not None:
             best = self.best
-            found = self.objective.linearised(best.drape.positions, best.nuisance)
+            found = self.mesh.objective.linearised(best.drape.positions, best.nuisance)
             misfit = max(2 * value(found.residuals) / found.count, 1.0)
             self.prior = replace(self.known, covariance=self.known.covariance / misfit)
 
@@ -276,7 +290,8 @@ class _Run:
             self.best = self.refit(self.problem(self.best)).best or self.best
 
     def held_trial(
-        self, cloth: HeldCloth, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray
+        self, cloth: HeldCloth, mesh: _Mesh, shape: DrapeResult, theta: np.ndarray,
+        nuisance: np.ndarray,
     ) -> Trial | None:
         """The fabric ``theta`` held to the surface; None where that does not converge."""
         if not is_admissible(*from_theta(theta)):
@@ -286,7 +301,7 @@ class _Run:
         self.report()
         if not held.converged:
             return None
-        return self.refit(self.problem(held, theta, nuisance, simulator=cloth)).best
+        return self.refit(self.problem(held, theta, nuisance, mesh, simulator=cloth)).best
 
     def conclude(self) -> None:
         """The free drape of what was found, and how certain it is."""

@@ -13,6 +13,7 @@ from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
 from data.render import render_views
 from drapenet.refine import problem as problems
+from drapenet.refine import views as views_refinement
 from drapenet.refine.attraction import Springs
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
@@ -197,9 +198,10 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     views = render_views(truth.positions, truth.faces, camera, 1.0)
     prior = load_prior("gaussian")
     values = []
-    found = refine_views(views, camera, prior.mean, turns=[1.02], resolution=41, seed=2,
+    found = refine_views(views, camera, prior.mean, turns=[1.02], resolution=51, seed=2,
                          prior=prior,
                          progress=lambda _, value: values.append(value))
+    assert found.drape.resolution == found.best.drape.resolution == 51
     assert found.best.value <= found.start_value
     assert found.status is not Status.INTERRUPTED and found.uncertainty is not None
     gap, first = (np.abs(theta[:3] - THETA[:3]) for theta in (found.best.theta, prior.mean))
@@ -209,7 +211,9 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupted_refinement_hands_back_the_best_so_far() -> None:
+def test_an_interrupted_refinement_hands_back_the_best_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     truth = drape(fabric_from_theta(THETA), resolution=31, seed=5)
     camera = CameraRig.load().nominal()
     views = render_views(truth.positions, truth.faces, camera, 1.0)
@@ -218,6 +222,11 @@ def test_an_interrupted_refinement_hands_back_the_best_so_far() -> None:
         if simulations >= 6 and math.isfinite(value):
             raise KeyboardInterrupt
 
-    found = refine_views(views, camera, AWAY, turns=[1.0], resolution=21, progress=stop)
+    monkeypatch.setattr(views_refinement, "COARSE", 21)
+    found = refine_views(views, camera, AWAY, turns=[1.0], resolution=26, progress=stop)
     assert found.status is Status.INTERRUPTED
     assert found.best.value <= found.start_value
+    # The objective knows the mesh of the drape that is handed back.
+    assert found.drape.resolution == 21
+    seen = found.objective.render(found.drape.positions, found.best.nuisance)
+    assert np.median(np.abs(seen - views)[(seen > 0) & (views > 0)]) < 2e-3
