@@ -1,0 +1,56 @@
+"""Captured shapes: cloth pulled onto captured points."""
+
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig
+from data.render import render_views
+from drapenet.refine.attraction import BENT, captured_shape, smoothed
+from drapenet.refine.depth import DepthViews
+from sim.drape import drape
+from sim.energies.hinge_stencils import find_hinges, hinge_angles
+from sim.material import MICRO, Fabric
+from sim.scene import Rig, Scene
+from sim.specimens import make_specimen
+
+
+@pytest.fixture
+def scene() -> Scene:
+    specimen = make_specimen(Rig(), resolution=21)
+    return Scene(mesh=specimen.mesh, held=specimen.held, obstacles=())
+
+
+def bent(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    hinges = find_hinges(scene.mesh, scene.active)
+    return np.abs(hinge_angles(positions.ravel(), hinges.dofs)) > BENT
+
+
+def test_crumpled_cloth_is_smoothed_and_held_cloth_stays(scene: Scene) -> None:
+    flat = np.column_stack([scene.mesh.rest, np.zeros(len(scene.mesh.rest))])
+    crumpled = flat.copy()
+    far = np.linalg.norm(scene.mesh.rest, axis=1) > 0.09
+    crumpled[far, 2] = np.random.default_rng(0).uniform(-0.02, 0.02, far.sum())
+    assert bent(scene, crumpled).sum() > 50
+    smooth = smoothed(scene, crumpled)
+    assert not bent(scene, smooth).any()
+    np.testing.assert_array_equal(smooth[scene.held], flat[scene.held])
+
+
+def test_cloth_that_is_not_crumpled_stays_as_it_is(scene: Scene) -> None:
+    wavy = np.column_stack([scene.mesh.rest, 0.01 * np.sin(40 * scene.mesh.rest[:, 0])])
+    assert not bent(scene, wavy).any()
+    np.testing.assert_array_equal(smoothed(scene, wavy), wavy)
+
+
+def test_soft_cloth_takes_the_captured_folds() -> None:
+    fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
+    truth = drape(fabric, resolution=41, seed=3)
+    camera, turn = CameraRig.load().nominal(), 0.4
+    views = render_views(truth.positions, truth.faces, camera, turn)
+    specimen = {"rig": Rig(), "resolution": 41, "seed": 5}
+    objective = DepthViews(views, camera, make_specimen(**specimen).mesh.faces, turn=turn)
+    shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
+    seen = objective.render(shape.positions, objective.start)
+    apart = np.abs(seen - views)[(seen > 0) & (views > 0)]
+    assert np.median(apart) < 0.5e-3 and np.quantile(apart, 0.9) < 3e-3
+    assert shape.self_intersections < 5
