@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from data.prior.files import load_prior
@@ -29,6 +30,8 @@ LEAST_HELD = 0.5
 RESOLUTION = 51  # vertices across the mesh that a scan is registered to
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 _APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
+_ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
+_FOREIGN = 0.1  # ... and more than this share of them does not go
 
 
 def refine_scan(
@@ -96,6 +99,11 @@ def read_shape(
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
         found, strain = register(cloud, rig, resolution=resolution, held=held), None
+        laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
+        away = cKDTree(laid.points).query(cloud.points)[0]
+        if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
+            raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
+                             f"{rig.name}; cut away all that is not cloth, such as the table")
     else:
         scan = read_scan(path, rig)
         own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)

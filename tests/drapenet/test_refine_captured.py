@@ -274,6 +274,11 @@ def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
     shape, registration = read_shape(tmp_path / "points.ply", DISC_RIG, resolution=25)
     assert registration["mean_distance_mm"] < 1.0
     assert edge_strain(shape) < 0.01
+    table = np.random.default_rng(0).uniform(-0.25, 0.25, (len(scanned.positions) // 3, 3))
+    table[:, 2] = scanned.positions[:, 2].min() - 0.03
+    trimesh.PointCloud(np.concatenate([scanned.positions, table])).export(tmp_path / "table.ply")
+    with pytest.raises(InputError, match=r"25% of its points .* cut away all that is not cloth"):
+        read_shape(tmp_path / "table.ply", DISC_RIG, resolution=25)
 
 
 def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
