@@ -95,7 +95,7 @@ def views_case(
     refined = refine_views(
         views, locate_camera(views, rig.nominal()), network,
         turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
-        prior=GaussianPrior(network, said.covariance[np.ix_(order, order)], fabrics=0))
+        prior=GaussianPrior(said.mean[order], said.covariance[np.ix_(order, order)], fabrics=0))
     theta = network if refined is None else refined.best.theta
     result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
               for name, values in (("refined", theta), ("network", network), ("prior", mean))}

@@ -79,13 +79,17 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
 
 
 def belief(prediction: Prediction, header: Header) -> GaussianPrior:
-    """What the network's word says of theta: its usual error around it.
+    """What the network's word says of the theta of real cloth: its usual error around it.
 
-    Beyond the fabrics it was trained on, the distance to them is added to the error.
+    Cloth has no mesh: what the training's meshes do to the word
+    (:attr:`.checkpoint.Header.mesh_shift`) is taken off. Beyond the fabrics it was trained on, the
+    distance to them is added to the error.
     """
     targets, values = header.content["targets"], prediction.targets
     beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    return GaussianPrior(values, np.diag(typical_errors(header) ** 2 + beyond**2), fabrics=0)
+    shift, spread = header.mesh_shift
+    variances = typical_errors(header) ** 2 + beyond**2 + spread**2
+    return GaussianPrior(values - shift, np.diag(variances), fabrics=0)
 
 
 def typical_errors(header: Header) -> np.ndarray:

@@ -1,0 +1,109 @@
+"""What a mesh does to the network's word: ``python -m benchmarks.mesh_shift [key=value ...]``.
+
+The network has learned from drapes of some 41 vertices a side; cloth has no mesh. Fabrics of the
+prior are draped on the mesh that the bending length asks for, and again on a fine one, from that
+shape, so that the folds are the same. Both are photographed from the same place with the same noise
+and estimated. Reported is how much more the network says of the fine drape: mean and standard
+deviation over the fabrics. ``refine=depth`` takes the one off the network's word and counts the
+other as an error of it (:func:`drapenet.estimate.belief`).
+
+Keys (``key=value``):
+
+    checkpoint   NAME.safetensors with NAME.json beside it; empty: the bundled one
+    calibrate    true: write the figures into the checkpoint's JSON, where they are used
+    fabrics      drawn from the prior
+    vertices     a side of the fine drape
+    sensor       noise of the views, a file of configs/sensor
+    seed         of everything
+    workers      processes, one thread each
+    cases        folder of finished fabrics; an interrupted run goes on from there
+    out          the report, JSON
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
+from data.cameras import CameraRig
+from data.fabrics import fabric_from_theta
+from data.prior import load_prior, sample_admissible
+from data.render import render_views
+from drapenet.convention import TARGET_NAMES
+from sim.cli import run_command
+from sim.drape import DrapeResult, drape
+from sim.errors import InputError
+from sim.files import replace_file
+
+DEFAULTS = {
+    "checkpoint": "",
+    "calibrate": False,
+    "fabrics": 32,
+    "vertices": 101,
+    "sensor": "smooth",
+    "seed": 79,
+    "workers": 2,
+    "cases": "outputs/validation/mesh_shift",
+    "out": str(REPORTS / "mesh_shift.json"),
+}
+
+
+def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: int) -> dict:
+    """What the network says of one fabric's drape on both meshes."""
+    import torch
+
+    from data.rasterise import camera_tensors
+    from data.sensor import SensorNoise
+    from drapenet.checkpoint import BUNDLED, load_model, read_header
+    from drapenet.predict import predict
+
+    rng = np.random.default_rng([seed, number])
+    theta, _ = sample_admissible(load_prior("gaussian"), rng)
+    fabric = fabric_from_theta(theta)
+    own = drape(fabric, seed=number)
+    fine = drape(fabric, resolution=vertices, borrowed=(own.rest, own.positions), seed=number)
+    rig = CameraRig.load()
+    camera, turn = rig.sample(rng), float(rng.uniform(0, 2 * np.pi))
+    intrinsics, _ = camera_tensors([camera])
+    header = read_header(checkpoint or BUNDLED)
+    model, noise = load_model(header), SensorNoise.load(sensor)
+
+    def say(shape: DrapeResult) -> list[float]:
+        views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
+        noisy = noise(views, intrinsics[0], torch.Generator().manual_seed(number)).numpy()
+        return predict(model, noisy, form=header.form, scale=header.scale).targets.tolist()
+
+    converged = own.converged and fine.converged
+    return {"theta": theta.tolist(), "vertices": own.resolution, "converged": converged,
+            **({"own": say(own), "fine": say(fine)} if converged else {})}
+
+
+def main(argv: list[str]) -> None:
+    """Measure, print the table, write the report and, if wanted, into the checkpoint's JSON."""
+    from drapenet.checkpoint import BUNDLED, read_header
+
+    config = parse_settings(DEFAULTS, argv)
+    if config["fabrics"] < 2:
+        raise InputError(f"fabrics={config['fabrics']}: two fabrics are needed at least")
+    header = read_header(config["checkpoint"] or BUNDLED)
+    settings = {key: config[key] for key in ("checkpoint", "vertices", "sensor", "seed")}
+    # The checkpoint's JSON is among the sources; what this writes there must not undo the cases.
+    found = run_cases(estimates, {
+        f"fabric_{k}": {"number": k, **settings} for k in range(config["fabrics"])},
+        folder=Path(config["cases"]), workers=config["workers"],
+        sources=[folder for folder in ESTIMATOR if folder != "drapenet"])
+    change = np.array([np.subtract(c["fine"], c["own"]) for c in found.values() if c["converged"]])
+    shift = {"mean": change.mean(axis=0).tolist(), "deviation": change.std(axis=0, ddof=1).tolist(),
+             "vertices": config["vertices"], "fabrics": len(change)}
+    print(table(["", *TARGET_NAMES], [[key, *shift[key]] for key in ("mean", "deviation")]))
+    write_report(Path(config["out"]), {"settings": settings, "mesh_shift": shift, "cases": found})
+    if config["calibrate"]:
+        description = header.path.with_suffix(".json")
+        content = {**header.content, "mesh_shift": shift}
+        replace_file(description, (json.dumps(content, indent=1) + "\n").encode())
+        print(f"written into {description}")
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)
