@@ -101,3 +101,13 @@ def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Head
     beyond = -12.4 - math.log(0.2 * MICRO)  # the softest of the training set is at -10.8 - 2 * 0.8
     assert np.sqrt(np.diag(outside.covariance)) == pytest.approx(
         [*usual[:2], math.hypot(usual[2], beyond), *usual[3:]])
+
+
+def test_what_the_meshes_of_the_training_did_is_taken_off_the_belief(header: Header) -> None:
+    prediction = predicted([60, 40, 20])
+    plain = belief(prediction, header)
+    header.content["mesh_shift"] = {"mean": [0.1, -0.2, 0, 0, 3e-4, 0],
+                                    "deviation": [0.3, 0, 0.1, 0, 0, 2e-3]}
+    found = belief(prediction, header)
+    assert found.mean - plain.mean == pytest.approx([-0.1, 0.2, 0, 0, -3e-4, 0])
+    assert np.diag(found.covariance - plain.covariance) == pytest.approx([0.09, 0, 0.01, 0, 0, 4e-6])
