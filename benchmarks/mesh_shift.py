@@ -3,9 +3,9 @@
 The network has learned from drapes of some 41 vertices a side; cloth has no mesh. Fabrics of the
 prior are draped on the mesh that the bending length asks for, and again on a fine one, from that
 shape, so that the folds are the same. Both are photographed from the same place with the same noise
-and estimated. Reported is how much more the network says of the fine drape: mean and standard
-deviation over the fabrics. ``refine=depth`` takes the one off the network's word and counts the
-other as an error of it (:func:`drapenet.estimate.belief`).
+and estimated. Reported is how much more the network says of the fine drape, in the mean, and its
+errors on both. ``refine=depth`` takes the mean off the network's word
+(:func:`drapenet.estimate.belief`).
 
 Keys (``key=value``):
 
@@ -21,6 +21,7 @@ Keys (``key=value``):
 """
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,10 @@ def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: in
 
 def main(argv: list[str]) -> None:
     """Measure, print the table, write the report and, if wanted, into the checkpoint's JSON."""
+    import torch
+
     from drapenet.checkpoint import BUNDLED, read_header
+    from drapenet.targets import to_stiff_soft
 
     config = parse_settings(DEFAULTS, argv)
     if config["fabrics"] < 2:
@@ -93,11 +97,20 @@ def main(argv: list[str]) -> None:
         f"fabric_{k}": {"number": k, **settings} for k in range(config["fabrics"])},
         folder=Path(config["cases"]), workers=config["workers"],
         sources=[folder for folder in ESTIMATOR if folder != "drapenet"])
-    change = np.array([np.subtract(c["fine"], c["own"]) for c in found.values() if c["converged"]])
-    shift = {"mean": change.mean(axis=0).tolist(), "deviation": change.std(axis=0, ddof=1).tolist(),
-             "vertices": config["vertices"], "fabrics": len(change)}
-    print(table(["", *TARGET_NAMES], [[key, *shift[key]] for key in ("mean", "deviation")]))
-    write_report(Path(config["out"]), {"settings": settings, "mesh_shift": shift, "cases": found})
+    good = [c for c in found.values() if c["converged"]]
+    own, fine = (np.array([c[key] for c in good]) for key in ("own", "fine"))
+    truth = np.array([to_stiff_soft(torch.tensor(c["theta"])).tolist() for c in good])
+    change = fine - own
+    shift = {"mean": change.mean(axis=0).tolist(), "vertices": config["vertices"],
+             "fabrics": len(good)}
+    summary = {
+        "mean change": shift["mean"],
+        "its standard error": (change.std(axis=0, ddof=1) / math.sqrt(len(good))).tolist(),
+        "error on its own mesh": np.sqrt(((own - truth) ** 2).mean(axis=0)).tolist(),
+        "error on the fine mesh": np.sqrt(((fine - truth) ** 2).mean(axis=0)).tolist(),
+    }
+    print(table(["", *TARGET_NAMES], [[key, *values] for key, values in summary.items()]))
+    write_report(Path(config["out"]), {"settings": settings, "summary": summary, "cases": found})
     if config["calibrate"]:
         description = header.path.with_suffix(".json")
         content = {**header.content, "mesh_shift": shift}

@@ -87,9 +87,8 @@ def belief(prediction: Prediction, header: Header) -> GaussianPrior:
     """
     targets, values = header.content["targets"], prediction.targets
     beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    shift, spread = header.mesh_shift
-    variances = typical_errors(header) ** 2 + beyond**2 + spread**2
-    return GaussianPrior(values - shift, np.diag(variances), fabrics=0)
+    variances = typical_errors(header) ** 2 + beyond**2
+    return GaussianPrior(values - header.mesh_shift, np.diag(variances), fabrics=0)
 
 
 def typical_errors(header: Header) -> np.ndarray:

@@ -106,9 +106,7 @@ def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Head
 def test_what_the_meshes_of_the_training_did_is_taken_off_the_belief(header: Header) -> None:
     prediction = predicted([60, 40, 20])
     plain = belief(prediction, header)
-    header.content["mesh_shift"] = {"mean": [0.1, -0.2, 0, 0, 3e-4, 0],
-                                    "deviation": [0.3, 0, 0.1, 0, 0, 2e-3]}
+    header.content["mesh_shift"] = {"mean": [0.1, -0.2, 0, 0, 3e-4, 0]}
     found = belief(prediction, header)
     assert found.mean - plain.mean == pytest.approx([-0.1, 0.2, 0, 0, -3e-4, 0])
-    more = np.diag(found.covariance - plain.covariance)
-    assert more == pytest.approx([0.09, 0, 0.01, 0, 0, 4e-6])
+    np.testing.assert_array_equal(found.covariance, plain.covariance)
