@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import batched, common, information, report
+from benchmarks import batched, common, information, refine_views, report
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from sim.errors import InputError
@@ -167,3 +167,13 @@ def test_the_axes_of_bounds_can_be_read(tmp_path, monkeypatch):
     for axes in pictures[0].axes:
         low, high = axes.get_ylim()
         assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
+
+
+def test_errors_are_compared_with_the_bound_of_the_same_fabric():
+    results = {f"views_{k}": {"theta": [0.0] * 6, "found": [error] * 6, "estimated": [0.1] * 6}
+               for k, error in enumerate((0.2, -0.3, 5.0, 0.1))}
+    bounds = {f"bound_{k}": {"bound": bound}
+              for k, bound in enumerate(([0.1] * 6, [0.3] * 6, None, [0.1] * 5 + [0.01]))}
+    factors = refine_views.over_bound(results, bounds)
+    assert factors["refined from views"] == pytest.approx([1.4826] * 5 + [2 * 1.4826])
+    assert factors["network"] == pytest.approx([1.4826] * 6)
