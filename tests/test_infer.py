@@ -233,7 +233,7 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
 
 def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
-    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth"])
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth", "resolution=41"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     refined = content["refined"]
     assert refined["misfit"] <= refined["misfit_before"]
