@@ -30,6 +30,7 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.photographs import photographed, place
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -72,21 +73,12 @@ def captured_alpha(result: object, number: int, sensor: str) -> list[float]:
 
     Camera and turn depend on ``number`` only, so that captures of one fabric compare.
     """
-    import torch
-
-    from data.cameras import CameraRig
-    from data.rasterise import camera_tensors
-    from data.render import render_views
-    from data.sensor import SensorNoise
     from drapenet.predict import predict
 
-    rng = np.random.default_rng([number, 4])
-    camera, turn = CameraRig.load().sample(rng), float(rng.uniform(0, 2 * np.pi))
-    views = torch.from_numpy(render_views(result.positions, result.faces, camera, turn))
-    noise = SensorNoise.load(sensor)
-    views = noise(views, camera_tensors([camera])[0][0], torch.Generator().manual_seed(number))
+    camera, turn = place(np.random.default_rng([number, 4]))
+    views = photographed(result, camera, turn, sensor=sensor, seed=number)
     header = read_header(BUNDLED)
-    found = predict(load_model(header), views.numpy(), form=header.form, scale=header.scale)
+    found = predict(load_model(header), views, form=header.form, scale=header.scale)
     return (found.moduli[0] / MICRO).tolist()
 
 

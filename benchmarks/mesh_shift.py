@@ -27,10 +27,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
-from data.cameras import CameraRig
+from benchmarks.photographs import photographed, place
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
-from data.render import render_views
 from drapenet.convention import TARGET_NAMES
 from sim.cli import run_command
 from sim.drape import DrapeResult, drape
@@ -52,10 +51,6 @@ DEFAULTS = {
 
 def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: int) -> dict:
     """What the network says of one fabric's drape on both meshes."""
-    import torch
-
-    from data.rasterise import camera_tensors
-    from data.sensor import SensorNoise
     from drapenet.checkpoint import BUNDLED, load_model, read_header
     from drapenet.predict import predict
 
@@ -64,16 +59,13 @@ def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: in
     fabric = fabric_from_theta(theta)
     own = drape(fabric, seed=number)
     fine = drape(fabric, resolution=vertices, borrowed=(own.rest, own.positions), seed=number)
-    rig = CameraRig.load()
-    camera, turn = rig.sample(rng), float(rng.uniform(0, 2 * np.pi))
-    intrinsics, _ = camera_tensors([camera])
+    camera, turn = place(rng)
     header = read_header(checkpoint or BUNDLED)
-    model, noise = load_model(header), SensorNoise.load(sensor)
+    model = load_model(header)
 
     def say(shape: DrapeResult) -> list[float]:
-        views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
-        noisy = noise(views, intrinsics[0], torch.Generator().manual_seed(number)).numpy()
-        return predict(model, noisy, form=header.form, scale=header.scale).targets.tolist()
+        views = photographed(shape, camera, turn, sensor=sensor, seed=number)
+        return predict(model, views, form=header.form, scale=header.scale).targets.tolist()
 
     converged = own.converged and fine.converged
     return {"theta": theta.tolist(), "vertices": own.resolution, "converged": converged,
@@ -92,11 +84,11 @@ def main(argv: list[str]) -> None:
         raise InputError(f"fabrics={config['fabrics']}: two fabrics are needed at least")
     header = read_header(config["checkpoint"] or BUNDLED)
     settings = {key: config[key] for key in ("checkpoint", "vertices", "sensor", "seed")}
-    # The checkpoint's JSON is among the sources; what this writes there must not undo the cases.
+    # Other weights of the same name are another network.
+    label = header.identity["sha256"][:16]
     found = run_cases(estimates, {
-        f"fabric_{k}": {"number": k, **settings} for k in range(config["fabrics"])},
-        folder=Path(config["cases"]), workers=config["workers"],
-        sources=[folder for folder in ESTIMATOR if folder != "drapenet"])
+        f"fabric_{k}_{label}": {"number": k, **settings} for k in range(config["fabrics"])},
+        folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)
     good = [c for c in found.values() if c["converged"]]
     own, fine = (np.array([c[key] for c in good]) for key in ("own", "fine"))
     truth = np.array([to_stiff_soft(torch.tensor(c["theta"])).tolist() for c in good])

@@ -22,9 +22,17 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
+from benchmarks.common import (
+    ESTIMATOR,
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    usual_size,
+    write_report,
+)
+from benchmarks.photographs import place
 from benchmarks.recovery import known_drape
-from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
 from data.render import render_views
 from drapenet.refine.attraction import captured_shape
@@ -55,7 +63,7 @@ def corrections(
     """The steps from the truth of one fabric, for every mesh and spring."""
     theta, shape = known_drape(seed, number, truth)
     rng = np.random.default_rng([seed, number, 2])
-    camera, turn = CameraRig.load().sample(rng), float(rng.uniform(0, 2 * np.pi))
+    camera, turn = place(rng)
     views = render_views(shape.positions, shape.faces, camera, turn)
     steps = []
     for n in resolutions:
@@ -104,7 +112,8 @@ def main(argv: list[str]) -> None:
                    if (s["resolution"], s["pull"]) == (n, pull) and "views" in s]
             rows.append({"resolution": n, "pull": pull, "fabrics": len(own),
                          "misfit": float(np.median([s["misfit"] for s in own]))}
-                        | {key: usual([s[key] for s in own]) for key in ("views", "with_prior")})
+                        | {key: usual_size([s[key] for s in own])
+                           for key in ("views", "with_prior")})
     print(table(
         ["vertices a side", "springs", "fabrics", "misfit", "α by the views alone",
          "α with a prior", "β/α, mm", "β/α with a prior"],
@@ -113,11 +122,6 @@ def main(argv: list[str]) -> None:
           *(f"{1e3 * np.mean(r[key][3:]):.2f}" for key in ("views", "with_prior"))]
          for r in rows]))
     write_report(Path(config["out"]), {"settings": settings, "summary": rows, "fabrics": found})
-
-
-def usual(steps: list[list[float]]) -> list[float]:
-    """(6,) 1.48 times the median size over fabrics, as of a normal distribution's deviation."""
-    return (1.4826 * np.median(np.abs(steps), axis=0)).tolist()
 
 
 if __name__ == "__main__":

@@ -83,67 +83,69 @@ def laid(path: str, held: float) -> dict:
             "arrays": {"positions": shape.positions, "rest": shape.rest, "faces": shape.faces}}
 
 
-def shape_of(name: str, cases: str, held: float) -> CapturedShape:
-    """The shape of the scan ``name`` among the finished ``cases``."""
-    return CapturedShape(**load_arrays(Path(cases), f"laid_{name}"), rig=DISC_RIG, held_share=held)
+def shape_of(path: str, cases: str, held: float) -> CapturedShape:
+    """The shape of the scan ``path`` among the finished ``cases``."""
+    return CapturedShape(**load_arrays(Path(cases), f"laid_{Path(path).stem}"), rig=DISC_RIG,
+                         held_share=held)
 
 
-def best_isotropic(name: str, cases: str, held: float, count: int) -> dict:
+def best_isotropic(path: str, cases: str, held: float, count: int) -> dict:
     """The isotropic linear fabric whose drape stays nearest to a scan, of ``count``."""
-    shape = shape_of(name, cases, held)
+    shape = shape_of(path, cases, held)
     alphas = MICRO * np.geomspace(*ISOTROPIC_RANGE, count)
     tried = [_result(shape, settled)
              for settled in stiffness_only(shape, RobustPositions.of(shape), alphas)]
     return {**min(tried, key=lambda result: result["displacement_mm"]), "tried": len(alphas)}
 
 
-def refined(name: str, cases: str, held: float, solves: int) -> dict:
+def refined(path: str, cases: str, held: float, solves: int) -> dict:
     """The refinement of a scan: the nearest drape, and the estimate."""
-    shape, prior = shape_of(name, cases, held), load_prior("gaussian")
+    shape, prior = shape_of(path, cases, held), load_prior("gaussian")
     found = search_cloth(shape, scan_objective(shape), Cloth(prior.mean.copy()), prior=prior,
                          solves=solves)
     if found.nearest is None or found.released is None:
-        raise InputError(f"{name}: no simulation ended: {found.effort.failures}")
+        raise InputError(f"{path}: no simulation ended: {found.effort.failures}")
     return {**_result(shape, found.nearest), "estimate": _result(shape, found.released),
             "solves": found.effort.solves, "seconds": found.effort.seconds,
             "failures": found.effort.failures,
             "arrays": {"positions": found.nearest.drape.positions}}
 
 
-def exchanged(name: str, cases: str, held: float, cloth: dict, thetas: dict) -> dict:
+def exchanged(path: str, cases: str, held: float, cloth: dict, thetas: dict) -> dict:
     """Misfit of a scan to its estimate's ``cloth`` under the springs, and with other moduli.
 
     Args:
         thetas: (6,) moduli by the name of the scan whose estimate they are.
     """
-    shape, own = shape_of(name, cases, held), _cloth(cloth)
+    shape, own = shape_of(path, cases, held), _cloth(cloth)
     captured = shape.as_drape(own.fabric)
+    objective, springs = scan_objective(shape), [surface_springs(captured)]
+    prior = load_prior("gaussian")
     misfits = {}
     for other, theta in thetas.items():
-        problem = CapturedProblem(
-            shape, scan_objective(shape), replace(own, theta=np.array(theta)),
-            prior=load_prior("gaussian"), near=captured, springs=[surface_springs(captured)])
+        problem = CapturedProblem(shape, objective, replace(own, theta=np.array(theta)),
+                                  prior=prior, near=captured, springs=springs)
         problem.value(problem.start)
         misfits[other] = problem.best and problem.best.value
     return misfits
 
 
-def curved(name: str, cases: str, held: float, solves: int, cloth: dict) -> dict:
+def curved(path: str, cases: str, held: float, solves: int, cloth: dict) -> dict:
     """The nearest drape of a scan, among the finished ``cases``, with a natural curvature."""
-    shape, start = shape_of(name, cases, held), _cloth(cloth)
-    positions = load_arrays(Path(cases), f"refined_{name}")["positions"]
+    shape, start = shape_of(path, cases, held), _cloth(cloth)
+    positions = load_arrays(Path(cases), f"refined_{Path(path).stem}")["positions"]
     near = replace(shape.as_drape(start.fabric, start.warp), positions=positions)
     best, count = search_curvature(shape, scan_objective(shape), start, near,
                                    prior=load_prior("gaussian"), solves=solves)
     if best is None:
-        raise InputError(f"{name}: no simulation ended")
+        raise InputError(f"{path}: no simulation ended")
     return {**_result(shape, best), "solves": count}
 
 
-def rubbing(name: str, cases: str, held: float, cloth: dict, friction: list[float]) -> dict:
+def rubbing(path: str, cases: str, held: float, cloth: dict, friction: list[float]) -> dict:
     """How far the estimate's cloth goes when its springs let go and friction of ``friction``,
     µN·m per metre, holds it."""
-    shape = shape_of(name, cases, held)
+    shape = shape_of(path, cases, held)
     drapes = drapes_with_friction(shape, _cloth(cloth), [MICRO * torque for torque in friction])
     gaps = [fidelity(shape, d).displacement_mm if d.converged else None for d in drapes]
     return {"held_mm": gaps[0], "friction_mm": gaps[1:]}
@@ -176,10 +178,10 @@ def main(argv: list[str]) -> None:
         raise InputError(f"no scan's name contains '{config['only']}'")
     work = {"folder": folder, "workers": config["workers"], "sources": ESTIMATOR}
     names = [s.name for s in scans]
+    common = {n: {"path": str(Path(config["scans"]) / f"{n}.npz"), "held": config["held"],
+                  "cases": str(folder)} for n in names}
     lying = run_cases(laid, {
-        f"laid_{n}": {"path": str(Path(config["scans"]) / f"{n}.npz"), "held": config["held"]}
-        for n in names}, **work)
-    common = {n: {"name": n, "cases": str(folder), "held": config["held"]} for n in names}
+        f"laid_{n}": {key: common[n][key] for key in ("path", "held")} for n in names}, **work)
     isotropic = run_cases(best_isotropic, {
         f"isotropic_{n}": {**common[n], "count": config["isotropic"]} for n in names}, **work)
     found = run_cases(refined, {
@@ -200,7 +202,7 @@ def main(argv: list[str]) -> None:
     rows = []
     shapes = []
     for n in names:
-        shapes.append(shape_of(n, str(folder), config["held"]))
+        shapes.append(shape_of(**common[n]))
         positions = load_arrays(folder, f"refined_{n}")["positions"]
         row = {"scan": n, "registration": lying[f"laid_{n}"]["registration"],
                "isotropic": isotropic[f"isotropic_{n}"], "refined": found[f"refined_{n}"],

@@ -30,9 +30,11 @@ from benchmarks.common import (
     parse_settings,
     run_cases,
     table,
+    usual_size,
     write_figure,
     write_report,
 )
+from benchmarks.photographs import photographed, place
 from benchmarks.recovery import errors, known_drape
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from data.prior import load_prior
@@ -63,12 +65,7 @@ def views_case(
     *, number: int, resolution: int, truth: int, sensor: str, seed: int
 ) -> dict:
     """The network and the refinement on one capture."""
-    import torch
-
     from data.cameras import CameraRig
-    from data.rasterise import camera_tensors
-    from data.render import render_views
-    from data.sensor import SensorNoise
     from drapenet.checkpoint import BUNDLED, load_model, read_header
     from drapenet.estimate import belief
     from drapenet.predict import predict
@@ -77,12 +74,8 @@ def views_case(
 
     known, shape = known_drape(seed, number, truth)
     rng = np.random.default_rng([seed, number, 2])
-    rig = CameraRig.load()
-    camera, turn = rig.sample(rng), float(rng.uniform(0, 2 * np.pi))
-    views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
-    intrinsics, _ = camera_tensors([camera])
-    generator = torch.Generator().manual_seed(number)
-    views = SensorNoise.load(sensor)(views, intrinsics[0], generator).numpy()
+    camera, turn = place(rng)
+    views = photographed(shape, camera, turn, sensor=sensor, seed=number)
 
     header = read_header(BUNDLED)
     found = predict(load_model(header), views, form=header.form, scale=header.scale)
@@ -97,7 +90,7 @@ def views_case(
                   resolution=resolution, seed=number)
     outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
     refined = refine_views(
-        views, locate_camera(views, rig.nominal()), network,
+        views, locate_camera(views, CameraRig.load().nominal()), network,
         turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
         prior=GaussianPrior(said.mean[order], said.covariance[np.ix_(order, order)], fabrics=0))
     theta = network if refined is None else refined.best.theta
@@ -115,12 +108,10 @@ def views_case(
 
 def bound_case(*, number: int, seed: int) -> dict:
     """The least standard deviations of theta (6,) of one fabric; None where there are none."""
-    from data.cameras import CameraRig
     from drapenet.information import CAMERA, SPECIMEN, bounds, depth_information
 
     _, shape = known_drape(seed, number, BOUND_RESOLUTION)
-    rng = np.random.default_rng([seed, number, 2])  # as for the views
-    camera, turn = CameraRig.load().sample(rng), float(rng.uniform(0, 2 * np.pi))
+    camera, turn = place(np.random.default_rng([seed, number, 2]))  # as for the views
     found = depth_information(shape, camera, orientation=turn, **BOUND)
     covariance = found.covariance((*SPECIMEN, *CAMERA)) if found.ok else None
     return {"bound": None if covariance is None else bounds(covariance).tolist()}
@@ -145,13 +136,9 @@ def summarise(results: dict[str, dict]) -> dict[str, dict]:
 
 
 def spreads(results: dict[str, dict]) -> dict[str, list[float]]:
-    """Usual errors (6,) of log alpha and, in m, of beta/alpha, of refinement and network.
-
-    1.48 times the median of their sizes: the standard deviation of a normal distribution.
-    """
+    """Usual errors (6,) of log alpha and, in m, of beta/alpha, of refinement and network."""
     theta = np.array([r["theta"] for r in results.values()])
-    return {name: (1.4826 * np.median(np.abs([r[key] for r in results.values()] - theta),
-                                      axis=0)).tolist()
+    return {name: usual_size([r[key] for r in results.values()] - theta)
             for name, key in (("refined from views", "found"), ("network", "estimated"))}
 
 
@@ -159,9 +146,8 @@ def over_bound(results: dict[str, dict], bounds: dict[str, dict]) -> dict[str, l
     """Usual errors (6,) of refinement and network in units of each fabric's own bound."""
     known = [(r, np.array(b["bound"])) for r, b in
              zip(results.values(), bounds.values(), strict=True) if b["bound"]]
-    return {name: (1.4826 * np.median(
-        [np.abs(np.subtract(r[key], r["theta"])) / bound for r, bound in known], axis=0)).tolist()
-        for name, key in (("refined from views", "found"), ("network", "estimated"))}
+    return {name: usual_size([np.subtract(r[key], r["theta"]) / bound for r, bound in known])
+            for name, key in (("refined from views", "found"), ("network", "estimated"))}
 
 
 def picture(views: dict[str, dict], path: Path) -> None:

@@ -121,6 +121,15 @@ def adjacency(mesh: Mesh) -> sparse.csr_matrix:
     return (one_way + one_way.T).tocsr()
 
 
+def smooth(positions: np.ndarray, moving: np.ndarray, adjacent: sparse.csr_matrix) -> None:
+    """Move positions (V, 3) where ``moving`` (V,) half-way to the mean of their neighbours.
+
+    In place; ``adjacent`` as :func:`adjacency` gives it.
+    """
+    degree = np.diff(adjacent.indptr)[:, None]
+    positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
+
+
 def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3) at positions (V, 3): of the faces (F, 3) around, weighted by area."""
     a, b, c = (positions[faces[:, k]] for k in range(3))

@@ -11,7 +11,7 @@ from sim.energies.self_contact import SelfContact, import_ipctk
 from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh import Mesh, adjacency
+from sim.mesh import Mesh, adjacency, smooth
 from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Scene, State
 
@@ -103,7 +103,6 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
     """
     vertices = len(positions)
     adjacent = adjacency(mesh)
-    degree = np.bincount(mesh.edges.ravel(), minlength=vertices)[:, None]
     x = positions.copy()
     for step in range(_UNTANGLING_ROUNDS):
         crossing = self_intersections(x, mesh.faces)
@@ -115,7 +114,7 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
             around |= adjacent @ around > 0
         moving = around & ~held
         for _ in range(2 + step // 4):
-            x[moving] = 0.5 * (x + adjacent @ x / degree)[moving]
+            smooth(x, moving, adjacent)
     return None
 
 

@@ -19,7 +19,7 @@ from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import adjacency, vertex_normals
+from sim.mesh import adjacency, smooth, vertex_normals
 from sim.newton import NewtonOptions, NewtonResult
 from sim.scene import Rig, Scene, State
 from sim.specimens import make_specimen
@@ -120,7 +120,6 @@ def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
     """
     mesh, x = scene.mesh, positions.copy()
     adjacent = adjacency(mesh)
-    degree = adjacent.sum(axis=1)
     hinges = find_hinges(mesh, scene.active)
     for _ in range(_SMOOTHINGS):
         bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > BENT
@@ -129,7 +128,7 @@ def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
         moving = np.zeros(len(x), dtype=bool)
         moving[hinges.corners[bent]] = True
         moving &= ~scene.held
-        x[moving] = 0.5 * (x + np.asarray(adjacent @ x / degree))[moving]
+        smooth(x, moving, adjacent)
     return x
 
 

@@ -114,12 +114,13 @@ def refine_views(
         prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
     """
     began = time.perf_counter()
-    meshes = []
-    for vertices in (min(resolution, COARSE), resolution):
+    meshes = {}
+    for vertices in {min(resolution, COARSE), resolution}:
         specimen = {"rig": rig or Rig(), "resolution": vertices, "seed": seed}
         faces = make_specimen(**specimen).mesh.faces
-        meshes.append(_Mesh(specimen, DepthViews(views, camera, faces, weights=weights)))
-    run = _Run(meshes[0], np.asarray(theta, np.float64), prior, progress)
+        meshes[vertices] = _Mesh(specimen, DepthViews(views, camera, faces, weights=weights))
+    rounds = meshes[min(resolution, COARSE)], meshes[resolution]
+    run = _Run(rounds[0], np.asarray(theta, np.float64), prior, progress)
     try:
         for initial in dict.fromkeys((shape, *SHAPES)):
             run.start(initial, turns)
@@ -133,7 +134,7 @@ def refine_views(
             run.weigh_prior()
             run.compare_again()
             run.improve(run.problem(run.best), evaluations)
-        for mesh, (evaluations, pull) in zip(meshes, HELD_ROUNDS, strict=True):
+        for mesh, (evaluations, pull) in zip(rounds, HELD_ROUNDS, strict=True):
             run.hold(mesh, evaluations, pull)
         run.conclude()
     except KeyboardInterrupt:
