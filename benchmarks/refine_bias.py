@@ -47,9 +47,9 @@ from sim.specimens import make_specimen
 PRIOR = np.array([0.2] * 3 + [1.3e-3] * 3)  # usual errors of the network: log alpha, m
 DEFAULTS = {
     "fabrics": 12,
-    "truth": 101,
-    "resolutions": [41, 51, 61],
-    "pulls": [0.3, 0.1],
+    "truth": 121,
+    "resolutions": [41, 61, 76, 101],
+    "pulls": [0.1],
     "seed": 78,
     "workers": 2,
     "cases": "outputs/validation/refine_bias",

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from drapenet.convention import TARGET_NAMES
 from sim.errors import InputError
 from sim.files import replace_file
@@ -22,6 +20,7 @@ from sim.files import replace_file
 if TYPE_CHECKING:
     import torch
 
+    from data.prior.gaussian import GaussianPrior
     from drapenet.model import DrapeNet
     from drapenet.preprocess import InputFormat
     from drapenet.targets import TargetScale
@@ -33,7 +32,6 @@ BUNDLED = Path(__file__).parent / "weights" / "drapenet.safetensors"
 _HEADER_KEYS = {
     "rig", "convention", "input", "model", "targets", "dataset", "weights", "validation", "config",
 }
-_NO_SHIFT = {"mean": [0.0] * len(TARGET_NAMES)}
 
 
 @dataclass(frozen=True)
@@ -82,11 +80,15 @@ class Header:
         return TargetScale(torch.tensor(targets["mean"]), torch.tensor(targets["std"]))
 
     @property
-    def mesh_shift(self) -> np.ndarray:
-        """(6,) in the targets' units: what the network says more of fine drapes than of those it
-        learned from, in the mean; zeros where that was not measured (``benchmarks.mesh_shift``).
+    def errors(self) -> GaussianPrior | None:
+        """Distribution of the errors (6,), in the targets' units, that the network makes on drapes
+        that have not the meshes it learned from, as cloth has not; None where they were not
+        measured (``benchmarks.network_errors``).
         """
-        return np.array(self.content.get("mesh_shift", _NO_SHIFT)["mean"])
+        from data.prior.gaussian import GaussianPrior
+
+        errors = self.content.get("errors")
+        return None if errors is None else GaussianPrior.from_dict(errors)
 
     @property
     def identity(self) -> dict[str, str]:
@@ -134,7 +136,6 @@ def _check_content(content: dict[str, Any], path: Path) -> None:
     try:
         rows = [targets[key] for key in ("mean", "std", "low", "high")]
         rows.append([content["validation"]["rmse"][name] for name in TARGET_NAMES])
-        rows.append(content.get("mesh_shift", _NO_SHIFT)["mean"])
         sound = (targets["names"] == list(TARGET_NAMES)
                  and all(len(row) == len(TARGET_NAMES) for row in rows)
                  and all(math.isfinite(value) for row in rows for value in row)
@@ -145,6 +146,10 @@ def _check_content(content: dict[str, Any], path: Path) -> None:
         sound = False
     if not sound:
         raise InputError(f"{path}: targets, weights or dataset are not described as expected")
+    try:
+        Header(path, content).errors  # noqa: B018 (read for its checks)
+    except InputError as error:
+        raise InputError(f"{path}: errors are not described as expected: {error}") from None
 
 
 def load_model(header: Header) -> DrapeNet:

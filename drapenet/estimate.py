@@ -79,16 +79,18 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
 
 
 def belief(prediction: Prediction, header: Header) -> GaussianPrior:
-    """What the network's word says of the theta of real cloth: its usual error around it.
+    """What the network's word says of the theta of real cloth, its errors being what they are.
 
-    Cloth has no mesh: what the training's meshes do to the word
-    (:attr:`.checkpoint.Header.mesh_shift`) is taken off. Beyond the fabrics it was trained on, the
-    distance to them is added to the error.
+    Their distribution is that on drapes without the training's meshes
+    (:attr:`.checkpoint.Header.errors`): errors of alpha in three directions go together, and those
+    of beta/alpha against them. Where it was not measured, they count as independent, as large as
+    on held-out drapes. Beyond the fabrics trained on, the distance to them is added.
     """
     targets, values = header.content["targets"], prediction.targets
     beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    variances = typical_errors(header) ** 2 + beyond**2
-    return GaussianPrior(values - header.mesh_shift, np.diag(variances), fabrics=0)
+    errors = header.errors or GaussianPrior(np.zeros(6), np.diag(typical_errors(header) ** 2), 0)
+    return GaussianPrior(values - errors.mean, errors.covariance + np.diag(beyond**2),
+                         fabrics=0)
 
 
 def typical_errors(header: Header) -> np.ndarray:

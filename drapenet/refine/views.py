@@ -41,9 +41,9 @@ from sim.specimens import make_specimen
 
 FREE_ROUNDS = (4, 5)
 """Simulations of each Levenberg-Marquardt of free cloth."""
-HELD_ROUNDS = ((8, 0.3), (10, 0.1))
+HELD_ROUNDS = ((8, 0.3), (4, 0.1))
 """The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
-COARSE, FINE = 41, 61
+COARSE, FINE = 41, 101
 """Vertices a side until the last round, where folds and pose are found as well, and in it."""
 SPREAD = (0.0, 0.7, -0.7)
 """What is added to log alpha for the starts."""
@@ -112,13 +112,15 @@ def refine_views(
             most; seed: of its meshes, and of the other shapes.
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
         prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
+        weights: of the pixels; on coarser meshes they count less (:meth:`.DepthWeights.on_mesh`).
     """
     began = time.perf_counter()
     meshes = {}
     for vertices in {min(resolution, COARSE), resolution}:
         specimen = {"rig": rig or Rig(), "resolution": vertices, "seed": seed}
         faces = make_specimen(**specimen).mesh.faces
-        meshes[vertices] = _Mesh(specimen, DepthViews(views, camera, faces, weights=weights))
+        own = (weights or DepthWeights()).on_mesh(specimen["rig"].specimen_size / (vertices - 1))
+        meshes[vertices] = _Mesh(specimen, DepthViews(views, camera, faces, weights=own))
     rounds = meshes[min(resolution, COARSE)], meshes[resolution]
     run = _Run(rounds[0], np.asarray(theta, np.float64), prior, progress)
     try:

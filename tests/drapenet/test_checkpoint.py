@@ -2,6 +2,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -52,8 +53,11 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     ({"targets": {"names": ["a"], "mean": [0], "std": [1]}}, "not described as expected"),
     ({"weights": None}, "not described as expected"),
     ({"validation": {"rmse": {}}}, "not described as expected"),
-    ({"mesh_shift": {"mean": [0.0] * 5}}, "not described as expected"),
-    ({"mesh_shift": 0.1}, "not described as expected"),
+    ({"errors": {"mean": [0.0] * 5, "covariance": np.eye(6).tolist(), "fabrics": 9}},
+     "errors are not described as expected"),
+    ({"errors": {"mean": [0.0] * 6, "covariance": (-np.eye(6)).tolist(), "fabrics": 9}},
+     "errors are not described as expected"),
+    ({"errors": 0.1}, "errors are not described as expected"),
 ])
 def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:
     edit(checkpoint, **changes)

@@ -7,6 +7,7 @@ import pytest
 
 from data.cameras import CameraRig
 from data.captures import Capture
+from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header, read_header
 from drapenet.estimate import belief, make_estimate, to_json
 from drapenet.predict import Prediction
@@ -103,10 +104,13 @@ def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Head
         [*usual[:2], math.hypot(usual[2], beyond), *usual[3:]])
 
 
-def test_what_the_meshes_of_the_training_did_is_taken_off_the_belief(header: Header) -> None:
-    prediction = predicted([60, 40, 20])
-    plain = belief(prediction, header)
-    header.content["mesh_shift"] = {"mean": [0.1, -0.2, 0, 0, 3e-4, 0]}
-    found = belief(prediction, header)
-    assert found.mean - plain.mean == pytest.approx([-0.1, 0.2, 0, 0, -3e-4, 0])
-    np.testing.assert_array_equal(found.covariance, plain.covariance)
+def test_measured_errors_make_the_belief(header: Header) -> None:
+    half = np.random.default_rng(2).standard_normal((6, 6))
+    errors = GaussianPrior(np.array([0.1, -0.2, 0, 0, 3e-4, 0]), half @ half.T, fabrics=50)
+    header.content["errors"] = {**errors.as_dict(), "vertices": 101}
+    inside, outside = (belief(predicted(alpha), header)
+                       for alpha in ([60, 40, 20], [60, 40, 0.2]))
+    assert inside.mean == pytest.approx(predicted([60, 40, 20]).targets - errors.mean)
+    np.testing.assert_allclose(inside.covariance, errors.covariance)
+    more = outside.covariance - errors.covariance  # in the softest direction alone
+    assert np.flatnonzero(np.abs(more) > 1e-12).tolist() == [2 * 6 + 2]

@@ -1,11 +1,11 @@
-"""What a mesh does to the network's word: ``python -m benchmarks.mesh_shift [key=value ...]``.
+"""What the network errs by on cloth: ``python -m benchmarks.network_errors [key=value ...]``.
 
 The network has learned from drapes of some 41 vertices a side; cloth has no mesh. Fabrics of the
 prior are draped on the mesh that the bending length asks for, and again on a fine one, from that
 shape, so that the folds are the same. Both are photographed from the same place with the same noise
-and estimated. Reported is how much more the network says of the fine drape, in the mean, and its
-errors on both. ``refine=depth`` takes the mean off the network's word
-(:func:`drapenet.estimate.belief`).
+and estimated. Reported are the errors on both, what the mesh adds to them, and how errors of
+different moduli go together. ``refine=depth`` weighs the network's word by the errors on fine
+drapes (:func:`drapenet.estimate.belief`).
 
 Keys (``key=value``):
 
@@ -30,22 +30,25 @@ from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, tab
 from benchmarks.photographs import photographed, place
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
+from data.prior.gaussian import GaussianPrior
 from drapenet.convention import TARGET_NAMES
 from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.errors import InputError
 from sim.files import replace_file
 
+LEAST = 20
+"""Fabrics for a covariance of six errors."""
 DEFAULTS = {
     "checkpoint": "",
     "calibrate": False,
-    "fabrics": 32,
+    "fabrics": 96,
     "vertices": 101,
     "sensor": "smooth",
     "seed": 79,
     "workers": 2,
-    "cases": "outputs/validation/mesh_shift",
-    "out": str(REPORTS / "mesh_shift.json"),
+    "cases": "outputs/validation/network_errors",
+    "out": str(REPORTS / "network_errors.json"),
 }
 
 
@@ -80,8 +83,6 @@ def main(argv: list[str]) -> None:
     from drapenet.targets import to_stiff_soft
 
     config = parse_settings(DEFAULTS, argv)
-    if config["fabrics"] < 2:
-        raise InputError(f"fabrics={config['fabrics']}: two fabrics are needed at least")
     header = read_header(config["checkpoint"] or BUNDLED)
     settings = {key: config[key] for key in ("checkpoint", "vertices", "sensor", "seed")}
     # Other weights of the same name are another network.
@@ -90,22 +91,30 @@ def main(argv: list[str]) -> None:
         f"fabric_{k}_{label}": {"number": k, **settings} for k in range(config["fabrics"])},
         folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)
     good = [c for c in found.values() if c["converged"]]
+    if len(good) < LEAST:
+        raise InputError(f"{len(good)} of {len(found)} fabrics are draped on both meshes; at least "
+                         f"{LEAST} are needed: give more fabrics=")
     own, fine = (np.array([c[key] for c in good]) for key in ("own", "fine"))
     truth = np.array([to_stiff_soft(torch.tensor(c["theta"])).tolist() for c in good])
-    change = fine - own
-    shift = {"mean": change.mean(axis=0).tolist(), "vertices": config["vertices"],
-             "fabrics": len(good)}
+    change, errors = fine - own, GaussianPrior.fit(fine - truth)
+    deviation = np.sqrt(np.diag(errors.covariance))
     summary = {
-        "mean change": shift["mean"],
+        "more on the fine mesh": change.mean(axis=0).tolist(),
         "its standard error": (change.std(axis=0, ddof=1) / math.sqrt(len(good))).tolist(),
         "error on its own mesh": np.sqrt(((own - truth) ** 2).mean(axis=0)).tolist(),
         "error on the fine mesh": np.sqrt(((fine - truth) ** 2).mean(axis=0)).tolist(),
+        "of that the mean": errors.mean.tolist(),
     }
+    correlation = errors.covariance / np.outer(deviation, deviation)
     print(table(["", *TARGET_NAMES], [[key, *values] for key, values in summary.items()]))
-    write_report(Path(config["out"]), {"settings": settings, "summary": summary, "cases": found})
+    print(table(["correlation of errors", *TARGET_NAMES],
+                [[name, *row] for name, row in zip(TARGET_NAMES, correlation, strict=True)]))
+    write_report(Path(config["out"]), {"settings": settings, "summary": summary,
+                                  "correlation": correlation.tolist(), "cases": found})
     if config["calibrate"]:
         description = header.path.with_suffix(".json")
-        content = {**header.content, "mesh_shift": shift}
+        content = {**header.content,
+                   "errors": {**errors.as_dict(), "vertices": config["vertices"]}}
         replace_file(description, (json.dumps(content, indent=1) + "\n").encode())
         print(f"written into {description}")
 
