@@ -30,8 +30,8 @@ from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, tab
 from benchmarks.photographs import photographed, place
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
-from data.prior.gaussian import GaussianPrior
 from drapenet.convention import TARGET_NAMES
+from drapenet.network_errors import NetworkErrors
 from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.errors import InputError
@@ -96,7 +96,7 @@ def main(argv: list[str]) -> None:
                          f"{LEAST} are needed: give more fabrics=")
     own, fine = (np.array([c[key] for c in good]) for key in ("own", "fine"))
     truth = np.array([to_stiff_soft(torch.tensor(c["theta"])).tolist() for c in good])
-    change, errors = fine - own, GaussianPrior.fit(fine - truth)
+    change, errors = fine - own, NetworkErrors.fit(fine, truth)
     deviation = np.sqrt(np.diag(errors.covariance))
     summary = {
         "more on the fine mesh": change.mean(axis=0).tolist(),
@@ -104,6 +104,8 @@ def main(argv: list[str]) -> None:
         "error on its own mesh": np.sqrt(((own - truth) ** 2).mean(axis=0)).tolist(),
         "error on the fine mesh": np.sqrt(((fine - truth) ** 2).mean(axis=0)).tolist(),
         "of that the mean": errors.mean.tolist(),
+        "the mean's change with the level": errors.slope.tolist(),
+        "around the mean": deviation.tolist(),
     }
     correlation = errors.covariance / np.outer(deviation, deviation)
     print(table(["", *TARGET_NAMES], [[key, *values] for key, values in summary.items()]))

@@ -20,8 +20,8 @@ from sim.files import replace_file
 if TYPE_CHECKING:
     import torch
 
-    from data.prior.gaussian import GaussianPrior
     from drapenet.model import DrapeNet
+    from drapenet.network_errors import NetworkErrors
     from drapenet.preprocess import InputFormat
     from drapenet.targets import TargetScale
 
@@ -80,15 +80,12 @@ class Header:
         return TargetScale(torch.tensor(targets["mean"]), torch.tensor(targets["std"]))
 
     @property
-    def errors(self) -> GaussianPrior | None:
-        """Distribution of the errors (6,), in the targets' units, that the network makes on drapes
-        that have not the meshes it learned from, as cloth has not; None where they were not
-        measured (``benchmarks.network_errors``).
-        """
-        from data.prior.gaussian import GaussianPrior
+    def errors(self) -> NetworkErrors | None:
+        """How the network errs on cloth; None where that was not measured."""
+        from drapenet.network_errors import NetworkErrors
 
         errors = self.content.get("errors")
-        return None if errors is None else GaussianPrior.from_dict(errors)
+        return None if errors is None else NetworkErrors.from_dict(errors)
 
     @property
     def identity(self) -> dict[str, str]:

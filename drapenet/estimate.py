@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from data.captures import Capture
+from data.fabrics import from_theta
 from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header
 from drapenet.convention import LINEAR, RATIO, STIFF_SOFT
-from drapenet.predict import Prediction
+from drapenet.predict import Prediction, in_order
 from drapenet.table import error_table, moduli_table
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bias_limit
 
@@ -32,7 +33,7 @@ class Estimate:
         names: of the three directions: stiff, bias, soft, or warp, bias, weft in the order of
             ``fabric``.
         convention: ``stiff/soft`` or ``warp/weft``.
-        prediction: what the network said.
+        prediction: what the network said, its mean error on cloth not taken off.
         warnings: one line each.
     """
 
@@ -47,7 +48,7 @@ def make_estimate(prediction: Prediction, *, capture: Capture, header: Header) -
     """Name the directions, scale to the fabric's density, and say what is doubtful."""
     warnings = [*capture.warnings, *_doubts(prediction, header)]
     names, direction_doubts = _name_directions(prediction, capture.warp_direction)
-    alpha, beta = prediction.moduli
+    alpha, beta = from_theta(belief(prediction, header).mean)
     limit = bias_limit(alpha)
     if alpha[1] <= limit * 1.001:
         warnings.append("no plate is as soft along the bias as the predicted "
@@ -81,21 +82,24 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
 def belief(prediction: Prediction, header: Header) -> GaussianPrior:
     """What the network's word says of the theta of real cloth, its errors being what they are.
 
-    Their distribution is that on drapes without the training's meshes
-    (:attr:`.checkpoint.Header.errors`): errors of alpha in three directions go together, and those
-    of beta/alpha against them. Where it was not measured, they count as independent, as large as
-    on held-out drapes. Beyond the fabrics trained on, the distance to them is added.
+    Where its errors on cloth were measured (:mod:`drapenet.network_errors`), their mean is taken
+    off, and they go together as they did there; else they count as independent, as large as on
+    held-out drapes. Beyond the fabrics trained on, the distance to them is added.
     """
     targets, values = header.content["targets"], prediction.targets
     beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    errors = header.errors or GaussianPrior(np.zeros(6), np.diag(typical_errors(header) ** 2), 0)
-    return GaussianPrior(values - errors.mean, errors.covariance + np.diag(beyond**2),
-                         fabrics=0)
+    errors, mean = header.errors, values
+    covariance = np.diag(typical_errors(header) ** 2)
+    if errors:
+        mean, covariance = in_order(values - errors.mean_at(values)), errors.covariance
+    return GaussianPrior(mean, covariance + np.diag(beyond**2), fabrics=0)
 
 
 def typical_errors(header: Header) -> np.ndarray:
-    """(6,) held-out errors in the targets' units."""
+    """(6,) usual errors in the targets' units: on cloth, or else on held-out drapes."""
     content = header.content
+    if header.errors:
+        return np.sqrt(np.diag(header.errors.covariance))
     rmse = [content["validation"]["rmse"][name] for name in content["targets"]["names"]]
     return np.array(rmse) * np.array(content["targets"]["std"])
 

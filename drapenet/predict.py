@@ -40,6 +40,17 @@ class Prediction:
         return alpha.numpy(), beta.numpy()
 
 
+def in_order(targets: np.ndarray) -> np.ndarray:
+    """targets (6,) whose stiff alpha is no smaller than the soft one.
+
+    Stiff is the larger by definition; equal moduli are the nearest that agree with it.
+    """
+    targets = targets.copy()
+    if targets[STIFF] < targets[SOFT]:
+        targets[[STIFF, SOFT]] = targets[[STIFF, SOFT]].mean()
+    return targets
+
+
 @torch.no_grad()
 def average_orders(
     model: torch.nn.Module, views: np.ndarray, *, form: InputFormat
@@ -73,11 +84,8 @@ def predict(
     targets, axes = average_orders(model, views, form=form)
     axis = axes.mean(dim=0)
     mean = scale.decode(targets.mean(dim=0)).double().numpy()
-    if mean[STIFF] < mean[SOFT]:
-        # Stiff is the larger by definition; equal moduli are the nearest that agree with it.
-        mean[[STIFF, SOFT]] = mean[[STIFF, SOFT]].mean()
     return Prediction(
-        targets=mean,
+        targets=in_order(mean),
         spread=(targets.std(dim=0, correction=0) * scale.std).double().numpy(),
         axis=float(axis_angle(axis)),
         axis_confidence=min(1.0, float(axis.norm())),

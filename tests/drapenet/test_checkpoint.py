@@ -10,6 +10,9 @@ from drapenet.checkpoint import load_model, load_state, read_header, save_checkp
 from drapenet.model import DrapeNet
 from sim.errors import InputError
 
+ERRORS = {"mean": [0.0] * 6, "slope": [0.0] * 6, "level": -11.0, "covariance": np.eye(6).tolist(),
+          "fabrics": 9}
+
 
 @pytest.fixture
 def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
@@ -53,10 +56,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     ({"targets": {"names": ["a"], "mean": [0], "std": [1]}}, "not described as expected"),
     ({"weights": None}, "not described as expected"),
     ({"validation": {"rmse": {}}}, "not described as expected"),
-    ({"errors": {"mean": [0.0] * 5, "covariance": np.eye(6).tolist(), "fabrics": 9}},
-     "errors are not described as expected"),
-    ({"errors": {"mean": [0.0] * 6, "covariance": (-np.eye(6)).tolist(), "fabrics": 9}},
-     "errors are not described as expected"),
+    ({"errors": {**ERRORS, "mean": [0.0] * 5}}, "errors are not described as expected"),
+    ({"errors": {**ERRORS, "level": None}}, "errors are not described as expected"),
+    ({"errors": {**ERRORS, "covariance": (-np.eye(6)).tolist()}}, "symmetric and positive"),
     ({"errors": 0.1}, "errors are not described as expected"),
 ])
 def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header, read_header
-from drapenet.estimate import belief, make_estimate, to_json
+from drapenet.estimate import belief, make_estimate, to_json, typical_errors
+from drapenet.network_errors import NetworkErrors
 from drapenet.predict import Prediction
 from drapenet.table import format_table
 from sim.material import MICRO, is_admissible
@@ -106,11 +106,34 @@ def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Head
 
 def test_measured_errors_make_the_belief(header: Header) -> None:
     half = np.random.default_rng(2).standard_normal((6, 6))
-    errors = GaussianPrior(np.array([0.1, -0.2, 0, 0, 3e-4, 0]), half @ half.T, fabrics=50)
+    errors = NetworkErrors(np.array([0.1, -0.2, 0, 0, 3e-4, 0]), np.array([0, 0.3, 0, 0, 0, 0]),
+                           math.log(36 * MICRO), half @ half.T, fabrics=50)
     header.content["errors"] = {**errors.as_dict(), "vertices": 101}
     inside, outside = (belief(predicted(alpha), header)
                        for alpha in ([60, 40, 20], [60, 40, 0.2]))
-    assert inside.mean == pytest.approx(predicted([60, 40, 20]).targets - errors.mean)
+    more = np.log(48e3 / 36**3) / 3  # of the level
+    off = np.array([0.1, -0.2 + 0.3 * more, 0, 0, 3e-4, 0])
+    assert inside.mean == pytest.approx(predicted([60, 40, 20]).targets - off)
     np.testing.assert_allclose(inside.covariance, errors.covariance)
-    more = outside.covariance - errors.covariance  # in the softest direction alone
-    assert np.flatnonzero(np.abs(more) > 1e-12).tolist() == [2 * 6 + 2]
+    estimate = make_estimate(predicted([60, 40, 20]), capture=CAPTURE, header=header)
+    assert np.log(estimate.fabric.at_density(0.3).alpha) == pytest.approx(inside.mean[:3])
+    np.testing.assert_allclose(typical_errors(header) ** 2, np.diag(errors.covariance))
+    further = outside.covariance - errors.covariance  # in the softest direction alone
+    assert np.flatnonzero(np.abs(further) > 1e-12).tolist() == [2 * 6 + 2]
+
+
+def test_errors_that_depend_on_the_level_are_found() -> None:
+    rng = np.random.default_rng(3)
+    truth = np.column_stack([rng.normal(-11, 0.8, (4000, 3)), rng.normal(-3e-3, 1e-3, (4000, 3))])
+    half = np.diag([0.2] * 3 + [1e-3] * 3) @ rng.standard_normal((6, 6))
+    level = truth[:, :3].mean(axis=1)
+    drift = np.array([0.0, 0.1, -0.05, 0, 0, 0])
+    estimates = truth + np.outer(level + 11, drift) - 0.1 + rng.standard_normal((4000, 6)) @ half.T
+    found = NetworkErrors.fit(estimates, truth)
+    corrected = estimates - np.array([found.mean_at(row) for row in estimates])
+    rest, levels = corrected - truth, estimates[:, :3].mean(axis=1)
+    assert np.abs(rest.mean(axis=0)).max() < 1e-9
+    assert np.abs(np.cov(rest.T, levels)[-1, :-1]).max() < 1e-9
+    assert found.covariance == pytest.approx(np.cov(rest.T), rel=0.01)
+    again = NetworkErrors.from_dict(found.as_dict())
+    assert again.mean_at(estimates[0]) == pytest.approx(found.mean_at(estimates[0]))
