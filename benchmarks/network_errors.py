@@ -112,7 +112,7 @@ def main(argv: list[str]) -> None:
     print(table(["correlation of errors", *TARGET_NAMES],
                 [[name, *row] for name, row in zip(TARGET_NAMES, correlation, strict=True)]))
     write_report(Path(config["out"]), {"settings": settings, "summary": summary,
-                                  "correlation": correlation.tolist(), "cases": found})
+                                        "correlation": correlation.tolist(), "cases": found})
     if config["calibrate"]:
         description = header.path.with_suffix(".json")
         content = {**header.content,

@@ -1,11 +1,12 @@
 """What refinement makes of four noisy views: ``python -m benchmarks.refine_views [key=value ...]``.
 
 Four noisy depth views of a known fabric, from a camera beside its nominal place, of a drape
-on a finer mesh and in other folds than those of the fabric first estimated. The network estimates
-(as ``infer.py`` does, its mean error on cloth taken off), the refinement starts from there, and both are compared with the truth, and with the prior's mean.
-The direction of the warp is known to a degree. Beside the errors stands the Cramér-Rao bound of the
-same fabrics, seen by the same cameras (:mod:`drapenet.information`; 1 mm of noise, one independent
-pixel in a hundred, the camera's pose unknown).
+on a finer mesh and in other folds than those of the fabric first estimated. The network estimates,
+its mean error on cloth taken off as by ``infer.py``; the refinement starts from there; and both are
+compared with the truth, and with the prior's mean. The direction of the warp is known to a degree.
+Beside the errors stands the Cramér-Rao bound of the same fabrics, seen by the same cameras
+(:mod:`drapenet.information`; 1 mm of noise, one independent pixel in a hundred, the camera's pose
+unknown).
 
 Keys (``key=value``):
 
