@@ -51,7 +51,7 @@ GOAL = 0.15  # median error of alpha
 BOUND = {"noise": 1e-3, "pixels_per_measurement": 100.0}  # m
 BOUND_RESOLUTION = 51  # vertices a side
 DEFAULTS = {
-    "fabrics": 40,
+    "fabrics": 20,
     "resolution": 101,
     "truth": 121,
     "sensor": "tof",
