@@ -4,8 +4,8 @@ The network has learned from drapes of some 41 vertices a side; cloth has no mes
 prior are draped on the mesh that the bending length asks for, and again on a fine one, from that
 shape, so that the folds are the same. Both are photographed from the same place with the same noise
 and estimated. Reported are the errors on both, what the mesh adds to them, and how errors of
-different moduli go together. ``refine=depth`` weighs the network's word by the errors on fine
-drapes (:func:`drapenet.estimate.belief`).
+different moduli go together. ``infer.py`` takes the mean error on fine drapes off, and
+``refine=depth`` weighs the network's word by what is left (:func:`drapenet.estimate.belief`).
 
 Keys (``key=value``):
 
