@@ -97,7 +97,6 @@ def main(argv: list[str]) -> None:
     own, fine = (np.array([c[key] for c in good]) for key in ("own", "fine"))
     truth = np.array([to_stiff_soft(torch.tensor(c["theta"])).tolist() for c in good])
     change, errors = fine - own, NetworkErrors.fit(fine, truth)
-    deviation = np.sqrt(np.diag(errors.covariance))
     summary = {
         "more on the fine mesh": change.mean(axis=0).tolist(),
         "its standard error": (change.std(axis=0, ddof=1) / math.sqrt(len(good))).tolist(),
@@ -105,9 +104,9 @@ def main(argv: list[str]) -> None:
         "error on the fine mesh": np.sqrt(((fine - truth) ** 2).mean(axis=0)).tolist(),
         "of that the mean": errors.mean.tolist(),
         "the mean's change with the level": errors.slope.tolist(),
-        "around the mean": deviation.tolist(),
+        "around the mean": errors.deviation.tolist(),
     }
-    correlation = errors.covariance / np.outer(deviation, deviation)
+    correlation = errors.covariance / np.outer(errors.deviation, errors.deviation)
     print(table(["", *TARGET_NAMES], [[key, *values] for key, values in summary.items()]))
     print(table(["correlation of errors", *TARGET_NAMES],
                 [[name, *row] for name, row in zip(TARGET_NAMES, correlation, strict=True)]))

@@ -72,7 +72,7 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
             directions = ", ".join(np.array(STIFF_SOFT)[outside])
             doubts.append(f"{what} ({directions}) lies outside the fabrics of the training set: "
                           "an extrapolation")
-    errors = typical_errors(header)
+    errors = header.errors.deviation
     if (prediction.spread[LINEAR] > errors[LINEAR]).any():
         doubts.append("the view orders disagree more than the network's usual error: look for "
                       "a wrong view order, a wrong turn, or noise")
@@ -82,26 +82,14 @@ def _doubts(prediction: Prediction, header: Header) -> list[str]:
 def belief(prediction: Prediction, header: Header) -> GaussianPrior:
     """What the network's word says of the theta of real cloth, its errors being what they are.
 
-    Where its errors on cloth were measured (:mod:`drapenet.network_errors`), their mean is taken
-    off, and they go together as they did there; else they count as independent, as large as on
-    held-out drapes. Beyond the fabrics trained on, the distance to them is added.
+    Their mean is taken off, and they go together (:attr:`.checkpoint.Header.errors`). Beyond the
+    fabrics trained on, the distance to them is added.
     """
     targets, values = header.content["targets"], prediction.targets
     beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    errors, mean = header.errors, values
-    covariance = np.diag(typical_errors(header) ** 2)
-    if errors:
-        mean, covariance = in_order(values - errors.mean_at(values)), errors.covariance
-    return GaussianPrior(mean, covariance + np.diag(beyond**2), fabrics=0)
-
-
-def typical_errors(header: Header) -> np.ndarray:
-    """(6,) usual errors in the targets' units: on cloth, or else on held-out drapes."""
-    content = header.content
-    if header.errors:
-        return np.sqrt(np.diag(header.errors.covariance))
-    rmse = [content["validation"]["rmse"][name] for name in content["targets"]["names"]]
-    return np.array(rmse) * np.array(content["targets"]["std"])
+    errors = header.errors
+    return GaussianPrior(in_order(values - errors.mean_at(values)),
+                         errors.covariance + np.diag(beyond**2), fabrics=0)
 
 
 def _name_directions(
@@ -142,7 +130,7 @@ def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str
         "moduli": moduli_table(names, estimate.fabric),
         "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
         "spread_over_view_orders": error_table(names, prediction.spread),
-        "typical_error": error_table(names, typical_errors(header)),
+        "typical_error": error_table(names, header.errors.deviation),
         "stiff_axis": {
             "direction_deg": math.degrees(prediction.axis),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",

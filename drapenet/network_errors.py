@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.prior.base import read_array, read_count
+from data.prior.base import check_covariances, read_array, read_count
 from drapenet.convention import LINEAR
 from sim.errors import InputError
 
@@ -45,6 +45,16 @@ class NetworkErrors:
         rest = errors - basis @ np.stack([mean, slope])
         return cls(mean, slope, float(level), rest.T @ rest / (len(errors) - 2), len(errors))
 
+    @classmethod
+    def independent(cls, deviation: np.ndarray) -> "NetworkErrors":
+        """Of mean zero and deviation (6,), those of one modulus not knowing of the others."""
+        return cls(np.zeros(6), np.zeros(6), 0.0, np.diag(deviation**2), 0)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(6,) of each error around its mean."""
+        return np.sqrt(np.diag(self.covariance))
+
     def mean_at(self, estimate: np.ndarray) -> np.ndarray:
         """(6,) mean error where the network says ``estimate`` (6,)."""
         return self.mean + self.slope * (estimate[LINEAR].mean() - self.level)
@@ -61,8 +71,6 @@ class NetworkErrors:
             raise InputError("they are no table of parameters")
         mean, slope = (read_array(content, name, (6,)) for name in ("mean", "slope"))
         covariance = read_array(content, "covariance", (6, 6))
-        if (not np.allclose(covariance, covariance.T)
-                or np.linalg.eigvalsh(covariance).min() <= 0):
-            raise InputError("their covariance is not symmetric and positive definite")
+        check_covariances(covariance, "their covariance")
         return cls(mean, slope, float(read_array(content, "level", ())), covariance,
                    read_count(content, "fabrics"))

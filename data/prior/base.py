@@ -52,6 +52,13 @@ def read_array(content: object, name: str, shape: tuple[int, ...]) -> np.ndarray
     return array
 
 
+def check_covariances(covariances: np.ndarray, what: str) -> None:
+    """InputError about ``what`` if one of covariances (..., K, K), finite, is none."""
+    if (not np.allclose(covariances, np.swapaxes(covariances, -1, -2))
+            or np.linalg.eigvalsh(covariances).min() <= 0):
+        raise InputError(f"{what} must be symmetric and positive definite")
+
+
 def read_count(content: dict, name: str) -> int:
     """The whole number ``content[name]`` >= 0; InputError when it is not there."""
     count = content.get(name)

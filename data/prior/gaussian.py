@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from data.prior.base import check_fabrics
+from data.prior.base import check_covariances, check_fabrics
 from sim.errors import InputError
 
 
@@ -74,9 +74,7 @@ class GaussianPrior:
                              f"fabrics ({type(error).__name__}: {error})") from None
         if mean.shape != (6,) or covariance.shape != (6, 6):
             raise InputError("a Gaussian prior needs a mean of 6 and a covariance of 36 numbers")
-        finite = np.isfinite(mean).all() and np.isfinite(covariance).all()
-        if not finite or not np.allclose(covariance, covariance.T):
-            raise InputError("the covariance of a Gaussian prior must be finite and symmetric")
-        if np.linalg.eigvalsh(covariance).min() <= 0:
-            raise InputError("the covariance of a Gaussian prior must be positive definite")
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise InputError("the mean and the covariance of a Gaussian prior must be finite")
+        check_covariances(covariance, "the covariance of a Gaussian prior")
         return cls(mean, covariance, fabrics)

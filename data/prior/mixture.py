@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import logsumexp
 
-from data.prior.base import check_fabrics, read_array, read_count
+from data.prior.base import check_covariances, check_fabrics, read_array, read_count
 from data.prior.coordinates import Coordinates
 from sim.errors import InputError
 
@@ -96,10 +96,7 @@ class MixturePrior:
         covariances = read_array(content, "covariances", (count, 6, 6))
         if not (count and (weights > 0).all() and abs(weights.sum() - 1) < 1e-9):
             raise InputError("the weights of a mixture must be positive and add up to 1")
-        if not np.allclose(covariances, covariances.transpose(0, 2, 1)):
-            raise InputError("the covariances of a mixture must be symmetric")
-        if np.linalg.eigvalsh(covariances).min() <= 0:
-            raise InputError("the covariances of a mixture must be positive definite")
+        check_covariances(covariances, "the covariances of a mixture")
         return cls(Coordinates.from_dict(content.get("coordinates")), weights,
                    read_array(content, "means", (count, 6)), covariances,
                    read_count(content, "fabrics"))

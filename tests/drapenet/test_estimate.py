@@ -8,7 +8,7 @@ import pytest
 from data.cameras import CameraRig
 from data.captures import Capture
 from drapenet.checkpoint import Header, read_header
-from drapenet.estimate import belief, make_estimate, to_json, typical_errors
+from drapenet.estimate import belief, make_estimate, to_json
 from drapenet.network_errors import NetworkErrors
 from drapenet.predict import Prediction
 from drapenet.table import format_table
@@ -117,7 +117,7 @@ def test_measured_errors_make_the_belief(header: Header) -> None:
     np.testing.assert_allclose(inside.covariance, errors.covariance)
     estimate = make_estimate(predicted([60, 40, 20]), capture=CAPTURE, header=header)
     assert np.log(estimate.fabric.at_density(0.3).alpha) == pytest.approx(inside.mean[:3])
-    np.testing.assert_allclose(typical_errors(header) ** 2, np.diag(errors.covariance))
+    np.testing.assert_allclose(header.errors.deviation**2, np.diag(errors.covariance))
     further = outside.covariance - errors.covariance  # in the softest direction alone
     assert np.flatnonzero(np.abs(further) > 1e-12).tolist() == [2 * 6 + 2]
 
