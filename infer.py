@@ -21,6 +21,7 @@ from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
 from sim.files import replace_file, require_folder
+from sim.interrupt import deferred
 
 
 def infer(
@@ -29,10 +30,11 @@ def infer(
 ) -> tuple[dict, bytes | None]:
     """The content of ``estimate.json`` and, unless ``drapes`` is 0, the bytes of ``report.png``."""
     # Imported here because torch takes seconds, and a bad capture should be told at once.
-    from data.cameras import CameraRig
-    from data.captures import to_camera
-    from drapenet.estimate import belief, make_estimate, to_json
-    from drapenet.predict import predict
+    with deferred():
+        from data.cameras import CameraRig
+        from data.captures import to_camera
+        from drapenet.estimate import belief, make_estimate, to_json
+        from drapenet.predict import predict
 
     rig = CameraRig.load(header.rig)
     views = to_camera(capture, rig)
@@ -90,7 +92,8 @@ def main(argv: list[str]) -> None:
         raise InputError(f"{wrong[0]}= has no effect with "
                          f"{'scan=FILE' if config['scan'] else 'capture=DIR'}; leave it out")
     if config["scan"]:
-        from drapenet.refine.scan_report import infer_scan
+        with deferred():
+            from drapenet.refine.scan_report import infer_scan
 
         infer_scan(config)
         return

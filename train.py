@@ -7,7 +7,7 @@ Run the same command again after an interruption: it goes on from the last finis
 ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.
 """
 
-import sim.interrupt  # noqa: F401
+import sim.interrupt
 
 # isort: split
 import os
@@ -18,7 +18,8 @@ from typing import NoReturn
 # it busy, waiting in a loop makes a step up to 17 times as long. Read when torch is loaded.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import torch
+with sim.interrupt.deferred():
+    import torch
 from omegaconf import OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm

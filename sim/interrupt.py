@@ -4,7 +4,10 @@ They take seconds, before :func:`sim.cli.run_command` can see to it. The exit co
 process ended by Ctrl-C, 130 in a shell.
 """
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 _others = sys.excepthook
@@ -19,3 +22,17 @@ def _tell(kind: type[BaseException], error: BaseException, trace: TracebackType 
 
 
 sys.excepthook = _tell
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Ctrl-C within takes effect at the end, in the thread that calls this.
+
+    For imports of torch: at some moments of its loading an interruption ends the process with an
+    abort and C++'s own words, at others Python swallows it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import sim
 from sim.__main__ import main
 from sim.cli import parse_overrides
 from sim.errors import InputError
+from sim.interrupt import deferred
 from sim.workers import worker_pool
 
 
@@ -90,6 +92,17 @@ def test_ctrl_c_during_the_imports_is_one_line():
     done = subprocess.run([sys.executable, "-c", "import sim.interrupt; 1 / 0"],
                           capture_output=True, text=True)
     assert "Traceback" in done.stderr and done.returncode == 1
+
+
+def test_ctrl_c_waits_for_the_end_of_what_it_must_not_meet():
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with deferred():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("all of it")
+        done.append("more")
+    assert done == ["all of it"]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 @pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
