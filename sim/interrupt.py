@@ -6,6 +6,7 @@ process ended by Ctrl-C, 130 in a shell.
 
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
@@ -26,13 +27,20 @@ sys.excepthook = _tell
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Ctrl-C within takes effect at the end, in the thread that calls this.
+    """Ctrl-C within takes effect at the end. Other threads than the main one never meet it.
 
     For imports of torch: at some moments of its loading an interruption ends the process with an
     abort and C++'s own words, at others Python swallows it.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came = []
+    # Blocking the signal would leave it to the threads that NumPy has started.
+    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -94,6 +95,11 @@ def test_ctrl_c_during_the_imports_is_one_line():
     assert "Traceback" in done.stderr and done.returncode == 1
 
 
+def in_a_thread() -> str:
+    with deferred():
+        return "fine"
+
+
 def test_ctrl_c_waits_for_the_end_of_what_it_must_not_meet():
     done = []
     with pytest.raises(KeyboardInterrupt):
@@ -102,7 +108,11 @@ def test_ctrl_c_waits_for_the_end_of_what_it_must_not_meet():
             done.append("all of it")
         done.append("more")
     assert done == ["all of it"]
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)  # as before
+        time.sleep(1)
+    with ThreadPoolExecutor(1) as pool, deferred():
+        assert pool.submit(in_a_thread).result() == "fine"
 
 
 @pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
