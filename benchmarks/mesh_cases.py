@@ -60,10 +60,9 @@ def one_drape(
         laws=Laws(bending=law, membrane=Corotational(stiffness=membrane)),
         options=NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400),
     )
-    status = result.status if settling.settled else "not_settled"
     shape = SimpleNamespace(rest=cloth.rest, positions=state.positions, faces=cloth.faces)
     return {"rounds": settling.rounds,
-            **_figures(shape, status, time.perf_counter() - began)}
+            **_figures(shape, result.status, time.perf_counter() - began)}
 
 
 def _fabric(alpha: list[float]) -> Fabric:

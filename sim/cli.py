@@ -25,38 +25,43 @@ def parse_overrides(defaults: dict, argv: list[str]) -> dict:
     Raises:
         InputError: a word without ``=``, an unknown key, a value of the wrong type.
     """
-    config = OmegaConf.create(defaults)
+    config = OmegaConf.to_container(OmegaConf.create(defaults), resolve=True)
     known = ", ".join(sorted(str(key) for key in defaults))
     for word in argv:
         key, equals, text = word.partition("=")
         if not equals:
             raise InputError(f"'{word}' is not of the form key=value; known keys: {known}")
-        missing = object()
-        old = OmegaConf.select(config, key, default=missing) if key else missing
-        if old is missing:
+        place, *names = [config, *key.split(".")]
+        for name in names[:-1]:
+            place = place.get(name) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or isinstance(place.get(names[-1], {}), dict):
             raise InputError(f"unknown key '{key}'; known keys: {known}")
-        OmegaConf.update(config, key, _convert(key, text, old))
-    return OmegaConf.to_container(config, resolve=True)
+        place[names[-1]] = _convert(key, text, place[names[-1]])
+    return config
 
 
 def _convert(key: str, text: str, old: object) -> object:
     if isinstance(old, str):
         return text
-    if OmegaConf.is_list(old):
+    if isinstance(old, list):
         return [_convert(key, part, old[0]) for part in text.strip("[]()").split(",")]
     if isinstance(old, float):
         with suppress(ValueError):
             if math.isfinite(value := float(text)):
                 return value
         raise InputError(f"{key}: '{text}' is no finite number; give one like {old:g}")
+    if type(old) is int:
+        # Not as YAML reads it, where 010 is 8 and 1:30 is 90: seeds are often padded.
+        with suppress(ValueError):
+            return int(text)
+        raise InputError(f"{key}: '{text}' is no whole number; give one like {old}")
     try:
-        value = OmegaConf.from_dotlist([f"value={text}"])["value"]
+        value = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={text}"]))["value"]
     except (OmegaConfBaseException, YAMLError):
         raise InputError(f"{key}={text} cannot be read; give a number or a word") from None
     if old is None or type(value) is type(old):
         return value
-    kind = "whole number" if type(old) is int else type(old).__name__
-    raise InputError(f"{key}: '{text}' is no {kind}; give one like {old}")
+    raise InputError(f"{key}: '{text}' is no {type(old).__name__}; give one like {old}")
 
 
 def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:

@@ -66,7 +66,8 @@ def find_settled_equilibrium(
 
     Returns:
         The state, the last round's result with the iterations and seconds of all rounds, and how
-        the directions settled. A round that does not converge ends the repetition.
+        the directions settled. A round that does not converge ends the repetition; directions
+        that do not settle are no equilibrium either, MAX_ITERATIONS.
     """
     laws = laws or Laws()
     law = laws.bending_law
@@ -93,5 +94,10 @@ def find_settled_equilibrium(
         fresh = hinge_directions(mesh, active, state.positions)
         axes = (1 - relaxation) * axes + relaxation * fresh if rounds > 1 else fresh
     result = replace(result, iterations=iterations, seconds=dict(seconds))
-    settled = result.status is Status.CONVERGED and change < tolerance
+    settled = bool(result.status is Status.CONVERGED and change < tolerance)
+    if result.status is Status.CONVERGED and not settled:
+        result = replace(
+            result, status=Status.MAX_ITERATIONS,
+            message=f"the directions of bending do not settle: {change:.2g} mm in the last of "
+                    f"{rounds} rounds")
     return state, result, Settling(rounds=rounds, change=float(change), settled=settled)

@@ -63,11 +63,13 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
 
 
 def test_words_take_the_types_of_the_defaults():
-    defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None}
-    words = ["name=/x y/=z", "count=3", "ratio=2", "list=[3,-.5]", "any=text"]
+    defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None,
+                "inner": {"flag": True}}
+    words = ["name=/x y/=${z}", "count=010", "ratio=2", "list=[3,-.5]", "any=text",
+             "inner.flag=false"]
     assert parse_overrides(defaults, words) == {
-        "name": "/x y/=z", "count": 3, "ratio": 2.0, "list": [3.0, -0.5], "any": "text"
-    }
+        "name": "/x y/=${z}", "count": 10, "ratio": 2.0, "list": [3.0, -0.5], "any": "text",
+        "inner": {"flag": False}}
 
 
 @pytest.mark.parametrize(
@@ -76,7 +78,10 @@ def test_words_take_the_types_of_the_defaults():
      ("ratio=[1]", "no finite number"), ("ratio=nan", "ratio: 'nan' is no finite number"),
      ("ratio=.inf", "no finite number"), ("ratio=1e400", "no finite number"),
      ("list=1,,2", "list: '' is no finite number; give one like 1"),
-     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value")],
+     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value"),
+     ("count=1:30", "no whole number"), ("count.x=1", "unknown key"), ("list[0=1", "unknown key"),
+     ("=1", "unknown key"), ("count..x=1", "unknown key"),
+     ("any=${x", "cannot be read")],
 )
 def test_words_of_the_wrong_type_are_refused(word, said):
     with pytest.raises(InputError, match=said):
