@@ -87,7 +87,7 @@ def tested_alpha(fabric: Fabric, laws: Laws) -> list[float]:
     lengths = {direction: [share * bending_length(alpha, REFERENCE_DENSITY) for share in STRIPS]
                for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     strips = simulate_strips(fabric, lengths, guided=True, laws=laws)
-    found = estimate(strips, density=REFERENCE_DENSITY)
+    found = estimate(strips, density=REFERENCE_DENSITY, method="regression")
     warp, bias, weft = (found[direction].alpha / MICRO for direction in DIRECTIONS)
     return [max(warp, weft), bias, min(warp, weft)]
 

@@ -169,6 +169,8 @@ def print_estimate(config: dict) -> None:
     for direction, row in rows.items():
         print(f"{direction:6}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}"
               f"{100 * row['misfit']:10.2f}{row['largest_reduced_curvature']:15.2f}")
+    for direction in (direction for direction, e in found.items() if e.bounded):
+        print(f"{direction}: beta/alpha is as large as it may be; these curves do not tell beta")
     if config["out"]:
         report = {"density_g_m2": config["density"], "method": config["method"],
                   "rounds": config["rounds"], "moduli": rows}

@@ -70,8 +70,8 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
     Raises:
         InputError: as for :func:`read_curve`.
     """
-    if len(points) < FEWEST_POINTS:
-        raise InputError(f"{len(points)} points are too few; give {FEWEST_POINTS} or more")
+    if (places := len(np.unique(points, axis=0))) < FEWEST_POINTS:
+        raise InputError(f"{places} different points are too few; give {FEWEST_POINTS} or more")
     if not np.isfinite(points).all():
         raise InputError("all coordinates must be finite numbers")
     curve = points - points[0]
@@ -191,7 +191,9 @@ def fit_bezier(
 
 
 def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, float]:
-    if degree < 2 or 2 * (degree + 1) > len(curve):
+    if degree < 2:
+        raise InputError(f"a Bézier curve of degree {degree} cannot bend; give 2 or more")
+    if 2 * (degree + 1) > len(curve):
         raise InputError(
             f"a Bézier curve of degree {degree} needs {2 * degree + 2} points, not {len(curve)}"
         )

@@ -44,7 +44,7 @@ def bending_length(alpha: float, density: float) -> float:
 
 
 def estimate(
-    strips: Strips, *, density: float, method: str = "regression", slope: float = 0.0,
+    strips: Strips, *, density: float, method: str = "table", slope: float = 0.0,
     degree: int | None = None,
 ) -> dict[str, Estimate]:
     """The moduli of each direction, from its strips alone.

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from sim.cantilever.curves import fit_bezier
 from sim.cantilever.elastica import LARGEST_GAMMA, elastica, heavy_elastica
-from sim.cantilever.regression import RATIO_RANGE, Estimate
+from sim.cantilever.regression import NO_STRIP, RATIO_RANGE, Estimate
 from sim.errors import InputError
 
 POINTS = 41
@@ -88,7 +88,7 @@ def match(
                 alpha, beta, weight=weight, length=length, slope=slope, points=2 * POINTS - 1,
                 steps=_REFINED_STEPS,
             )
-            parts += [_distance_across(curve[1:-1], model), curve[-1] - model[-1]]
+            parts += [distance_across(curve[1:-1], model), curve[-1] - model[-1]]
         return np.concatenate(parts) / lengths.mean()
 
     # beta/alpha and lengths in mm, so that all unknowns are of like size
@@ -105,13 +105,13 @@ def match(
     found = min(refined, key=lambda result: result.cost)
     misfit = float(np.sqrt((found.fun**2).mean()))
     if misfit > 0.1:
-        raise InputError("the curves are not those of a hanging strip; check their axes and slope")
+        raise InputError(NO_STRIP)
     alpha = float(np.exp(found.x[0]))
     curvature = max(float(fit.curvature(fit.evenly(POINTS)).max()) for fit in fits)
     return Estimate(alpha, float(1e-3 * found.x[1] * alpha), misfit, curvature)
 
 
-def _distance_across(points: np.ndarray, model: np.ndarray) -> np.ndarray:
+def distance_across(points: np.ndarray, model: np.ndarray) -> np.ndarray:
     """(N,) distances of points (N, 2) from the polygon model (M, 2), m, positive on one side."""
     side = np.diff(model, axis=0)
     length = np.linalg.norm(side, axis=1)

@@ -14,7 +14,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq, least_squares
 
 from sim.cantilever.curves import fit_bezier
-from sim.cantilever.regression import torque_and_curvature
+from sim.cantilever.regression import NO_STRIP, torque_and_curvature
+from sim.cantilever.table import distance_across
 from sim.errors import InputError
 
 KNOTS = 4
@@ -35,8 +36,8 @@ class TorqueCurve:
 
     Attributes:
         curvature: (K + 1,) 1/m, the first 0. torque: (K + 1,) N, at these, increasing from 0.
-        misfit: root mean square distance of measured points from the fitted strips, relative to
-            the mean length.
+        misfit: root mean square distance of the measured points from the fitted strips, relative
+            to the mean length.
         reached: largest curvature on any strip, 1/m; beyond, the curve is a continuation.
     """
 
@@ -76,7 +77,7 @@ def fit_torque_curve(
     torque, curvature = (np.concatenate(part) for part in zip(*read, strict=True))
     slope = float(torque @ curvature / (curvature @ curvature))
     if not slope > 0:
-        raise InputError("the curves do not bend as a hanging strip does; check their axes")
+        raise InputError(NO_STRIP)
     # Knots at the curvatures, the torque free: a law's slope is a stiffness, positive as exp(x).
     places = _BEYOND * curvature.max() * np.linspace(0, 1, knots + 1) ** _CROWDING
 
@@ -98,11 +99,11 @@ def fit_torque_curve(
     start = np.zeros(knots)
     found = least_squares(residuals, start, bounds=(-4.0, 3.0), diff_step=1e-4, xtol=1e-6,
                           ftol=1e-8, max_nfev=40)
-    strip_points = strips(found.x)
-    square = np.mean([((s - m) ** 2).sum(axis=1).mean()
-                      for s, m in zip(strip_points, measured, strict=True)])
-    return TorqueCurve(places, law(found.x), float(np.sqrt(square) / np.mean(lengths)),
-                       float(curvature.max()))
+    # From the points themselves: the Bézier curves, which the fit follows, have lost their noise.
+    distances = np.concatenate([distance_across(curve, strip)
+                                for curve, strip in zip(curves, strips(found.x), strict=True)])
+    misfit = np.sqrt((distances**2).mean()) / np.mean(lengths)
+    return TorqueCurve(places, law(found.x), float(misfit), float(curvature.max()))
 
 
 def _strip(table: np.ndarray, step: float, weight: float, length: float) -> np.ndarray:

@@ -113,9 +113,22 @@ def test_the_table_stands_noise():
     assert found.beta == pytest.approx(beta, rel=0.35)
 
 
+@pytest.mark.parametrize("method", ["regression", "table"])
+def test_curves_that_no_strip_has_are_refused(method):
+    with pytest.raises(InputError, match="hanging strip"):
+        estimate({"warp": curves_of(*LAWS[0])[:1]}, density=0.3, method=method,
+                 slope=np.radians(89))
+
+
+def test_a_bezier_curve_bends():
+    with pytest.raises(InputError, match="degree 1 cannot bend"):
+        fit_bezier(curves_of(*LAWS[0])[0], degree=1)
+
+
 def test_density_scales_the_moduli():
     curves = {"warp": curves_of(*LAWS[0])}
-    light, heavy = (estimate(curves, density=d)["warp"] for d in (0.15, 0.3))
+    light, heavy = (
+        estimate(curves, density=d, method="regression")["warp"] for d in (0.15, 0.3))
     assert heavy.alpha == pytest.approx(2 * light.alpha, rel=1e-6)
     assert heavy.beta == pytest.approx(2 * light.beta, rel=1e-5)
 
@@ -170,8 +183,10 @@ def test_a_curve_reads_the_same_whichever_way_its_axes_point(tmp_path):
      "x_mm,y_mm\n" + "0,nan\n" * 20, "x_mm,y_mm\n" + "1,1\n" * 20, "x_mm,y_mm\n" + "7\n" * 20,
      "x_mm,y_mm\n" + "".join(f"{1e5 * i},{i}\n" for i in range(20)),
      "x_mm,y_mm\n" + "".join(f"{i},0\n" for i in range(20)),
-     "x_mm,y_mm\n" + "".join(f"{i + 30 * (i % 2)},{i}\n" for i in range(20))],
-    ids=["empty", "names", "few", "word", "nan", "point", "column", "unit", "level", "disorder"],
+     "x_mm,y_mm\n" + "".join(f"{i + 30 * (i % 2)},{i}\n" for i in range(20)),
+     "x_mm,y_mm\n" + "0,0\n" * 11 + "60,-30\n"],
+    ids=["empty", "names", "few", "word", "nan", "point", "column", "unit", "level", "disorder",
+         "repeated"],
 )
 def test_bad_curves_are_refused_in_one_line(tmp_path, text):
     file = tmp_path / "bad.csv"
@@ -244,6 +259,17 @@ def test_estimate_reads_files_and_writes_moduli(tmp_path, capsys):
         assert weft["alpha_uN_m"] == pytest.approx(1e6 * alpha, rel=0.01)
         assert weft["beta_nN_m2"] == pytest.approx(1e9 * beta, rel=0.03)
     assert "weft" in capsys.readouterr().out
+
+
+def test_a_curve_that_does_not_tell_beta_is_named(tmp_path, capsys):
+    curve = 0.03 * elastica(0.3, 40)
+    curve[1:] += np.random.default_rng(0).normal(0, 3e-4, (39, 2))
+    almost_straight = write_curve(tmp_path / "short.csv", curve)
+    main(["estimate", f"warp={almost_straight}", "density=300"])
+    assert "do not tell beta" in capsys.readouterr().out
+    curve = write_curve(tmp_path / "long.csv", curves_of(*LAWS[0])[1])
+    main(["estimate", f"warp={curve}", "density=300"])
+    assert "do not tell beta" not in capsys.readouterr().out
 
 
 def test_estimate_reads_files_and_writes_a_torque_curve(tmp_path, capsys):

@@ -35,6 +35,15 @@ def test_a_straight_law_stays_straight() -> None:
     np.testing.assert_allclose(found.at(kappa), 30e-6 * kappa, rtol=0.01)
 
 
+def test_the_misfit_is_that_of_the_points_and_their_noise() -> None:
+    noisy = strips_of(stiffening_then_soft)
+    rng = np.random.default_rng(1)
+    for curve in noisy:
+        curve[1:] += rng.normal(0, 3e-4, (100, 2))
+    found = fit_torque_curve(noisy, weight=WEIGHT)
+    assert found.misfit * 0.08 == pytest.approx(3e-4, rel=0.2)  # across the strip, one component
+
+
 def test_knots_are_checked() -> None:
     with pytest.raises(InputError, match="between 2 and 8"):
         fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT, knots=1)
