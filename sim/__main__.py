@@ -23,6 +23,7 @@ import sim.interrupt  # noqa: F401
 
 # isort: split
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -101,7 +102,8 @@ def summarise(result: DrapeResult, config: dict) -> dict:
             "beta_nN_m2": dict(zip(DIRECTIONS, config["beta"], strict=True)),
             "density_g_m2": config["density"],
             **{key: config[key]
-               for key in ("rig", "start", "borrow", "seed", "mesh")},
+               for key in ("rig", "borrow", "seed", "mesh")},
+            "start": None if config["borrow"] else config["start"],
             "resolution": result.resolution,
             "offset_mm": config["offset"],
         },
@@ -121,7 +123,10 @@ def summarise(result: DrapeResult, config: dict) -> dict:
 
 
 def write(folder: Path, result: DrapeResult, summary: dict) -> None:
-    """Write drape.ply, drape.png, drape.json and drape.npz, each whole or not at all."""
+    """Write drape.ply, drape.png, drape.json and drape.npz, each whole or not at all.
+
+    Figures that are no finite numbers are null.
+    """
     # Pictures and mesh formats are the command line's business, not the simulator's.
     import cv2
     import trimesh
@@ -138,7 +143,10 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     _, picture = cv2.imencode(".png", np.hstack(views)[..., ::-1])
     replace_file(folder / "drape.ply", mesh.export(file_type="ply"))
     replace_file(folder / "drape.png", picture.tobytes())
-    replace_file(folder / "drape.json", (json.dumps(summary, indent=2) + "\n").encode())
+    # JSON has no infinity; a drape that never took a step has such a last one.
+    finite = {key: None if isinstance(value, float) and not math.isfinite(value) else value
+              for key, value in summary.items()}
+    replace_file(folder / "drape.json", (json.dumps(finite, indent=2) + "\n").encode())
     write_drape(folder / "drape.npz", result)
 
 

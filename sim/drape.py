@@ -8,7 +8,12 @@ import numpy as np
 
 from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
-from sim.initial import borrowed_positions, initial_positions, interpolate_positions
+from sim.initial import (
+    borrowed_positions,
+    check_start,
+    initial_positions,
+    interpolate_positions,
+)
 from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -123,10 +128,10 @@ def drape(
     check_setting(rig, laws)
     resolution = resolution or default_resolution(fabric, rig)
     check_resolution(resolution)
+    check_start(start)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
-    if seed < 0:
-        raise InputError(f"seed={seed} must not be negative")
+    check_seed(seed)
     if not 0 <= jitter <= 0.3:
         raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()
@@ -135,15 +140,21 @@ def drape(
     iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
         last = level == resolution
-        specimen = make_specimen(
-            rig,
-            mesh=mesh,
-            resolution=level,
-            offset=offset,
-            jitter=jitter,
-            diagonals=diagonals,
-            seed=seed,
-        )
+        try:
+            specimen = make_specimen(
+                rig,
+                mesh=mesh,
+                resolution=level,
+                offset=offset,
+                jitter=jitter,
+                diagonals=diagonals,
+                seed=seed,
+            )
+        except InputError:
+            # A narrow overhang may be too narrow for a coarse mesh alone.
+            if last:
+                raise
+            continue
         positions = start_positions(
             specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
         )
@@ -179,6 +190,12 @@ def check_setting(rig: object, laws: object) -> None:
     if not isinstance(laws, Laws):
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
+
+
+def check_seed(seed: int) -> None:
+    """InputError for what seeds no random numbers."""
+    if seed < 0:
+        raise InputError(f"seed={seed} must not be negative")
 
 
 def start_positions(

@@ -77,7 +77,10 @@ def equivalent_modulus(
             return EquivalentModulus(ratio, gamma, mismatch, False, "the strip folds under itself")
         # The stiffness shows in the gamma that a physical strip of this shape would have; it is
         # nearly proportional to the modulus, so that a few corrections by its error suffice.
-        apparent = gamma_of_aspect_ratio(aspect_ratio(end))
+        try:
+            apparent = gamma_of_aspect_ratio(aspect_ratio(end))
+        except InputError as error:
+            return EquivalentModulus(ratio, gamma, mismatch, False, str(error))
         mismatch = abs(apparent / gamma - 1)
         if mismatch < tolerance:
             return EquivalentModulus(ratio, gamma, mismatch, True, f"{strips} strips")

@@ -20,6 +20,7 @@ def initial_positions(
     Raises:
         InputError: unknown start, or one that the rig has not.
     """
+    check_start(start)
     if start == "sine" and not rig.has_plate:
         return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
     if start == "fold" and not rig.has_plate:
@@ -27,9 +28,13 @@ def initial_positions(
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
         return flat + _waves(rest, rig, rng, amplitude=5e-3)
-    if start == "fold":
-        return _fold(rest, rig, rng) + _waves(rest, rig, rng, amplitude=1e-3)
-    raise InputError(f"unknown start '{start}'; choose from {', '.join(STARTS)}")
+    return _fold(rest, rig, rng) + _waves(rest, rig, rng, amplitude=1e-3)
+
+
+def check_start(start: str) -> None:
+    """InputError unless ``start`` is one of :data:`STARTS`."""
+    if start not in STARTS:
+        raise InputError(f"unknown start '{start}'; choose from {', '.join(STARTS)}")
 
 
 def _waves(

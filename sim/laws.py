@@ -43,7 +43,7 @@ class Laws:
         others: laws of energies beside those, such as a foundation or a load.
 
     Raises:
-        InputError: unknown bending law, or ``others`` that are no tuple of laws.
+        InputError: unknown bending law, no membrane, or ``others`` that are no tuple of laws.
     """
 
     bending: str | Law = "midedge"
@@ -55,6 +55,11 @@ class Laws:
             raise InputError(
                 f"unknown bending law '{self.bending}'; choose from {', '.join(BENDING)}"
             )
+        if not (isinstance(self.bending, str) or callable(self.bending)):
+            raise InputError(f"bending={self.bending!r}: give a name or a law, called with a mesh")
+        if not (hasattr(self.membrane, "energy") and hasattr(self.membrane, "scaled")):
+            raise InputError(f"membrane={self.membrane!r}: give one of sim.membranes, such as "
+                             "Corotational(stiffness=200.0)")
         if not (isinstance(self.others, tuple) and all(callable(law) for law in self.others)):
             raise InputError("others must be a tuple of laws: others=(law,), each called with a "
                              "mesh, not an energy that is made")

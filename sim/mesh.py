@@ -84,9 +84,9 @@ class Mesh:
 def check_resolution(resolution: int) -> None:
     """InputError for a specimen of fewer or more vertices a side than :data:`RESOLUTIONS`."""
     fewest, most = RESOLUTIONS
-    if not fewest <= resolution <= most:
-        raise InputError(f"resolution={resolution} must lie between {fewest} and {most} vertices "
-                         "a side")
+    if not fewest <= resolution <= most or resolution != int(resolution):
+        raise InputError(f"resolution={resolution} must be a whole number of vertices a side, "
+                         f"between {fewest} and {most}")
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,8 @@ def draped_disc(
     spacing = diameter / (resolution - 1)
     overhang = diameter / 2 - plate_radius
     if overhang - np.hypot(*offset) < 1.5 * spacing:
-        raise InputError("the specimen's overhang is too narrow; reduce the offset or refine")
+        raise InputError(f"the specimen's overhang is too narrow for {resolution} vertices across; "
+                         "reduce the offset or refine")
     inner, outer = max(2, round(plate_radius / spacing)), max(2, round(overhang / spacing))
     number = np.arange(inner + outer + 1)
     ring = np.repeat(number, np.maximum(6 * number, 1))

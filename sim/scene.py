@@ -26,6 +26,9 @@ class Rig:
         plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
         specimen: "square" or "disc".
         corners_apart: distance between the two corners that hold a specimen without plate, m.
+
+    Raises:
+        InputError: a specimen that such a rig cannot hold.
     """
 
     name: str = "square300_cylinder100"
@@ -33,6 +36,20 @@ class Rig:
     plate_diameter: float = 0.100
     specimen: str = "square"
     corners_apart: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.specimen not in ("square", "disc"):
+            raise InputError(f"specimen={self.specimen!r}: choose square or disc")
+        if not 0 <= self.plate_diameter < self.specimen_size < np.inf:
+            raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
+                             f"{1e3 * self.specimen_size:g} mm: it must be smaller")
+        if self.has_plate:
+            return
+        if self.specimen == "disc":
+            raise InputError("a disc has no corners to hang by; give it a plate")
+        if not (self.corners_apart and 0 < self.corners_apart < self.specimen_size):
+            raise InputError(f"corners_apart={self.corners_apart}: without a plate give a distance "
+                             f"above 0 and below {self.specimen_size:g} m, the specimen's size")
 
     @property
     def plate_radius(self) -> float:

@@ -70,8 +70,9 @@ def make_specimen(
     check_resolution(resolution)
     if not rig.has_plate and np.any(offset):
         raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
-    if rig.specimen == "disc" and diagonals is not None:
-        raise InputError(f"diagonals={diagonals}: the mesh of a disc has none to choose")
+    if diagonals is not None and (rig.specimen == "disc" or mesh == "unstructured"):
+        kind = "an unstructured mesh" if mesh == "unstructured" else "the mesh of a disc"
+        raise InputError(f"diagonals={diagonals}: {kind} has none to choose")
     perturbed = mesh == "perturbed"
     edge = rig.specimen_size / (resolution - 1)
     if mesh == "unstructured":
@@ -123,7 +124,8 @@ def _unstructured(
         mesh, _ = unstructured_square(size=rig.specimen_size, edge=edge, seed=seed)
         return Specimen(mesh, _upper_corners(mesh, rig.specimen_size))
     if rig.specimen_size / 2 - np.hypot(*offset) < rig.plate_radius + 1.5 * edge:
-        raise InputError("the specimen's overhang is too narrow; reduce the offset or refine")
+        raise InputError(f"the specimen's overhang is too narrow for {resolution} vertices a side; "
+                         "reduce the offset or refine")
     settings = {"edge": edge, "plate_radius": rim_radius(rig, edge), "offset": offset, "seed": seed}
     if rig.specimen == "disc":
         return Specimen(*unstructured_disc(diameter=rig.specimen_size, **settings))

@@ -22,6 +22,7 @@ from sim.drape import (
     COARSE_OPTIONS,
     FINE_OPTIONS,
     DrapeResult,
+    check_seed,
     check_setting,
     coarse_to_fine,
     default_resolution,
@@ -30,6 +31,7 @@ from sim.drape import (
     start_positions,
 )
 from sim.errors import InputError
+from sim.initial import check_start
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import check_resolution
@@ -168,6 +170,9 @@ def _requests(
             raise InputError(f"{name} has {len(values)} entries for {count} fabrics")
     for n in given["resolution"]:
         check_resolution(n)
+    for start, seed in zip(given["starts"], given["seeds"], strict=True):
+        check_start(start)
+        check_seed(seed)
     if not np.isfinite(np.asarray(given["offsets"], dtype=float)).all():
         raise InputError("offsets must be finite numbers, in metres")
     return [

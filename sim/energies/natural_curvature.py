@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.energies.midedge import MidEdgeBending
+from sim.errors import InputError
 from sim.material import Fabric, plate_constants
 from sim.mesh import Mesh
 
@@ -26,9 +27,17 @@ class NaturallyCurved:
     Attributes:
         curvature: (Sxx, Syy, Sxy), 1/m, along warp, weft and of twist; positive bends the cloth
             down on the side from which its faces run counter-clockwise, as a drape hangs.
+
+    Raises:
+        InputError: not three finite numbers.
     """
 
     curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.curvature) != (3,) or not np.isfinite(self.curvature).all():
+            raise InputError(f"curvature={self.curvature}: give three finite numbers, 1/m: along "
+                             "warp, along weft and of twist")
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurvedBending":
         return CurvedBending(mesh, active, fabric=fabric, curvature=np.array(self.curvature))

@@ -45,7 +45,7 @@ def equilibria(
     alpha: Tensor,
     beta: Tensor,
     density: Tensor | float = REFERENCE_DENSITY,
-    membrane: Tensor | float = 200.0,
+    membrane: Tensor | float | None = None,
     held: Sequence[Tensor] | None = None,
     rest: Sequence[Tensor] | None = None,
     bending: str | Law = "midedge",
@@ -63,7 +63,8 @@ def equilibria(
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m².
         membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth of this density (that
-            of :mod:`sim.laws` is of cloth of the reference density).
+            of :mod:`sim.laws` is of cloth of the reference density). None: as drapes have it, in
+            proportion to the density, also in the derivatives by the density.
         held: positions (H, 3), m, of the held vertices, in their order; None for those of
             ``starts``.
         rest: rest points (V, 2), m; None for those of ``starts``. Where the rig holds a vertex
@@ -78,6 +79,9 @@ def equilibria(
         InputError: shapes that do not fit, or values that no cloth has.
     """
     count = len(starts)
+    density = torch.as_tensor(density, dtype=torch.float64)
+    if membrane is None:
+        membrane = Corotational().stiffness / REFERENCE_DENSITY * density
     density, membrane = (torch.as_tensor(v, dtype=torch.float64).expand(count)
                          for v in (density, membrane))
     given = {"alpha": alpha, "beta": beta, "held": held, "rest": rest}

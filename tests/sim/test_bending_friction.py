@@ -70,3 +70,8 @@ def test_strip_that_friction_holds_flat_hangs_like_a_stiffer_one() -> None:
 def test_friction_that_makes_no_sense_is_refused(wrong: dict) -> None:
     with pytest.raises(InputError, match="friction of"):
         Rubbing(**wrong)
+
+
+def test_an_origin_belongs_to_one_mesh(arc: tuple[Scene, State]) -> None:
+    with pytest.raises(InputError, match=r"origin has shape \(5, 3\)"):
+        Rubbing(1e-4, np.zeros((5, 3)))(arc[0].mesh, arc[0].active, fabric=FABRIC)

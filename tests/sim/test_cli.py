@@ -62,6 +62,16 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
         main([f"out={out.replace('FILE', str(tmp_path / 'file'))}"])
 
 
+def test_figures_of_a_failure_are_json(tmp_path):
+    main(["alpha=1e300,1e300,1e300", "resolution=16", f"out={tmp_path}"])
+
+    def refuse(word: str) -> None:
+        raise ValueError(word)
+
+    figures = json.loads((tmp_path / "drape.json").read_text(), parse_constant=refuse)
+    assert figures["status"] == "not_finite" and figures["residual"] is None
+
+
 def test_words_take_the_types_of_the_defaults():
     defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None,
                 "inner": {"flag": True}}

@@ -149,6 +149,12 @@ def test_others_that_are_no_tuple_of_laws_are_refused(others):
         Laws(others=others)
 
 
+@pytest.mark.parametrize("wrong", [{"bending": None}, {"membrane": "stvk"}])
+def test_laws_that_are_none_are_refused(wrong):
+    with pytest.raises(InputError, match=f"{next(iter(wrong))}="):
+        Laws(**wrong)
+
+
 def test_levels_halve_the_spacing():
     assert coarse_to_fine(101) == [26, 51, 101]
     assert coarse_to_fine(16) == [16]

@@ -61,6 +61,9 @@ def test_failure_is_data_and_nonsense_is_refused():
     unlikely = equivalent_modulus(mesh, held, gamma=1, tolerance=0.0)
     assert not unlikely.found and "no match" in unlikely.message
     assert unlikely.mismatch < 1e-6
+    mesh2, held2 = strip(length=0.09, width=0.03, edge=0.01, clamp=0.03, diagonals="equal")
+    folded = equivalent_modulus(mesh2, held2, gamma=2000)
+    assert not folded.found and folded.message
     with pytest.raises(InputError, match="gamma"):
         equivalent_modulus(mesh, held, gamma=-1)
     with pytest.raises(InputError, match="free length"):

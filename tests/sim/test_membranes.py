@@ -260,6 +260,7 @@ def test_stiffness_scales():
         (lambda: NonlinearCurves(shear=((0.01, 0.0), (0.1, 5.0))), "shear"),
         (lambda: Guarded(low=1.0), "free stretch"),
         (lambda: Guarded(share=0.0), "share"),
+        (lambda: Guarded(Guarded()), "cannot be guarded"),
     ],
 )
 def test_impossible_parameters_are_refused_in_words(make, word):

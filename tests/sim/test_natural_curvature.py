@@ -6,6 +6,7 @@ import pytest
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
+from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
@@ -67,3 +68,9 @@ def test_weightless_strip_rests_in_an_arc() -> None:
     tip = state.positions[np.isclose(mesh.rest[:, 0], 0.06)].mean(axis=0)
     assert tip[0] == pytest.approx(np.sin(kappa * 0.06) / kappa, rel=3e-3)
     assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
+
+
+@pytest.mark.parametrize("curvature", [(1.0, 0.0), (np.nan, 0.0, 0.0), 15.0])
+def test_a_curvature_has_three_finite_numbers(curvature: object) -> None:
+    with pytest.raises(InputError, match="three finite numbers"):
+        NaturallyCurved(curvature)

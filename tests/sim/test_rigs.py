@@ -203,8 +203,29 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     [(Rig(), {"mesh": "woven"}, "woven"), (Rig(), {"resolution": 5}, "resolution=5"),
      (HUNG_SQUARE, {"offset": (1e-3, 0.0)}, "no plate"),
      (DISC_RIG, {"offset": (0.05, 0.0)}, "narrow"),
-     (DISC_RIG, {"diagonals": "equal"}, "diagonals"), (HUNG_SQUARE, {"start": "fold"}, "fold")],
+     (DISC_RIG, {"diagonals": "equal"}, "diagonals"), (HUNG_SQUARE, {"start": "fold"}, "fold"),
+     (Rig(), {"diagonals": "equal", "mesh": "unstructured"}, "diagonals"),
+     (Rig(), {"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob")],
 )
 def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), rig=rig, **{"resolution": 21, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [({"specimen": "circle"}, "square or disc"), ({"plate_diameter": 0.3}, "smaller"),
+     ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),
+     ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
+     ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")],
+)
+def test_rigs_that_hold_nothing_are_refused(arguments, word):
+    with pytest.raises(InputError, match=word):
+        Rig("mine", **arguments)
+
+
+def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
+    """35 mm of 60 mm overhang: 16 vertices across are too few, 31 are not."""
+    with pytest.raises(InputError, match="narrow for 16"):
+        drape(isotropic(60), rig=DISC_RIG, resolution=16, offset=(0.035, 0.0))
+    assert drape(isotropic(60), rig=DISC_RIG, resolution=31, offset=(0.035, 0.0)).converged

@@ -240,6 +240,14 @@ def test_a_failure_spoils_its_own_sample_only(draped):
     assert not moves.ok and np.isnan(moves.positions).all() and moves.message
 
 
+def test_light_cloth_is_as_inextensible_as_drapes_have_it():
+    light = Fabric(FABRIC.alpha / 2, FABRIC.beta / 2, density=0.15)
+    start = drape(light, resolution=13, options=TIGHT)
+    found = equilibria([start], alpha=torch.tensor(light.alpha)[None], options=TIGHT,
+                       beta=torch.tensor(light.beta)[None], density=0.15)
+    assert np.abs(found.positions[0].numpy() - start.positions).max() < 1e-7
+
+
 def test_free_motions_are_reported():
     """A flag turns about its pole."""
     mesh, _ = strip(length=LENGTH, width=0.012, edge=0.006, clamp=0.006)
@@ -288,7 +296,7 @@ def test_following_finds_the_equilibrium_of_the_new_moduli(draped):
     assert error < 0.02 * size
 
 
-def test_other_laws_have_derivatives_too(draped):
+def test_other_laws_have_derivatives_too():
     laws = Laws(bending="hinge", membrane=Corotational(stiffness=100.0))
     isotropic = Fabric(np.full(3, 50e-6), np.full(3, -100e-9))
     result = drape(isotropic, resolution=13, laws=laws, options=TIGHT)

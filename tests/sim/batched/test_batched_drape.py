@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from sparse_batches import SparseSolver
 
 from sim.batched import drape as batched
 from sim.batched.drape import drape_batch
 from sim.batched.equilibrium import analyse_grid, find_equilibria
 from sim.batched.potential import BatchedPotential
-from sim.batched.solvers import SparseSolver
 from sim.drape import drape, start_positions
 from sim.equilibrium import build_potential, cloth_terms
 from sim.errors import InputError
@@ -204,7 +204,9 @@ def test_no_fabrics_no_drapes():
     ({"device": "abacus"}, "unknown device"),
     ({"device": "meta"}, "choose cpu or cuda"),
     ({"laws": Laws(bending="hinge"), "resolution": 16, "together": True}, "together=False"),
-    ({"starts": "crumpled", "resolution": 16, "together": True}, "unknown start"),
+    ({"starts": "crumpled"}, "unknown start"),
+    ({"seeds": [0, -1]}, "negative"),
+    ({"resolution": [16, 12.7]}, "whole number"),
 ])
 def test_mistakes(wrong, words):
     with pytest.raises(InputError, match=words):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from sparse_batches import SparseSolver
 
 from sim.batched.newton import minimise_batch
-from sim.batched.solvers import FrontalSolver, SparseSolver
+from sim.batched.solvers import FrontalSolver
 from sim.linear import SparsePattern
 from sim.linear.multifrontal import analyse
 from sim.newton import NewtonOptions, Status, minimise
