@@ -35,6 +35,7 @@ def infer(
         from data.captures import to_camera
         from drapenet.estimate import belief, make_estimate, to_json
         from drapenet.predict import predict
+        from drapenet.registration import camera_doubts, locate_camera
 
     rig = CameraRig.load(header.rig)
     views = to_camera(capture, rig)
@@ -53,6 +54,7 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
+    content["warnings"] += camera_doubts(locate_camera(views, rig.nominal()), rig)
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:
@@ -66,6 +68,7 @@ def infer(
             from drapenet.limits import add_limits
 
             content["resimulation"] = drape.as_dict()
+            content["warnings"] += drape.doubts
             add_limits(content, drape)
         if drapes:
             from drapenet.report import draw_report
@@ -113,6 +116,7 @@ def main(argv: list[str]) -> None:
 
     content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
                              resolution=config["resolution"])
+    (out / "report.png").unlink(missing_ok=True)  # of an earlier capture, perhaps
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_table(content))
     print(f"estimate: {out / 'estimate.json'}")

@@ -10,6 +10,7 @@ ends with the same weights. Settings are in ``configs/train.yaml``; any of them 
 import sim.interrupt
 
 # isort: split
+import math
 import os
 from pathlib import Path
 from typing import NoReturn
@@ -45,18 +46,16 @@ from drapenet.training import (
 )
 from sim.cli import run_command
 from sim.errors import InputError
+from sim.files import require_folder
 
 
 def train(config: TrainConfig) -> Path:
     """Train, or go on training, and return the checkpoint with the least validation loss."""
     config.check()
+    out = Path(config.out)
+    require_folder(out)
     device = choose_device(config)
     training, validation, scale = open_splits(config, device=device)
-    out = Path(config.out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}") from None
     checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
 
     torch.manual_seed(config.seed)  # the first weights are the only thing drawn from it
@@ -100,6 +99,9 @@ def train(config: TrainConfig) -> Path:
             metrics = validate(model, validation, device=device,
                                ratio_weight=config.optim.ratio_weight)
             train_loss = torch.stack(losses).mean().item()
+            if not math.isfinite(train_loss) or not math.isfinite(metrics["loss"]):
+                raise InputError(f"the loss of epoch {epoch} is no finite number; try a smaller "
+                                 "optim.learning_rate")
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from PIL import Image
+from scipy import ndimage
 
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
 from data.reading import finite_number, read_mapping, read_text, read_views, shown
@@ -31,6 +32,8 @@ from sim.errors import InputError, one_line
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
+SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is no cloth
+SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
 CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "warp_direction_deg", "rig"}
@@ -223,8 +226,10 @@ def _checked(
     rig: str,
     warnings: tuple[str, ...],
 ) -> Capture:
-    """The capture, once its pictures have shown a piece of cloth within reach."""
+    """The capture without specks, once its pictures have shown a piece of cloth within reach."""
+    views = views.copy()
     for k, view in enumerate(views):
+        warnings += _remove_specks(view, f"view {k}")
         cloth = view > 0
         if not cloth.any():
             raise InputError(f"{path}: view {k} is all background; no cloth in the picture")
@@ -247,6 +252,33 @@ def _checked(
         if border.any():
             warnings += (f"view {k}: the cloth touches the picture's border",)
     return Capture(views, intrinsics, density, warp_direction, rig, path, warnings)
+
+
+def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
+    """Set to background, in place, what of a view (H, W) lies apart from its cloth; warnings.
+
+    The network looks at a window around all that is not background: a single far pixel, such as
+    time-of-flight sensors leave, moves it and halves the moduli. Larger pieces stay: whether they
+    are cloth, only a person can tell.
+    """
+    pieces, count = ndimage.label(view > 0, structure=np.ones((3, 3)))
+    if count < 2:
+        return ()
+    sizes = np.bincount(pieces.ravel())[1:]
+    cloth = 1 + int(sizes.argmax())
+    away = ndimage.minimum(ndimage.distance_transform_edt(pieces != cloth), pieces,
+                           index=np.arange(1, count + 1))
+    apart = away > SPECK_GAP
+    specks = apart & (sizes < SPECK_SHARE * sizes.max())
+    warnings = ()
+    if specks.any():
+        view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
+        warnings += (f"{name}: pixels left out that lie apart from the cloth: "
+                     f"{sizes[specks].sum()}",)
+    if large := int(sizes[apart & ~specks].sum()):
+        warnings += (f"{name}: {large} pixels lie apart from the cloth; set to 0 what is not "
+                     "cloth",)
+    return warnings
 
 
 def _read_density(file: Path) -> tuple[str, str]:

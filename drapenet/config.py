@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass, field
 from drapenet.preprocess import InputFormat
 from sim.errors import InputError
 
-VIEWS = ("stored", "cached", "fresh")
+VIEW_SOURCES = ("stored", "cached", "fresh")
+
 
 @dataclass
 class ModelConfig:
@@ -75,8 +76,8 @@ class TrainConfig:
         """Raise InputError for settings that make no sense."""
         if self.epochs < 1 or self.optim.batch_size < 2:
             raise InputError("training needs epochs >= 1 and optim.batch_size >= 2")
-        if self.views not in VIEWS:
-            raise InputError(f"unknown views '{self.views}'; use {', '.join(VIEWS)}")
+        if self.views not in VIEW_SOURCES:
+            raise InputError(f"unknown views '{self.views}'; use {', '.join(VIEW_SOURCES)}")
         if not 0 < self.validation_fraction < 1:
             raise InputError("validation_fraction must lie between 0 and 1")
         if self.optim.schedule not in ("exponential", "one_cycle"):
@@ -87,6 +88,10 @@ class TrainConfig:
         if not self.optim.learning_rate > 0 or not self.optim.weight_decay >= 0:
             raise InputError("optim.learning_rate must be positive, optim.weight_decay not "
                              "negative")
+        if not 0 < self.optim.decay <= 1:
+            raise InputError("optim.decay must lie above 0 and not above 1")
+        if not min(self.optim.direction_weight, self.optim.ratio_weight) >= 0:
+            raise InputError("optim.direction_weight and optim.ratio_weight must not be negative")
         if min(self.seed, self.workers, self.threads, self.fabrics, self.drapes_each) < 0:
             raise InputError("seed, workers, threads, fabrics and drapes_each must not be negative")
 

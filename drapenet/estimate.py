@@ -33,7 +33,8 @@ class Estimate:
         names: of the three directions: stiff, bias, soft, or warp, bias, weft in the order of
             ``fabric``.
         convention: ``stiff/soft`` or ``warp/weft``.
-        prediction: what the network said, its mean error on cloth not taken off.
+        prediction: what the network said, its mean error on cloth not taken off; after a
+            refinement its targets and axis are what was found.
         warnings: one line each.
     """
 
@@ -99,7 +100,8 @@ def _name_directions(
     certain = prediction.axis_confidence >= LEAST_CONFIDENCE
     if not certain:
         doubts = ["the direction of the stiff axis is not identifiable (confidence "
-                  f"{prediction.axis_confidence:.2f}): the fabric drapes alike along both yarns"]
+                  f"{prediction.axis_confidence:.2f}): the fabric drapes alike along both yarns, "
+                  "or the views are not upright or not in their order"]
         if warp_direction is not None:
             doubts.append("warp and weft are not told apart although the warp is marked; "
                           "the larger alpha is called stiff")
@@ -130,7 +132,8 @@ def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str
         "moduli": moduli_table(names, estimate.fabric),
         "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
         "spread_over_view_orders": error_table(names, prediction.spread),
-        "typical_error": error_table(names, header.errors.deviation),
+        "typical_error": error_table(
+            names, np.sqrt(np.diag(belief(prediction, header).covariance))),
         "stiff_axis": {
             "direction_deg": math.degrees(prediction.axis),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",

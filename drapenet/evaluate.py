@@ -4,9 +4,10 @@
 
 Draws new fabrics from the prior, drapes and renders them (``outputs/evaluate/dataset``, which is
 completed if it exists), or takes the dataset ``data``, rendered now if it has no views. Adds the
-sensor's noise, estimates every capture as ``infer.py`` does, and writes ``evaluation.json``. Errors
-are in units of the training set's standard deviation, beside those of always predicting the
-training set's mean.
+sensor's noise, asks the network about every capture, and writes ``evaluation.json``. Errors are
+those of its mean over the view orders (``infer.py`` also takes off its mean error on finer cloth),
+in units of the training set's standard deviation, beside those of always predicting the training
+set's mean.
 """
 
 import json
@@ -28,7 +29,7 @@ from drapenet.predict import average_orders
 from drapenet.targets import direction_vectors, to_stiff_soft
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import folder_named, replace_file
+from sim.files import folder_named, replace_file, require_folder
 
 
 def evaluate(header: Header, drapes: SplitDataset) -> dict:
@@ -87,6 +88,7 @@ def main(argv: list[str]) -> None:
     if config["orientations"] < 1:
         raise InputError(f"orientations={config['orientations']} must be at least 1")
     out, data = folder_named(config["out"]), config["data"]
+    require_folder(out)
     header = read_header(config["checkpoint"] or BUNDLED)
     noise = SensorNoise.load(config["sensor"])  # before minutes of simulation
     if data:

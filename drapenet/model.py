@@ -3,10 +3,10 @@
 import torch
 import torchvision
 
+from data.render import VIEWS
 from drapenet.losses import OUTPUTS
 from sim.errors import InputError
 
-VIEWS = 4
 BACKBONES = {"resnet18": torchvision.models.resnet18}
 
 

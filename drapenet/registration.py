@@ -6,11 +6,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from data.cameras import Camera
+from data.cameras import Camera, CameraRig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
 INNER_RADIUS = 0.035  # m, where the cloth lies flat on a plate of 50 mm
 FOLD_PROMINENCE = 3e-3  # m; smaller ripples of the radius are depth steps, not folds
+LARGEST_DEVIATION = 5.0
+"""Of the camera's pose from the rig's, in standard deviations of set-ups; the network knows 2."""
 
 
 def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
@@ -36,6 +38,8 @@ def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
     centre = points[on_plate].mean(axis=0)
     inner = on_plate
     for _ in range(20):
+        if inner.sum() < 3:
+            break  # no plane through so few: whatever this is, it is not a drape on a plate
         middle = points[inner].mean(axis=0)
         normal = np.linalg.svd(points[inner] - middle, full_matrices=False)[2][2]
         normal *= -np.sign(normal @ middle)  # up is towards the camera
@@ -52,6 +56,25 @@ def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
     pose[:3, :3] = np.stack([east, np.cross(normal, east), normal], axis=1)
     pose[:3, 3] = centre
     return replace(nominal, world_to_camera=pose)
+
+
+def camera_doubts(camera: Camera, rig: CameraRig) -> list[str]:
+    """What to say, a line each, of a ``camera`` that :func:`locate_camera` found elsewhere than on
+    ``rig``.
+    """
+    up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
+    pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
+    distance = float(np.linalg.norm(centre))
+    doubts = []
+    if abs(pitch - rig.pose.pitch) > LARGEST_DEVIATION * rig.jitter.pitch:
+        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal, the "
+                      f"rig's camera stands at {np.degrees(rig.pose.pitch):.0f}°: check that the "
+                      "pictures are upright, their intrinsics, and the camera's place")
+    if abs(distance - rig.pose.distance) > LARGEST_DEVIATION * rig.jitter.distance:
+        doubts.append(f"the plate is {1e3 * distance:.0f} mm away, on this rig "
+                      f"{1e3 * rig.pose.distance:.0f} mm: check the depth unit, the intrinsics and "
+                      "the camera's place")
+    return doubts
 
 
 def radius_profile(

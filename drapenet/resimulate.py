@@ -20,6 +20,9 @@ from sim.scene import Rig
 TURNS = 48  # orientations tried for the fit
 RESOLUTION = 41  # vertices a side that show the folds of most fabrics
 PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
+LEAST_OVERLAP = 0.75
+"""Of the silhouettes; drapes of a sound estimate have 0.85 and more, those of views upside down or
+of a wrong focal length less than half."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
@@ -45,6 +48,15 @@ class Resimulation:
     drape: DrapeResult
     camera: Camera
     turn: float
+
+    @property
+    def doubts(self) -> list[str]:
+        """What to say of a drape that is not like the captured one, one line each."""
+        if self.overlap >= LEAST_OVERLAP:
+            return []
+        return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
+                "the captured one: do not trust the estimate before the pictures, their "
+                "intrinsics and the rig are checked"]
 
     def as_dict(self) -> dict:
         """The figures, in JSON's types."""

@@ -258,6 +258,25 @@ def test_the_published_format_runs_as_it_is(name: str, checkpoint: Path, tmp_pat
     assert any("8-bit" in warning for warning in content["warnings"])
 
 
+def test_a_report_of_another_capture_does_not_stay(capture: Path, checkpoint: Path) -> None:
+    out = capture.parent / "out"
+    out.mkdir()
+    (out / "report.png").write_bytes(b"of another fabric")
+    infer.main(words(capture, checkpoint, "drapes=0"))
+    assert [file.name for file in out.iterdir()] == ["estimate.json"]
+
+
+def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
+    twill = read_capture(Path(__file__).parents[1] / "examples" / "captures" / "twill")
+    folder = tmp_path / "capture"
+    write_capture(folder, views=twill.views[:, ::-1], intrinsics=twill.intrinsics,
+                  density=twill.density)
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=1", "resolution=17"])
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    for doubt in ("check that the pictures are upright", "do not trust the estimate"):
+        assert any(doubt in warning for warning in content["warnings"])
+
+
 def test_the_same_capture_gives_the_same_estimate(capture: Path, checkpoint: Path) -> None:
     infer.main(words(capture, checkpoint, "drapes=0"))
     first = (capture.parent / "out" / "estimate.json").read_bytes()

@@ -142,6 +142,8 @@ def test_another_setting_in_the_same_folder_is_refused(blob_dataset: Path, tmp_p
     ("workers=-1", "workers"),
     ("seed=-1", "seed"),
     ("optim.weight_decay=-0.1", "weight_decay"),
+    ("optim.decay=-2", "decay"),
+    ("optim.ratio_weight=-1", "ratio_weight"),
 ])
 def test_bad_settings_are_one_line(
     blob_dataset: Path, tmp_path: Path, word: str, message: str
@@ -175,8 +177,14 @@ def test_validation_sees_the_same_pictures_every_epoch(cloth_dataset: Path) -> N
 
 def test_a_file_in_the_way_is_one_line(blob_dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("not a folder")
-    with pytest.raises(InputError, match="cannot make the folder"):
+    with pytest.raises(InputError, match="cannot write to the folder"):
         train.main(words(blob_dataset, tmp_path / "out"))
+
+
+def test_a_training_that_diverges_is_no_checkpoint(blob_dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"smaller optim\.learning_rate"):
+        train.main(words(blob_dataset, tmp_path, "epochs=3", "optim.learning_rate=1e30"))
+    assert not (tmp_path / "drapenet.safetensors").exists()
 
 
 def test_defaults_are_the_papers() -> None:

@@ -112,14 +112,15 @@ def specimen_turns(
 def _corrected(estimate: Estimate, refined: RefinedViews, density: float) -> Estimate:
     """The estimate with the moduli found, the stiffer yarns first again."""
     theta, turn = refined.best.theta, float(refined.best.nuisance[0])
-    names = estimate.names
+    names, spread = estimate.names, estimate.prediction.spread
     if theta[0] < theta[2]:
-        theta, turn = theta[SWAPPED], turn + math.pi / 2
+        theta, spread, turn = theta[SWAPPED], spread[SWAPPED], turn + math.pi / 2
         if "warp" in names:
             names = names[::-1]
     return replace(
         estimate, names=names, fabric=fabric_from_theta(theta).at_density(density),
-        prediction=replace(estimate.prediction, targets=theta, axis=turn % math.pi))
+        prediction=replace(estimate.prediction, targets=theta, spread=spread,
+                           axis=turn % math.pi))
 
 
 def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[str, Any]:
@@ -139,8 +140,7 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
     content: dict[str, Any] = {"refined": {
         "by": "depth", "change": change, "misfit_before": refined.start_value,
         "misfit": refined.best.value, "simulations": refined.simulations,
-        "seconds": round(refined.seconds, 1), "status": refined.status.value,
-        "message": refined.message,
+        "status": refined.status.value, "message": refined.message,
     }}
     if refined.uncertainty is None:
         warnings.append("the refinement gives no uncertainty; the network's typical error stands")
@@ -156,7 +156,10 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
 def _resimulation(views: np.ndarray, refined: RefinedViews) -> Resimulation:
     """The refined drape, seen as it was compared."""
     objective = refined.objective
-    nuisance = fit_nuisances(objective, refined.drape.positions, refined.best.nuisance)
+    try:
+        nuisance = fit_nuisances(objective, refined.drape.positions, refined.best.nuisance)
+    except KeyboardInterrupt:
+        nuisance = refined.best.nuisance  # as good as can be: the estimate must not be lost
     simulated = objective.render(refined.drape.positions, nuisance).astype(np.float32)
     profiles = tuple(radius_profile(v, objective.camera, height=PROFILE_HEIGHT)
                      for v in (views, simulated))

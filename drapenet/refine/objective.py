@@ -141,29 +141,6 @@ class Sum:
             along, np.concatenate(columns), sum(part.count for part in parts))
 
 
-def differences_along(
-    residuals: Callable[[np.ndarray], np.ndarray], positions: np.ndarray, *, move: float = 1e-5
-) -> Along:
-    """Derivatives by central differences, for an objective that has no better.
-
-    Args:
-        residuals: (N,) of positions (V, 3), as many for all.
-        positions: (V, 3) m, where the derivative is taken.
-        move: m, how far the vertex that moves most is moved to either side.
-    """
-    def along(moves: np.ndarray) -> np.ndarray:
-        columns = []
-        for direction in moves:
-            largest = np.linalg.norm(direction, axis=1).max()
-            step = move / largest if largest > 0 else 1.0
-            difference = residuals(positions + step * direction) - residuals(
-                positions - step * direction)
-            columns.append(difference / (2 * step))
-        return np.stack(columns, axis=1)
-
-    return along
-
-
 def fit_nuisances(
     objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
 ) -> np.ndarray:

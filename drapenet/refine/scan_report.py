@@ -150,6 +150,7 @@ def infer_scan(config: dict[str, Any]) -> None:
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
     require_folder(out)
     content, shape, found = refine_scan(path, held=config["held"])
+    (out / "report.png").unlink(missing_ok=True)  # of an earlier scan, perhaps
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
     print(format_scan(content))
     print(f"estimate: {out / 'estimate.json'}")
@@ -228,6 +229,8 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
             loaded = trimesh.load(file, file_type=path.suffix[1:].lower(), process=False,
                                   skip_materials=True, force=None)
         points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+        if points.shape[1:] != (3,):
+            raise ValueError("points of another number of coordinates than three")
         faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
             UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:

@@ -43,7 +43,6 @@ def laplace(problem: DrapeProblem, trial: Trial) -> Uncertainty | None:
     with np.errstate(divide="ignore"):
         variances = np.where(values > 1e-12 * values[-1], 1 / values, np.inf)
     weights = np.where(vectors**2 > 1e-12, vectors**2, 0.0)
-    covariance = np.zeros_like(vectors)
     known = np.isfinite(variances)
     covariance = (vectors[:, known] * variances[known]) @ vectors[:, known].T
     covariance[np.diag_indices_from(covariance)] = np.where(

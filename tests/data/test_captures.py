@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from scipy import ndimage
 
 from data.cameras import CameraRig
 from data.captures import Capture, read_capture, to_camera, write_capture
@@ -130,9 +131,39 @@ def test_published_background_is_zero_or_bright_and_large_pictures_are_decimated
 
 def test_cloth_at_the_border_is_a_warning(folder):
     picture = np.array(Image.open(folder / "view_2.png"))
-    picture[-1, 120] = 520
+    picture[picture[:, 120].nonzero()[0][-1] :, 120] = 520
     Image.fromarray(picture).save(folder / "view_2.png")
     assert read_capture(folder).warnings == ("view 2: the cloth touches the picture's border",)
+
+
+def test_what_lies_apart_from_the_cloth_does_not_count(folder):
+    file = folder / "view_2.png"
+    clean = np.array(Image.open(file))
+    spoiled = clean.copy()
+    far = np.argwhere(ndimage.distance_transform_edt(clean == 0) > 8)
+    for row, column in (far[0], far[-1]):
+        spoiled[row, column] = 540
+    touching = np.argwhere((clean == 0) & ndimage.binary_dilation(clean > 0, iterations=2)
+                           & ~ndimage.binary_dilation(clean > 0))
+    spoiled[tuple(touching[0])] = 540  # noise at the edge
+    Image.fromarray(spoiled).save(file)
+    capture = read_capture(folder)
+    assert [w for w in capture.warnings if "apart" in w] == [
+        "view 2: pixels left out that lie apart from the cloth: 2"]
+    expected = np.where(spoiled == clean, clean, 0) * 1e-3
+    expected[tuple(touching[0])] = 0.540
+    assert np.allclose(capture.views[2], expected)
+
+
+def test_a_large_piece_beside_the_cloth_stays_and_is_told(folder):
+    file = folder / "view_1.png"
+    spoiled = np.array(Image.open(file))
+    assert not spoiled[:20, :30].any()
+    spoiled[1:19, 1:29] = 700
+    Image.fromarray(spoiled).save(file)
+    capture = read_capture(folder)
+    assert (capture.views[1][1:19, 1:29] > 0).all()
+    assert any("504 pixels lie apart" in warning for warning in capture.warnings)
 
 
 def test_other_intrinsics_are_brought_to_the_rig(renderer, views, tmp_path):

@@ -93,6 +93,14 @@ def test_errors_are_in_percent_and_millimetres(header: Header) -> None:
     assert error["beta_over_alpha_mm"] == pytest.approx(0.5 * 2.0)
 
 
+def test_errors_grow_beyond_the_training_set(header: Header) -> None:
+    known, unknown = (
+        to_json(make_estimate(predicted(alpha), capture=CAPTURE, header=header), capture=CAPTURE,
+                header=header)["typical_error"] for alpha in ([60, 40, 20], [60, 40, 0.2]))
+    assert unknown["stiff"] == known["stiff"]
+    assert unknown["soft"]["alpha_percent"] > 3 * known["soft"]["alpha_percent"]
+
+
 def test_belief_is_the_usual_error_and_more_beyond_the_training_set(header: Header) -> None:
     inside, outside = (belief(predicted(alpha), header)
                        for alpha in ([60, 40, 20], [60, 40, 0.2]))

@@ -290,6 +290,10 @@ def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
     points = tmp_path / "points.ply"
     trimesh.PointCloud(captured.positions).export(points)
     assert len(read_cloud(points, DISC_RIG).points) == len(captured.positions)
+    damaged = tmp_path / "damaged.obj"
+    damaged.write_text("v 0.1 0.2 0\n" * 300 + "v 0.1 0.2\n" + "f 1 2 3\n")
+    with pytest.raises(InputError, match="export it again"):
+        read_cloud(damaged, DISC_RIG)
     millimetres = tmp_path / "mm.ply"
     trimesh.Trimesh(1e3 * captured.positions, captured.faces, process=False).export(millimetres)
     with pytest.raises(InputError, match="metres"):
