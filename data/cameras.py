@@ -13,6 +13,7 @@ world +x is to the right in the picture and the direction at 90 degrees points a
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from itertools import product
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -140,6 +141,8 @@ class Pose:
     def __post_init__(self) -> None:
         if not all(math.isfinite(getattr(self, f.name)) for f in fields(self)):
             raise InputError("the camera's pose must be given in finite numbers")
+        if self.distance <= 0:
+            raise InputError(f"the camera's distance_mm={1e3 * self.distance:g} must be positive")
 
     def world_to_camera(self) -> np.ndarray:
         """(4, 4) rigid transform from world axes to camera axes."""
@@ -240,6 +243,22 @@ class CameraRig:
         """
         tail = ndtr(-JITTER_LIMIT_SIGMAS)
         return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(fields(Jitter)) + 1)))
+
+    def farthest(self) -> float:
+        """Largest distance of a sampled camera from the plate's centre, m.
+
+        Raises:
+            InputError: the jitter reaches cameras that cannot be.
+        """
+        # All that is asked of a camera holds within limits that it holds at.
+        for deviates in product((-JITTER_LIMIT_SIGMAS, JITTER_LIMIT_SIGMAS),
+                                repeat=len(fields(Jitter)) + 1):
+            try:
+                self._camera(np.array(deviates))
+            except InputError as error:
+                raise InputError(f"rig.jitter is too large for rig.camera: at "
+                                 f"{JITTER_LIMIT_SIGMAS:g} deviations {error}") from None
+        return self.pose.distance + JITTER_LIMIT_SIGMAS * self.jitter.distance
 
     def _camera(self, deviates: np.ndarray) -> Camera:
         focal, shift_x, shift_y, distance, pitch, above, aside, roll = deviates.tolist()

@@ -180,7 +180,7 @@ def _read_metric(path: Path) -> Capture:
             f"{file}: unknown key {shown(min(unknown))}; "
             f"known keys: {', '.join(sorted(CAPTURE_KEYS))}"
         )
-    density = _density(description.get("density_g_m2"), f"{file}: density_g_m2")
+    density = checked_density(description.get("density_g_m2"), f"{file}: density_g_m2")
     unit = finite_number(description.get("depth_unit_m", 1e-3), f"{file}: depth_unit_m")
     if unit <= 0:
         raise InputError(f"{file}: depth_unit_m={unit:g} must be positive, 0.001 for millimetres")
@@ -202,7 +202,7 @@ def _read_metric(path: Path) -> Capture:
 
 
 def _read_published(path: Path) -> Capture:
-    density = _density(*_read_density(path / "density.txt"))
+    density = checked_density(*_read_density(path / "density.txt"))
     counts = read_views(path, "{}.png", modes={"L"}, kind="8-bit grey")
     height, width = counts.shape[1:]
     if (width, height) not in PUBLISHED_SIZES:
@@ -289,8 +289,8 @@ def _read_density(file: Path) -> tuple[str, str]:
     return lines[0][-1], f"{file}: density"
 
 
-def _density(value: object, what: str) -> float:
-    """kg/m2 from g/m2."""
+def checked_density(value: object, what: str) -> float:
+    """kg/m2 from g/m2; InputError that names it ``what`` where no fabric can have it."""
     if value is None:
         raise InputError(f"{what} is missing; weigh the specimen and give its g/m2")
     if isinstance(value, str):

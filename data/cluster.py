@@ -55,6 +55,9 @@ def launch(words: list[str]) -> None:
             raise
         raise InputError(f"{error}; install it with pip install '.[cluster]'") from None
     config_from_options(options)
+    for word, override in parsed:
+        if override.key_or_group == "parts" and override.is_sweep_override():
+            raise InputError(f"{word}: give one number of parts; each part is a job")
     if options.parts < 1:
         raise InputError(f"parts={options.parts} must be at least 1")
     if all(override.key_or_group != "part" for _, override in parsed):

@@ -18,8 +18,8 @@ OPEN_SHARDS = 32  # files that one process keeps open
 class DrapeDataset(SplitDataset):
     """The stored views of a split's drapes, with noise and augmentation drawn anew each epoch.
 
-    With ``augment``, an item starts at a random view, may be a mirror image, and an epoch visits
-    other stored orientations than the one before; without, the first ones in every epoch.
+    With ``augment``, an item starts at a random view, may be a mirror image, and every epoch draws
+    anew which stored orientations it visits; without, these are always the first ones.
     Randomness depends on (seed, epoch, drape) only, not on workers or the order of access.
 
     Args:
@@ -45,8 +45,8 @@ class DrapeDataset(SplitDataset):
             raise InputError(f"{self.root} holds drapes without views; train with views=fresh, or "
                              "generate a dataset with dataset.orientations=8")
         if self._per_drape > self._stored:
-            raise InputError(f"orientations_per_epoch={self._per_drape} must lie between 1 and the "
-                             f"{self._stored} stored ones; views=fresh knows no such limit")
+            raise InputError(f"{self._per_drape} orientations of a drape are asked for, but there "
+                             f"are {self._stored} stored ones; train.py's views=fresh makes more")
         table = self.columns("orientations", "turns", "intrinsics")
         self.orientations, self.turns, self.intrinsics = table.values()
         self._open: dict[str, Shard] = {}

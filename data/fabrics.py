@@ -38,6 +38,7 @@ TABLE_COLUMNS = {
 
 _COLUMNS = ", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
 
+DENSITY_RANGE = (1e-3, 10.0)  # kg/m²; beyond it, a density has another unit
 LINEAR_UNIT = 1e-9  # N·m
 QUADRATIC_UNIT = 1e-12  # N·m²
 
@@ -94,8 +95,8 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     further columns are ignored. Rows that agree in all seven values are one fabric.
 
     Raises:
-        InputError: no such file, a missing column, another unit, a cell that is no number or a
-            density or linear modulus that is not positive.
+        InputError: no such file, a column that is missing or there twice, another unit, a cell
+            that is no number, a density or linear modulus that cannot be, a multiplicity below 1.
     """
     path = Path(path)
     try:
@@ -120,6 +121,12 @@ def read_fabric_table(path: str | Path) -> FabricTable:
         if not np.isfinite(values).all() or min(values[:4]) <= 0:
             raise InputError(f"{path}, line {line}: all values must be finite, density and linear "
                              "moduli must be positive")
+        low, high = DENSITY_RANGE
+        if not low <= values[0] <= high:
+            raise InputError(f"{path}, line {line}: density={values[0]:g} is outside {low:g} to "
+                             f"{high:g} kg/m²; check the unit")
+        if count < 1:
+            raise InputError(f"{path}, line {line}: '{header[counted]}' must be at least 1")
         merged[values] = merged.get(values, 0) + count
     table = np.array(list(merged))
     density = table[:, 0]
@@ -134,13 +141,14 @@ def read_fabric_table(path: str | Path) -> FabricTable:
 
 def _locate_columns(header: list[str], path: Path) -> tuple[list[int], int | None]:
     """Positions of the published columns, and of the multiplicity if there is one."""
-    units, counted = {}, None
+    units = {}
     for position, cell in enumerate(header):
         name, _, unit = cell.strip().partition("[")
-        if name.startswith("rows"):
-            counted = position
-        else:
-            units[name.strip()] = (position, unit.rstrip("] "))
+        name = "rows" if name.startswith("rows") else name.strip()
+        if name in units and name in (*TABLE_COLUMNS, "rows"):
+            raise InputError(f"{path} has two columns '{name}'; remove one")
+        units[name] = (position, unit.rstrip("] "))
+    counted, _ = units.get("rows", (None, ""))
     columns = []
     for name, unit in TABLE_COLUMNS.items():
         if name not in units:

@@ -2,7 +2,7 @@
 
 There is no lock, since locks cannot be trusted on the shared file systems of clusters. Any number
 of processes may work in a folder: a file appears under its name by being renamed, complete, and
-whoever writes a shard writes the same bytes.
+whoever writes a shard writes the same bytes, or finds in the manifest that it would not.
 """
 
 import json
@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from data.prior import prior_content
+from data.progress import over_shards
 from data.records import DatasetConfig, Record
 from data.shards import (
     MANIFEST,
@@ -86,8 +87,8 @@ class DatasetFolder:
             raise InputError(f"cannot create the folder {self.root}: {error.strerror}") from None
         manifest = read_manifest(self.root)
         if manifest is not None:
-            settings = manifest.get("config", {}) | {"prior": manifest.get("prior")}
-            self._require_same(manifest.get("identity"), settings)
+            settings = manifest["config"] | {"prior": manifest.get("prior")}
+            self._require_same(manifest["identity"], settings)
             if manifest["drapes"] > self.config.drapes:
                 raise InputError(f"{self.root} holds {manifest['drapes']} drapes already; ask for "
                                  "as many or more")
@@ -132,7 +133,12 @@ class DatasetFolder:
             return None
 
     def write(self, shard: int, records: list[Record]) -> None:
-        """Write a shard; InputError where the system refuses."""
+        """Write a shard.
+
+        Raises:
+            InputError: the system refuses; the folder holds another dataset or more drapes by now.
+        """
+        self.claim()
         name = shard_name(shard)
         try:
             remove_partial(self.root, name)
@@ -152,17 +158,18 @@ class DatasetFolder:
         if found != begun:
             write_manifest(self.root, begun)
 
-    def finish(self, *, made: bool = True) -> dict:
+    def finish(self, *, made: bool = True, progress: bool = False) -> dict:
         """Write the manifest if all shards are whole; return it, finished or not.
 
-        ``made`` says whether this process has made shards.
+        ``made`` says whether this process has made shards; ``progress`` shows a bar.
         """
         self.claim()  # it may have been extended meanwhile
         names = [shard_name(shard) for shard in range(self.config.shards)]
         contents: dict[str, Content | None] = {}
         # All are looked for before the first is read: most parts of a dataset end before others.
         if all((self.root / name).exists() for name in names):
-            contents = {name: self.content(shard) for shard, name in enumerate(names)}
+            contents = {name: self.content(shard) for shard, name
+                        in enumerate(over_shards(names, "checking", show=progress))}
         if not contents or None in contents.values():
             return self._described | {"complete": False}
         found = read_manifest(self.root) or {}

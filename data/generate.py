@@ -14,11 +14,10 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from tqdm import tqdm
-
 from data.effort import describe_effort
 from data.folder import DatasetFolder
 from data.options import Options, config_from_options
+from data.progress import over_shards, progress_bar
 from data.records import DatasetConfig, Renderer, Solver
 from data.workers import make_shards
 from sim.cli import run_command
@@ -65,12 +64,13 @@ def generate_dataset(
     try:
         folder.claim()
         mine = range(part, config.shards, parts)
-        missing = [shard for shard in mine if folder.content(shard) is None]
+        missing = [shard for shard in over_shards(mine, "checking", show=progress)
+                   if folder.content(shard) is None]
         if missing:
             folder.begin()
         _fill(folder, missing, of=sum(len(config.rows(shard)) for shard in mine), workers=workers,
               progress=progress, solver=solver, renderer=renderer)
-        manifest = folder.finish(made=bool(missing))
+        manifest = folder.finish(made=bool(missing), progress=progress)
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
     if parts == 1 and not manifest["complete"]:
@@ -91,10 +91,8 @@ def _fill(
 ) -> None:
     """Make ``shards``, the missing ones of a part of ``of`` drapes, and show how far they are."""
     missing = sum(len(folder.config.rows(shard)) for shard in shards)
-    # A log file has no use for ten lines a second.
-    pause = 0.1 if sys.stderr.isatty() else 30.0
-    bar = tqdm(total=of, initial=of - missing, unit="drape", disable=not progress, smoothing=0.05,
-               mininterval=pause, maxinterval=max(pause, 10.0))
+    bar = progress_bar(total=of, initial=of - missing, unit="drape", disable=not progress,
+                       smoothing=0.05)
 
     def show(drapes: int, failed: int) -> None:
         bar.set_postfix_str(f"{failed} failed", refresh=False)
@@ -120,7 +118,7 @@ number of workers, parts and machines nor on interruptions.
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
     python -m data.generate out=outputs/small drapes=16 resolution=31 dataset=fresh
 
-A drape takes about 2 s of one core, and 17 kB without views, 300 kB with eight sets of them. What a
+A drape takes about 2 s of one core, and 20 kB without views, 300 kB with eight sets of them. What a
 dataset holds is shown by python -m data.inspect OUT.
 
 On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time

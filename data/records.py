@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from data.cameras import CameraRig
+from data.cameras import DEFAULT_RIG, CameraRig
 from data.effort import Effort
 from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
@@ -32,6 +32,9 @@ Renderer = Callable[..., object]
 """Like :class:`data.render.DepthRenderer`: of positions and faces, with a method ``view``."""
 Record = Mapping[str, np.ndarray]
 """One row of each of :func:`data.shards.fields`."""
+
+ACCIDENTS = (ArithmeticError, np.linalg.LinAlgError)
+"""What befalls the numbers of a single drape, which then fails alone."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,15 @@ class DatasetConfig:
             raise InputError(f"jitter={self.jitter} must lie between 0 and 0.3 edges")
         if not 1 <= self.compression <= 9:
             raise InputError(f"compression={self.compression} must lie between 1 and 9")
+        if not self.rig.has_plate or self.rig.specimen != "square":
+            raise InputError(f"rig.name={self.rig.name}: datasets are made of square specimens on "
+                             f"a plate; choose {DEFAULT_RIG}")
+        farthest = self.cameras.farthest() + self.rig.specimen_size
+        limit = DEPTH_UNIT * np.iinfo(np.uint16).max
+        if self.sampling.orientations and farthest > limit:
+            raise InputError(f"rig.camera.distance_mm={1e3 * self.cameras.pose.distance:g} is too "
+                             f"far: views can hold {1e3 * limit:g} mm, and with the jitter and the "
+                             f"specimen up to {1e3 * farthest:g} are needed")
 
     @property
     def layout(self) -> Layout:
@@ -174,8 +186,8 @@ def simulate(
             jitter=config.jitter,
             **start,
         )
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
-        return record | _outcome("exception", f"{type(error).__name__}: {error}"), None
+    except ACCIDENTS as error:
+        return record | _accident(error), None
     record |= _outcome(str(getattr(result.status, "value", result.status)), result.message)
     record |= {"residual": result.residual, "iterations": result.iterations}
     try:
@@ -184,7 +196,7 @@ def simulate(
             "rest": to_counts(result.rest, unit=LENGTH_UNIT, dtype=np.int16),
             "diagonals": pack_diagonals(result.diagonals),
         }
-    except ValueError as error:
+    except OverflowError as error:
         if result.converged:
             record |= _outcome("out_of_range", str(error))
         return record, None
@@ -194,6 +206,10 @@ def simulate(
 def _outcome(status: str, message: str) -> dict:
     return {"status": status.encode("ascii", "replace")[:24],
             "message": message.encode("ascii", "replace")[:160]}
+
+
+def _accident(error: Exception) -> dict:
+    return _outcome("exception", f"{type(error).__name__}: {error}")
 
 
 def _own_resolution(fabric: Fabric, rig: Rig) -> int:
@@ -222,6 +238,8 @@ def make_record(
 ) -> dict[str, np.ndarray]:
     """The record of drape ``index``: one row of each of :func:`data.shards.fields`.
 
+    A drape of which no measures or views can be taken fails, and keeps its mesh.
+
     Args:
         earlier: records of the drapes before it in the same shard; a borrowed start is taken
             from them.
@@ -235,15 +253,23 @@ def make_record(
         record, result = simulate(plan, config, solver, lender)
     if result is None:
         return record
+    try:
+        shown = _measures(result, config.rig)
+        if len(plan.orientations):
+            with effort.booked("views"):
+                shown |= _views(plan, config, renderer(result.positions, result.faces))
+    except ACCIDENTS as error:
+        return record | _accident(error)
+    return record | shown
+
+
+def _measures(result: object, rig: Rig) -> dict:
+    """The part of a record that describes the drape in figures."""
     # Imported here like the solver, see load_solver.
     from sim.measures import drape_coefficient, fold_count
 
-    record["drape_coefficient"] = drape_coefficient(result.positions, result.faces, config.rig)
-    record["folds"] = fold_count(result.positions, result.rest, config.rig)
-    if len(plan.orientations):
-        with effort.booked("views"):
-            record |= _views(plan, config, renderer(result.positions, result.faces))
-    return record
+    return {"drape_coefficient": drape_coefficient(result.positions, result.faces, rig),
+            "folds": fold_count(result.positions, result.rest, rig)}
 
 
 def _views(plan: DrapePlan, config: DatasetConfig, scene: object) -> dict:

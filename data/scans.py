@@ -1,11 +1,11 @@
 """Scanned drapes of real fabrics on the disc rig, as meshes."""
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from sim.drape_file import read_arrays
 from sim.errors import InputError
 from sim.mesh import Mesh
 from sim.scene import Rig
@@ -41,14 +41,9 @@ def read_scan(path: Path, rig: Rig) -> Scan:
             the support of ``rig``.
     """
     keys = ("vertices", "rest", "faces")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in keys if key in file}
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        # What numpy says of other files is of no use to their owner.
-        reason = getattr(error, "strerror", None) or (
-            "no npz file with vertices, rest and faces; a raw mesh must end in .ply or .obj")
-        raise InputError(f"cannot read the scan {path}: {reason}") from None
+    arrays = read_arrays(path, keys, what="the scan",
+                         expected="an npz file with vertices, rest and faces; a raw mesh must end "
+                                  "in .ply or .obj")
     if missing := [key for key in keys if key not in arrays]:
         raise InputError(f"{path} is no scan: it has no array '{missing[0]}'; "
                          f"it needs {', '.join(keys)}")

@@ -15,6 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from data.progress import over_shards
 from data.render import VIEWS
 from sim.errors import InputError, one_line
 from sim.files import replace_shared_file
@@ -96,12 +97,12 @@ def fields(layout: Layout, resolution: int) -> dict[str, Field]:
 
 
 def to_counts(values: np.ndarray, *, unit: float, dtype: type[np.integer]) -> np.ndarray:
-    """Values divided by ``unit`` and rounded; ValueError where ``dtype`` cannot hold them."""
+    """Values divided by ``unit`` and rounded; OverflowError where ``dtype`` cannot hold them."""
     counts = np.rint(np.asarray(values, dtype=np.float64) / unit)
     limits = np.iinfo(dtype)
     if not (np.isfinite(counts).all() and (counts >= limits.min).all()
             and (counts <= limits.max).all()):
-        raise ValueError(f"values outside {limits.min * unit:g} to {limits.max * unit:g}")
+        raise OverflowError(f"values outside {limits.min * unit:g} to {limits.max * unit:g}")
     return counts.astype(dtype)
 
 
@@ -219,7 +220,7 @@ def require_unchanged(root: Path, digests: Mapping[str, str]) -> None:
         InputError: one does not, is damaged or cannot be read.
     """
     try:
-        changed = [name for name, digest in digests.items()
+        changed = [name for name, digest in over_shards(digests.items(), "checking")
                    if verified_digest(root / name) != digest]
     except OSError as error:
         raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
@@ -293,6 +294,13 @@ class Shard:
 
 
 MANIFEST = "dataset.json"
+ANEW = ("remove it and run the command that made the dataset again, which keeps shards that are "
+        "whole")
+"""What helps against a damaged manifest."""
+
+_KINDS = {"identity": str, "drapes": int, "config": dict, "complete": bool}
+_KINDS_AT_THE_END = _KINDS | {"hash": str, "shards": dict}
+"""What a manifest must hold, and a finished one."""
 
 
 def write_manifest(root: Path, content: dict) -> None:
@@ -305,24 +313,27 @@ def read_manifest(root: Path) -> dict | None:
     """The content of ``dataset.json``; None where there is none.
 
     Raises:
-        InputError: it cannot be read, or belongs to another schema version.
+        InputError: it cannot be read, is damaged, or belongs to another schema version.
     """
     path = Path(root) / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError):
-        raise InputError(f"{path} cannot be read; generate the dataset anew") from None
-    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is damaged; {ANEW}")
+    if content.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
                          "dataset anew, in another folder")
+    kinds = _KINDS_AT_THE_END if content.get("complete") else _KINDS
+    for name, kind in kinds.items():
+        if type(content.get(name)) is not kind or content[name] == {}:
+            raise InputError(f"{path} is damaged, in '{name}'; {ANEW}")
     return content
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def json_text(content: object) -> str:

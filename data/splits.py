@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
-from data.shards import Shard, read_manifest, require_unchanged
+from data.shards import ANEW, MANIFEST, Shard, json_digest, read_manifest, require_unchanged
 from sim.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -79,14 +79,26 @@ def _uniform(key: str) -> float:
 
 
 def finished_manifest(root: str | Path) -> dict:
-    """The content of a dataset's ``dataset.json``; InputError where it is missing or unfinished."""
+    """The content of a dataset's ``dataset.json``.
+
+    Raises:
+        InputError: it is missing, unfinished or damaged, or contradicts itself.
+    """
     manifest = read_manifest(Path(root))
     if manifest is None:
         raise InputError(f"{root} is no dataset: dataset.json is missing")
     if not manifest["complete"]:
         raise InputError(f"{root} is unfinished; complete it with python -m data.generate "
                          f"out={root} and the settings it was begun with")
+    require_digest(root, manifest["config"], manifest["identity"])
     return manifest
+
+
+def require_digest(root: str | Path, content: dict, digest: str) -> None:
+    """InputError unless a part of the ``dataset.json`` in ``root`` has the digest given there."""
+    if json_digest(content) != digest:
+        raise InputError(f"{Path(root) / MANIFEST} contradicts itself: its digests are not those "
+                         f"of its content; {ANEW}")
 
 
 class SplitDataset(Dataset, ABC):

@@ -71,6 +71,6 @@ class NetworkErrors:
             raise InputError("they are no table of parameters")
         mean, slope = (read_array(content, name, (6,)) for name in ("mean", "slope"))
         covariance = read_array(content, "covariance", (6, 6))
-        check_covariances(covariance, "their covariance")
+        check_covariances(covariance, "their covariance must be symmetric and positive definite")
         return cls(mean, slope, float(read_array(content, "level", ())), covariance,
                    read_count(content, "fabrics"))

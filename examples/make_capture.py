@@ -10,13 +10,12 @@ The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from data.cameras import CameraRig
-from data.captures import write_capture
+from data.captures import checked_density, write_capture
 from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
 from data.sensor import SensorNoise
@@ -24,7 +23,7 @@ from data.structured_light import StructuredLight
 from sim.cli import parse_overrides, run_command
 from sim.drape import drape
 from sim.errors import InputError
-from sim.files import replace_file
+from sim.files import folder_named, replace_file, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import Rig
 
@@ -44,18 +43,20 @@ FILES = {"capture.yaml", "truth.json", *(f"view_{k}.png" for k in range(VIEWS))}
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over :data:`DEFAULTS`."""
     config = parse_overrides(DEFAULTS, argv)
-    out = Path(config["out"])
+    out = folder_named(config["out"])
     old = list(out.iterdir()) if out.is_dir() else []
     if out.is_file() or not {file.name for file in old} <= FILES:
         raise InputError(f"{out} holds something else than a capture made here; choose another "
                          "out=")
+    require_folder(out)
+    density = checked_density(config["density"], "density")
     rig = CameraRig.load()
     noise = SensorNoise.load(config["sensor"])
     if isinstance(noise, StructuredLight):
         # A 16-bit capture has no 8-bit steps; they belong to the published format.
         noise = replace(noise, eight_bit_probability=0.0)
     fabric = Fabric(alpha=np.array(config["alpha"]) * MICRO, beta=np.array(config["beta"]) * NANO,
-                    density=config["density"] * 1e-3)
+                    density=density)
     result = drape(fabric, rig=Rig.from_name(rig.name), resolution=config["resolution"],
                    seed=config["seed"])
     if not result.converged:
@@ -71,7 +72,7 @@ def main(argv: list[str]) -> None:
     for file in old:
         file.unlink()
     # Who captures a drape knows the nominal intrinsics only, so these are written.
-    write_capture(out, views=views, intrinsics=rig.intrinsics, density=fabric.density,
+    write_capture(out, views=views, intrinsics=rig.intrinsics, density=density,
                   warp_direction=direction, rig=rig.name)
     truth = {
         "density_g_m2": config["density"],

@@ -5,8 +5,7 @@ A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metr
 """
 
 import io
-import zipfile
-import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,21 +23,33 @@ def write_drape(path: Path, result: DrapeResult) -> None:
     replace_file(path, buffer.getvalue())
 
 
+def read_arrays(
+    path: Path, names: Sequence[str], *, what: str, expected: str
+) -> dict[str, np.ndarray]:
+    """Those of the arrays ``names`` that an npz file holds.
+
+    Raises:
+        InputError: the file, called ``what``, cannot be read, or is not what is ``expected``.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names if name in archive}
+    except Exception as error:  # what zipfile, zlib, tokenize and numpy make of damaged files
+        reason = getattr(error, "strerror", None) or f"not {expected}"
+        raise InputError(f"cannot read {what} {path}: {reason}") from None
+
+
 def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Rest points (V, 2) and positions (V, 3), m, of a drape to start another one from.
 
     Raises:
         InputError: the file cannot be read or is not of the form described above.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            rest, positions = archive["rest"], archive["positions"]
-    except OSError as error:
-        reason = error.strerror or "not a drape.npz"
-        raise InputError(f"cannot read {path}: {reason}") from None
-    except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile,
-            zlib.error):
-        raise InputError(f"{path} is not a drape.npz with rest and positions") from None
+    expected = "a drape.npz with rest and positions"
+    arrays = read_arrays(path, ("rest", "positions"), what="the drape", expected=expected)
+    if len(arrays) < 2:
+        raise InputError(f"{path} is not {expected}")
+    rest, positions = arrays["rest"], arrays["positions"]
     for name, array, columns in (("rest", rest, 2), ("positions", positions, 3)):
         if array.dtype.kind != "f" or array.shape != (len(rest) if rest.ndim else 0, columns):
             raise InputError(f"{path}: {name} must be numbers of shape (V, {columns})")

@@ -9,6 +9,7 @@ from data.shards import (
     SCHEMA_VERSION,
     Layout,
     fields,
+    json_digest,
     verified_digest,
     write_manifest,
     write_shard,
@@ -66,10 +67,11 @@ def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0, turn: float = 
         names.append(f"shard_{shard:05d}.h5")
         write_shard(root / names[-1], block, layout=layout,
                     attributes={"schema_version": SCHEMA_VERSION})
+    config = {"sampling": {"orientations": ORIENTATIONS, "seed": seed}, "prior": "blobs",
+              "rig": {"name": "square300_cylinder100"}}
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
         "hash": f"{seed:064x}", "shards": {name: verified_digest(root / name) for name in names},
-        "config": {"sampling": {"orientations": ORIENTATIONS, "seed": seed}, "prior": "blobs",
-                   "rig": {"name": "square300_cylinder100"}},
+        "config": config, "identity": json_digest(config),
     })
     return root

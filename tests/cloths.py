@@ -11,6 +11,7 @@ from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
 from data.shards import (
     SCHEMA_VERSION,
+    json_digest,
     shard_name,
     verified_digest,
     write_manifest,
@@ -57,6 +58,7 @@ def write_dataset(
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
         "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
+        "identity": json_digest(config.as_dict()),
         "shards": {name: verified_digest(root / name)
                    for name in map(shard_name, range(config.shards))},
     })

@@ -3,8 +3,9 @@
 from collections import Counter
 from pathlib import Path
 
-from data.shards import MANIFEST, SHARDS, Shard, json_digest, require_unchanged, some
-from data.splits import finished_manifest
+from data.progress import over_shards
+from data.shards import MANIFEST, SHARDS, Shard, require_unchanged, some
+from data.splits import finished_manifest, require_digest
 from sim.errors import InputError, one_line
 
 
@@ -17,16 +18,8 @@ def check_dataset(root: str | Path) -> dict:
             or too many, or other outcomes.
     """
     root = Path(root)
-    try:
-        manifest = finished_manifest(root)
-        digests = manifest["shards"]
-        consistent = (json_digest(manifest["config"]) == manifest["identity"]
-                      and json_digest(digests) == manifest["hash"])
-    except (KeyError, TypeError):
-        consistent = False
-    if not consistent:
-        raise InputError(f"{root / MANIFEST} contradicts itself: its digests are not those of its "
-                         "content")
+    manifest = finished_manifest(root)
+    require_digest(root, manifest["shards"], manifest["hash"])
     try:
         _check_shards(root, manifest)
     except OSError as error:
@@ -47,7 +40,7 @@ def _check_shards(root: Path, manifest: dict) -> None:
     require_unchanged(root, digests)
     indices: list[int] = []
     outcomes: Counter[str] = Counter()
-    for name in digests:
+    for name in over_shards(digests, "counting"):
         with Shard(root / name) as shard:
             if shard.attribute("identity") != manifest["identity"]:
                 raise InputError(f"{root / name} belongs to another dataset (identity "
@@ -59,5 +52,5 @@ def _check_shards(root: Path, manifest: dict) -> None:
         raise InputError(f"{root} should hold the drapes 0 to {manifest['drapes'] - 1} once each, "
                          f"but its shards hold {len(set(indices))} different ones in "
                          f"{len(indices)} rows")
-    if dict(outcomes) != manifest["outcomes"]:
+    if dict(outcomes) != manifest.get("outcomes"):
         raise InputError(f"{root / MANIFEST} counts other outcomes than its shards hold")

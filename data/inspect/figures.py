@@ -8,7 +8,8 @@ import numpy as np
 
 from data.fabrics import THETA_NAMES
 from data.prior import prior_from_content, sample_admissible
-from data.shards import Shard
+from data.progress import over_shards
+from data.shards import MESH, Shard
 from sim.material import MICRO
 from sim.measures import maximum_stretch
 from sim.self_contact import self_intersections
@@ -18,7 +19,6 @@ COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message",
 QUANTILES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
 RANGE = (0.01, 0.99)  # quantiles of the prior; beyond them a fabric counts as outside
 PRIOR_SAMPLES = 2000
-MESH = ("positions", "rest", "diagonals")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     themselves, evenly spread over the converged ones."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     places, used = [], Counter()
-    for name in manifest["shards"]:
+    for name in over_shards(manifest["shards"], "reading"):
         with Shard(root / name) as shard:
             for column, arrays in parts.items():
                 arrays.append(shard.column(column))
@@ -65,7 +65,8 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     stretch = np.full(len(places), np.nan)
     crossings = np.full(len(places), -1)
     first = 0
-    for name, indices in zip(manifest["shards"], parts["index"], strict=True):
+    for name, indices in zip(over_shards(manifest["shards"], "measuring"), parts["index"],
+                             strict=True):
         with Shard(root / name) as shard:
             for row in np.flatnonzero(converged[first : first + len(indices)]):
                 drape = first + int(row)

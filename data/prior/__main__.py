@@ -38,11 +38,12 @@ def main(argv: list[str]) -> None:
     start = time.perf_counter()
     prior = MODELS[options["model"]](table.theta)
     seconds = time.perf_counter() - start
+    # One that cannot be sampled must not take the place of a good one.
+    rng = np.random.default_rng(0)
+    draws = [sample_admissible(prior, rng) for _ in range(SAMPLES)]
     save_prior(prior, options["out"])
     print(f"{len(table)} distinct fabrics in {int(table.multiplicity.sum())} rows, "
           f"{options['model']} fitted in {seconds:.0f} s")
-    rng = np.random.default_rng(0)
-    draws = [sample_admissible(prior, rng) for _ in range(SAMPLES)]
     theta = np.array([draw for draw, _ in draws])
     rejected = sum(count for _, count in draws)
     print(f"{'median and 90 % range':28}{'table':>26}{'samples':>26}")

@@ -6,6 +6,8 @@ import numpy as np
 
 from sim.errors import InputError
 
+ROUNDING = 1e-14  # of the largest variance, below which another one is rounding
+
 
 class Prior(Protocol):
     """A distribution over theta (see :mod:`data.fabrics`)."""
@@ -52,11 +54,15 @@ def read_array(content: object, name: str, shape: tuple[int, ...]) -> np.ndarray
     return array
 
 
-def check_covariances(covariances: np.ndarray, what: str) -> None:
-    """InputError about ``what`` if one of covariances (..., K, K), finite, is none."""
+def check_covariances(covariances: np.ndarray, complaint: str) -> None:
+    """InputError with ``complaint`` if one of covariances (..., K, K), finite, is none.
+
+    They must be symmetric and positive definite, by more than rounding.
+    """
+    variances = np.linalg.eigvalsh(covariances)
     if (not np.allclose(covariances, np.swapaxes(covariances, -1, -2))
-            or np.linalg.eigvalsh(covariances).min() <= 0):
-        raise InputError(f"{what} must be symmetric and positive definite")
+            or (variances[..., 0] <= ROUNDING * variances[..., -1]).any()):
+        raise InputError(complaint)
 
 
 def read_count(content: dict, name: str) -> int:

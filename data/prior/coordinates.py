@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data.fabrics import THETA_NAMES
 from data.prior.base import read_array
 from sim.errors import InputError
 
@@ -18,6 +19,9 @@ BEND = 2e-3
 REACH = 4.0
 """Robust deviations (1.48 times the median distance from the median) beyond which a measurement
 is drawn in: one of +40 mm and one of -17 mm among the 603 ratios of the published table."""
+
+SAME = 1e-9
+"""Coordinates that differ by less are equal but for rounding."""
 
 
 def _fold(theta: np.ndarray) -> np.ndarray:
@@ -53,13 +57,18 @@ class Coordinates:
 
     @classmethod
     def fit(cls, theta: np.ndarray) -> tuple["Coordinates", np.ndarray]:
-        """Fit to theta (F, 6); return also its coordinates (F, 6), outliers drawn in."""
+        """Fit to theta (F, 6); return also its coordinates (F, 6), outliers drawn in.
+
+        Raises:
+            InputError: most of the fabrics agree in a number, so that all others are outliers.
+        """
         folded = _fold(np.clip(theta, *plausible_range(theta)))
-        scale = folded.std(axis=0)
-        if not (scale > 0).all():
-            raise InputError("all fabrics agree in a modulus; a prior needs fabrics that differ")
-        coordinates = cls(folded.mean(axis=0), scale)
-        return coordinates, (folded - coordinates.mean) / scale
+        shared = np.flatnonzero(np.ptp(folded, axis=0) < SAME)
+        if len(shared):
+            raise InputError(f"more than half of the fabrics have the same {THETA_NAMES[shared[0]]}"
+                             "; a prior needs fabrics that differ")
+        coordinates = cls(folded.mean(axis=0), folded.std(axis=0))
+        return coordinates, (folded - coordinates.mean) / coordinates.scale
 
     def encode(self, theta: np.ndarray) -> np.ndarray:
         """Coordinates (..., 6) of theta (..., 6); nothing is drawn in."""

@@ -79,7 +79,7 @@ def load_prior(name: str | Path) -> Prior:
     except OSError as error:
         raise InputError(f"cannot read the prior {path}: {error.strerror}; the bundled ones are "
                          f"{' and '.join(BUNDLED)}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(f"{path} is no prior: not a JSON file") from None
     return prior_from_content(content, origin=str(path))
 

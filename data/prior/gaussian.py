@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from data.prior.base import check_covariances, check_fabrics
-from sim.errors import InputError
+from data.fabrics import THETA_NAMES
+from data.prior.base import check_covariances, check_fabrics, read_array, read_count
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,19 @@ class GaussianPrior:
 
     @classmethod
     def fit(cls, theta: np.ndarray) -> "GaussianPrior":
-        """Fit to the distinct fabrics theta (F, 6), F > 6, the tails drawn in by ``TAIL``."""
+        """Fit to the distinct fabrics theta (F, 6), F > 6, the tails drawn in by ``TAIL``.
+
+        Raises:
+            InputError: fewer fabrics, or such as do not differ in all six.
+        """
         theta = check_fabrics(theta)
         low, high = np.quantile(theta, [cls.TAIL, 1 - cls.TAIL], axis=0)
         drawn_in = np.clip(theta, low, high)
-        return cls(drawn_in.mean(axis=0), np.cov(drawn_in.T), len(theta))
+        covariance = np.cov(drawn_in.T)
+        check_covariances(covariance, "the fabrics of the table do not differ in six numbers "
+                                      f"({', '.join(THETA_NAMES)}) independent of each other, as "
+                                      "model=gaussian needs; measure more, or other ones")
+        return cls(drawn_in.mean(axis=0), covariance, len(theta))
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw theta (n, 6), admissible or not."""
@@ -65,16 +73,7 @@ class GaussianPrior:
     @classmethod
     def from_dict(cls, content: dict) -> "GaussianPrior":
         """The inverse of :meth:`as_dict`; InputError where a parameter makes no sense."""
-        try:
-            mean = np.array(content["mean"], dtype=np.float64)
-            covariance = np.array(content["covariance"], dtype=np.float64)
-            fabrics = int(content["fabrics"])
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError("a Gaussian prior needs a readable mean, covariance and number of "
-                             f"fabrics ({type(error).__name__}: {error})") from None
-        if mean.shape != (6,) or covariance.shape != (6, 6):
-            raise InputError("a Gaussian prior needs a mean of 6 and a covariance of 36 numbers")
-        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-            raise InputError("the mean and the covariance of a Gaussian prior must be finite")
-        check_covariances(covariance, "the covariance of a Gaussian prior")
-        return cls(mean, covariance, fabrics)
+        covariance = read_array(content, "covariance", (6, 6))
+        check_covariances(covariance, "the covariance of a Gaussian prior must be symmetric and "
+                                      "positive definite")
+        return cls(read_array(content, "mean", (6,)), covariance, read_count(content, "fabrics"))

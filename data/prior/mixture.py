@@ -96,7 +96,8 @@ class MixturePrior:
         covariances = read_array(content, "covariances", (count, 6, 6))
         if not (count and (weights > 0).all() and abs(weights.sum() - 1) < 1e-9):
             raise InputError("the weights of a mixture must be positive and add up to 1")
-        check_covariances(covariances, "the covariances of a mixture")
+        check_covariances(covariances, "the covariances of a mixture must be symmetric and "
+                                       "positive definite")
         return cls(Coordinates.from_dict(content.get("coordinates")), weights,
                    read_array(content, "means", (count, 6)), covariances,
                    read_count(content, "fabrics"))

@@ -92,7 +92,7 @@ class _Factor:
 
     _positive_definite = 2  # PARDISO's matrix type
     _analyse, _factorise, _solve, _release = 11, 22, 33, -1  # PARDISO's phases
-    _not_definite = -4  # PARDISO's error: a pivot was not positive
+    _no_memory, _not_definite = -2, -4  # PARDISO's errors: -4 where a pivot was not positive
 
     def __init__(
         self, pattern: SparsePattern, *, order: np.ndarray | None = None, single: bool = False
@@ -143,10 +143,12 @@ class _Factor:
         )
         return error.value
 
-    @staticmethod
-    def _require(error: int) -> None:
+    @classmethod
+    def _require(cls, error: int) -> None:
+        """LinAlgError, of a matrix that cannot be solved, or MemoryError unless ``error`` is 0."""
         if error:
-            raise RuntimeError(f"PARDISO ended with error {error}")
+            kind = MemoryError if error == cls._no_memory else np.linalg.LinAlgError
+            raise kind(f"PARDISO ended with error {error}")
 
     def __del__(self) -> None:
         if hasattr(self, "_data") and not sys.is_finalizing():

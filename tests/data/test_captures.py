@@ -1,6 +1,7 @@
 """Captures: both formats read as written, and every bad one is refused in one clear line."""
 
 import math
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from data.captures import Capture, read_capture, to_camera, write_capture
 from data.render import DepthRenderer
 from sim.errors import InputError
 
+ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 RIG = CameraRig.load()
 
@@ -349,3 +351,16 @@ def test_the_published_captures_are_read(name):
     cloth = capture.views[capture.views > 0]
     assert 0.45 < cloth.min() and cloth.max() < 0.66
     assert (to_camera(capture, RIG) == capture.views).all()
+
+
+@pytest.mark.parametrize(("word", "complaint"), [
+    ("density=5000", "density=5000 is outside 10-1000 g/m2"),
+    ("out=/proc/capture", "cannot write to the folder /proc/capture"),
+    ("out=", "needs the name of a folder"),
+])
+def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, complaint, monkeypatch):
+    main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
+    monkeypatch.setitem(main.__globals__, "drape", None)
+    with pytest.raises(InputError, match=complaint):
+        main([f"out={tmp_path}", word])
+    assert not list(tmp_path.iterdir())

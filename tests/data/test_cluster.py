@@ -51,6 +51,7 @@ def test_jobs_of_joblib(whole, tmp_path):
     [
         (["drapes=0"], "drapes=0"),
         (["parts=0"], "parts=0"),
+        (["parts=2,4"], "parts=2,4"),
         (["shapes=1,2"], "shapes"),
         (["launcher=moon"], "moon"),
         (["part=[1"], "part"),

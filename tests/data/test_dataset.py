@@ -174,6 +174,11 @@ def test_no_dataset_or_an_unfinished_one(root, tmp_path):
     write_manifest(tmp_path, read_manifest(root) | {"complete": False})
     with pytest.raises(InputError, match="unfinished"):
         DrapeDataset(tmp_path)
+    manifest = read_manifest(root)
+    manifest["config"]["sampling"]["orientations"] = 1
+    write_manifest(tmp_path, manifest)
+    with pytest.raises(InputError, match="contradicts itself"):
+        DrapeDataset(tmp_path)
     with pytest.raises(InputError, match="unknown split"):
         DrapeDataset(root, split="training")
     with pytest.raises(InputError, match="seed=-1"):

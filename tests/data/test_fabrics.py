@@ -57,6 +57,10 @@ def test_columns_are_found_by_name(tmp_path):
         ([HEADER, "", SOFT, "", "0.3, 1, 2"], "line 5"),
         ([HEADER, SOFT.replace("1000", "nan")], "must be positive"),
         ([HEADER, SOFT.replace("0.30", "-0.30")], "must be positive"),
+        ([HEADER, SOFT.replace("0.30", "1e-310")], "line 2: density=1e-310"),
+        ([HEADER, SOFT.replace("0.30", "210")], "line 2: density=210 .* check the unit"),
+        ([HEADER + ", density[kg.m-2]", SOFT + ", 0.2"], "two columns 'density'"),
+        ([HEADER + ", rows", SOFT + ", -3"], "line 2: 'rows' must be at least 1"),
     ],
 )
 def test_bad_tables_are_refused_in_one_line(tmp_path, lines, complaint):

@@ -13,12 +13,14 @@ import pytest
 
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
+from data.folder import DatasetFolder
 from data.generate import generate_dataset, main
 from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig, plan_drape
 from data.shards import LENGTH_UNIT, Shard, unpack_diagonals
 from sim.errors import InputError
+from sim.linear import SparsePattern, available_solvers, make_solver, pardiso
 from sim.scene import Rig
 
 ROOT = Path(__file__).parents[2]
@@ -208,6 +210,20 @@ def test_a_dataset_grows(finished, tmp_path):
         generate(tmp_path, small_config(drapes=6))
 
 
+def test_a_run_ends_before_it_spoils_what_another_has_made_meanwhile(finished, tmp_path):
+    config = small_config(drapes=6)
+    slow, other = DatasetFolder(tmp_path, config), DatasetFolder(tmp_path, small_config(seed=1))
+    slow.claim()
+    slow.begin()
+    generate(tmp_path)
+    records = [make_record(index, config, solver=fake_drapes.cone, renderer=fake_drapes.Stripes)
+               for index in config.rows(1)]
+    for folder, complaint in ((slow, "10 drapes already"), (other, r"sampling\.seed")):
+        with pytest.raises(InputError, match=complaint):
+            folder.write(1, records)
+    assert files(tmp_path) == files(finished[0])
+
+
 def test_another_configuration_is_refused(tmp_path):
     generate(tmp_path, small_config(drapes=1))
     before = files(tmp_path)
@@ -245,6 +261,45 @@ def test_accidents_of_the_solver_are_recorded(tmp_path):
     assert not record["positions"].any()
     assert generate(tmp_path, small_config(drapes=2), solver=fake_drapes.overflowing)[
         "outcomes"] == {"exception": 2}
+
+
+class FarAway(fake_drapes.Stripes):
+    """Pictures of what is farther away than can be stored."""
+
+    def view(self, camera, angle):
+        return 7.0 + super().view(camera, angle)
+
+
+def no_folds(*_):
+    raise FloatingPointError("no outline")
+
+
+def test_accidents_of_measures_and_views_are_recorded(monkeypatch):
+    good = {"solver": fake_drapes.cone, "renderer": fake_drapes.Stripes}
+    assert make_record(1, small_config(), **good)["status"] == b"converged"
+    records = [make_record(1, small_config(), **good | {"renderer": FarAway})]
+    monkeypatch.setattr("sim.measures.fold_count", no_folds)
+    records.append(make_record(1, small_config(), **good))
+    assert [record["message"] for record in records] == [
+        b"OverflowError: values outside 0 to 6.5535", b"FloatingPointError: no outline"]
+    for record in records:
+        assert record["status"] == b"exception" and record["positions"].any()
+        assert np.isnan(record["drape_coefficient"]) and record["folds"] == -1
+        assert not record["rendered"] and not record["views"].any()
+
+
+@pytest.mark.skipif("pardiso" not in available_solvers(), reason="PARDISO is not here")
+def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
+    def factor(fabric, **settings):
+        make_solver(SparsePattern([np.arange(3)[None]], 3), "pardiso")
+
+    for code in (-1, -3, -7):
+        monkeypatch.setattr(pardiso._Factor, "_call", lambda *_, code=code: code)
+        message = make_record(0, small_config(), solver=factor)["message"]
+        assert message == f"LinAlgError: PARDISO ended with error {code}".encode()
+    monkeypatch.setattr(pardiso._Factor, "_call", lambda *_: -2)
+    with pytest.raises(MemoryError):
+        make_record(0, small_config(), solver=factor)
 
 
 def test_stored_mesh_is_the_solvers():
@@ -295,6 +350,12 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["solver.jitter=2"], "jitter=2"),
         (["prior.file=nowhere.json"], "nowhere.json"),
         (["rig=moon"], "moon"),
+        (["rig.name=disc300_support180"], "rig.name=disc300_support180"),
+        (["rig.name=square600_corners500"], "rig.name=square600_corners500"),
+        (["rig.camera.distance_mm=-527"], "distance_mm=-527"),
+        (["rig.camera.distance_mm=7000"], "rig.camera.distance_mm=7000"),
+        (["rig.jitter.focal_percent=60"], "rig.jitter .* focal lengths"),
+        (["rig.jitter.above_mm=300"], "rig.jitter .* offset from the optical axis"),
     ],
 )
 def test_mistakes_on_the_command_line(tmp_path, words, complaint):

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from test_generate import generate, small_config
 
+import data.progress
 from data.fabrics import fabric_from_theta, from_theta
 from data.inspect.__main__ import describe, main
 from data.inspect.check import check_dataset
 from data.inspect.figures import prior_samples, read_drapes, report, spread
 from data.inspect.pictures import contact_sheet, mosaic, take_shots, views_report
 from data.sampling import plan_drape
-from data.shards import Shard, file_digest, json_digest, read_manifest, write_manifest
+from data.shards import Shard, json_digest, read_manifest, verified_digest, write_manifest
 from sim.errors import InputError
 from sim.measures import maximum_stretch
 from sim.specimens import make_specimen
@@ -217,13 +218,23 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     assert (red - blue > 120).mean() > 0.002  # lines of the prior
 
 
+def test_long_work_shows_how_far_it_is(bare, tmp_path, capsys, monkeypatch):
+    words = [str(bare), f"out={tmp_path}", "sheet=1", "intersections=0"]
+    main(words)
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(data.progress, "DELAY", 0.0)
+    main(words)
+    bars = capsys.readouterr().err
+    assert all(f"{doing}:" in bars for doing in ("checking", "counting", "reading", "measuring"))
+
+
 def rewrite(folder, **changes):
     write_manifest(folder, read_manifest(folder) | changes)
 
 
 def relist(folder):
     """Let the manifest say of its shards what they are."""
-    digests = {name: file_digest(folder / name) for name in read_manifest(folder)["shards"]}
+    digests = {name: verified_digest(folder / name) for name in read_manifest(folder)["shards"]}
     rewrite(folder, shards=digests, hash=json_digest(digests))
 
 
@@ -274,7 +285,6 @@ def settings(folder):
         (lambda folder: rewrite(folder, outcomes={"converged": 24}), "counts other outcomes"),
         (lambda folder: rewrite(folder, hash="0" * 64), "contradicts itself"),
         (lambda folder: rewrite(folder, complete=False), "unfinished"),
-        (lambda folder: write_manifest(folder, {"schema_version": 3}), "contradicts itself"),
         (lambda folder: rewrite(folder, schema_version=99), "schema version"),
         (lambda folder: (folder / "dataset.json").unlink(), "no dataset"),
     ],

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from data.fabrics import from_theta, read_fabric_table
+from data.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
 from data.prior import GaussianPrior, files, load_prior, sample_admissible, save_prior
 from data.prior.__main__ import main
 from sim.errors import InputError
@@ -66,6 +66,17 @@ def test_fit_needs_more_fabrics_than_parameters(prior):
         GaussianPrior.fit(prior.mean[None].repeat(6, axis=0))
 
 
+@pytest.mark.parametrize("spoil", [
+    lambda theta: theta * [1, 1, 1, 0, 0, 0],  # beta = 0
+    lambda theta: theta[:, [0, 1, 0, 3, 4, 3]],  # alike along warp and weft
+    lambda theta: np.column_stack([theta[:, :5], -2e-3 * (1 + 1e-16 * theta[:, 0])]),
+])
+def test_fit_refuses_fabrics_that_do_not_differ_in_everything(prior, spoil):
+    theta = spoil(prior.sample(30, np.random.default_rng(5)))
+    with pytest.raises(InputError, match=r"fabrics of the table do not differ .* beta_over_alpha"):
+        GaussianPrior.fit(theta)
+
+
 def test_save_and_load(prior, tmp_path):
     save_prior(prior, tmp_path / "deep" / "p.json")
     loaded = load_prior(tmp_path / "deep" / "p.json")
@@ -81,10 +92,11 @@ def test_save_and_load(prior, tmp_path):
         ({"kind": ["gaussian"]}, "kind"),
         ({"schema_version": 99}, "schema version"),
         ({"parameters": ["a"]}, "other parameters"),
-        ({"mean": [0, 1]}, "mean of 6"),
-        ({"mean": None}, "mean of 6"),
-        ({"mean": "many"}, "readable"),
-        ({"fabrics": float("inf")}, "readable"),
+        ({"mean": [0, 1]}, "'mean', 6 finite"),
+        ({"mean": None}, "'mean', 6 finite"),
+        ({"mean": "many"}, "'mean', 6 finite"),
+        ({"fabrics": float("inf")}, "'fabrics', a whole number"),
+        ({"fabrics": 201.5}, "'fabrics', a whole number"),
         ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
         ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
         ({"covariance": (np.eye(6) * np.nan).tolist()}, "finite"),
@@ -99,7 +111,7 @@ def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
     assert "\n" not in str(refusal.value) and str(path) in str(refusal.value)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "3", "{"])
+@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000])
 def test_other_files_are_no_prior(tmp_path, text):
     path = tmp_path / "p.json"
     path.write_text(text)
@@ -128,6 +140,18 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
         sample_admissible(Reluctant(5), np.random.default_rng(0))
 
 
+def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
+    table, out = tmp_path / "t.csv", tmp_path / "p.json"
+    table.write_text(", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
+                     + "\n0.15, 9000, 4000, 6000, -900, -400, -600")
+    out.write_text("a good one")
+    monkeypatch.setattr(files, "MAXIMUM_TRIES", 5)
+    monkeypatch.setitem(files.MODELS, "gaussian", lambda theta: Reluctant(5))
+    with pytest.raises(InputError, match="possible fabric"):
+        main(["fit", f"fabrics={table}", f"out={out}", "model=gaussian"])
+    assert out.read_text() == "a good one"
+
+
 @needs_table
 def test_bundled_prior_is_the_fit_of_the_published_table(prior, tmp_path, capsys):
     main(["fit", f"fabrics={TABLE}", f"out={tmp_path / 'p.json'}", "model=gaussian"])
@@ -146,11 +170,16 @@ def test_bundled_prior_covers_the_published_fabrics(prior):
     assert (distance < 4.7).mean() > 0.95
 
 
-@pytest.mark.parametrize(
-    "words", [[], ["learn"], ["fit"], ["fit", "fabrics=nowhere.csv"], ["fit", "speed=1"],
-              ["fit", "fabrics=nowhere.csv", "model=oracle"]])
-def test_command_line_mistakes(words):
-    with pytest.raises(InputError):
+@pytest.mark.parametrize(("words", "complaint"), [
+    ([], "the command is: fit"),
+    (["learn"], "the command is: fit"),
+    (["fit"], "a table of fabrics is needed"),
+    (["fit", "fabrics=nowhere.csv"], "cannot read the fabric table nowhere"),
+    (["fit", "speed=1"], "unknown key 'speed'"),
+    (["fit", "fabrics=nowhere.csv", "model=oracle"], "model=oracle"),
+])
+def test_command_line_mistakes(words, complaint):
+    with pytest.raises(InputError, match=complaint):
         main(words)
 
 

@@ -99,11 +99,13 @@ def test_the_table_turns_by_quarters_give_or_take():
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{"seed": -1}, {"starts_per_fabric": 0}, {"orientations": -1}, {"starts": ("flat",)},
-     {"starts": ()}, {"starts": ("borrowed",)}, {"drift": -0.001},
-     {"drift": float("nan")}, {"drift": 0.1}, {"turn": 0.5}],
+    ("changes", "complaint"),
+    [({"seed": -1}, "seed=-1"), ({"starts_per_fabric": 0}, "starts_per_fabric"),
+     ({"orientations": -1}, "orientations"), ({"starts": ("flat",)}, "some of sine, fold"),
+     ({"starts": ()}, "must hold sine or fold"), ({"starts": ("borrowed",)}, "nothing to borrow"),
+     ({"drift": -0.001}, "drift"), ({"drift": float("nan")}, "drift"), ({"drift": 0.1}, "drift"),
+     ({"turn": 0.5}, "turntable")],
 )
-def test_nonsense_is_refused(changes):
-    with pytest.raises(InputError):
+def test_nonsense_is_refused(changes, complaint):
+    with pytest.raises(InputError, match=complaint):
         SamplingConfig(**changes)

@@ -1,11 +1,14 @@
 """Reading scanned drapes: a made-up scan, broken ones, and the real ones where they are."""
 
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from data.scans import read_scan, read_scans
+from sim.drape_file import read_borrowed
 from sim.errors import InputError
 from sim.measures import projected_area
 from sim.mesh import grid_faces
@@ -70,12 +73,41 @@ def test_what_is_no_scan_is_refused_in_one_line(tmp_path, change, complaint):
     assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"some text", b"\x93NUMPY\x01\x00"])
+def damaged(kind: str) -> bytes:
+    """An npz file with a damage for which zipfile, zlib or numpy has an error of its own."""
+    file, arrays = io.BytesIO(), scan_arrays()
+    np.savez_compressed(file, rest=arrays.pop("rest"), **arrays)
+    content = bytearray(file.getvalue())
+    listed = content.index(b"PK\x01\x02")  # the first array in the archive's table
+    if kind == "packed":
+        content[60:120] = b"\xff" * 60
+    elif kind == "method":
+        content[listed + 10] = 98
+    elif kind == "password":
+        content[listed + 8] |= 1
+    else:
+        header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3)}"
+        if kind == "open":
+            header = header.replace(b"False", b"(((((")
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("rest.npy", b"\x93NUMPY\x01\x00" + bytes([len(header), 0]) + header)
+        return file.getvalue()
+    return bytes(content)
+
+
+KINDS = ("packed", "method", "password", "huge", "open")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"some text", b"\x93NUMPY\x01\x00",
+                                     *map(damaged, KINDS)])
 def test_files_that_are_no_npz_are_refused(tmp_path, content):
     (tmp_path / "bad.npz").write_bytes(content)
     with pytest.raises(InputError, match="cannot read the scan") as caught:
         read_scan(tmp_path / "bad.npz", RIG)
     assert "vertices, rest and faces" in str(caught.value) and "pickle" not in str(caught.value)
+    with pytest.raises(InputError, match=r"cannot read the drape .*bad\.npz: not a drape\.npz"):
+        read_borrowed(tmp_path / "bad.npz")
 
 
 def test_a_bare_array_is_refused(tmp_path):

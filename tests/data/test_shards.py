@@ -1,4 +1,5 @@
 import hashlib
+import json
 import re
 import time
 from pathlib import Path
@@ -13,7 +14,6 @@ from data.shards import (
     Layout,
     Shard,
     fields,
-    file_digest,
     pack_diagonals,
     read_manifest,
     to_counts,
@@ -105,7 +105,7 @@ def test_diagonals_are_packed_without_loss(resolution):
 
 @pytest.mark.parametrize("value", [0.328, -0.328, np.nan, np.inf])
 def test_counts_refuse_what_they_cannot_hold(value):
-    with pytest.raises(ValueError, match="outside"):
+    with pytest.raises(OverflowError, match="outside"):
         to_counts(np.array([0.0, value]), unit=1e-5, dtype=np.int16)
 
 
@@ -119,7 +119,7 @@ def test_bytes_depend_on_the_content_alone(tmp_path):
 
 def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
     whole = shard.path.read_bytes()
-    assert verified_digest(shard.path) == file_digest(shard.path)
+    assert verified_digest(shard.path) == hashlib.sha256(whole).hexdigest()
     damaged = tmp_path / "damaged.h5"
     rng = np.random.default_rng(0)
     positions = [0, 511, 512, len(whole) - 1, *rng.integers(len(whole), size=40)]
@@ -161,12 +161,24 @@ def test_other_files_are_no_shard(tmp_path):
 
 def test_manifest(tmp_path):
     assert read_manifest(tmp_path) is None
-    write_manifest(tmp_path, {"schema_version": SCHEMA_VERSION, "drapes": 3})
-    assert read_manifest(tmp_path)["drapes"] == 3
-    for text in ("{", "[]", '{"schema_version": 2}', '{"schema_version": 7}'):
+    begun = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
+             "config": {"sampling": {}}}
+    finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"}}
+    for content in (begun, finished):
+        write_manifest(tmp_path, content)
+        assert read_manifest(tmp_path) == content
+    damaged = [begun | {name: value} for name, value in (
+        ("drapes", "10"), ("config", []), ("identity", None), ("complete", 0))]
+    damaged += [{"schema_version": SCHEMA_VERSION}, begun | {"complete": True},
+                finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]}]
+    texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
+    complaints = {text: "is damaged.* remove it" for text in texts}
+    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (2, 7)}
+    for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=complaint) as refusal:
             read_manifest(tmp_path)
+        assert "\n" not in str(refusal.value)
 
 
 def test_the_documentation_lists_every_field():

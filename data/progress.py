@@ -1,0 +1,20 @@
+"""Progress bars on standard error."""
+
+import sys
+from collections.abc import Iterable
+
+from tqdm import tqdm
+
+DELAY = 2.0  # s; what takes less has no bar
+
+
+def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
+    """A bar of tqdm's; a log file has no use for ten lines a second."""
+    pause = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
+
+
+def over_shards(shards: Iterable, doing: str, *, show: bool = True) -> tqdm:
+    """``shards``, with a bar that says what is being done to them and vanishes at the end."""
+    return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY,
+                        disable=not show)
