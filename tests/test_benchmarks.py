@@ -177,3 +177,14 @@ def test_errors_are_compared_with_the_bound_of_the_same_fabric():
     factors = refine_views.over_bound(results, bounds)
     assert factors["refined from views"] == pytest.approx([1.4826] * 5 + [2 * 1.4826])
     assert factors["network"] == pytest.approx([1.4826] * 6)
+
+
+def test_fabrics_with_other_folds_are_gathered_until_there_are_enough(monkeypatch):
+    def cases(work, cases, **options):
+        return {name: {"other_folds": case["number"] % 3 == 0} for name, case in cases.items()}
+
+    monkeypatch.setattr(refine_views, "run_cases", cases)
+    config = refine_views.DEFAULTS | {"fabrics": 4}
+    assert list(refine_views.gather(config)) == ["views_0", "views_1", "views_2", "views_3"]
+    other = refine_views.gather(config | {"other_folds": True})
+    assert list(other) == ["views_0", "views_3", "views_6", "views_9"]
