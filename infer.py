@@ -20,7 +20,7 @@ from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file, require_folder
+from sim.files import remove_file, replace_file, require_file, require_folder
 from sim.interrupt import deferred
 
 
@@ -113,11 +113,12 @@ def main(argv: list[str]) -> None:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     out = Path(config["out"] or Path("outputs/infer") / capture.path.resolve().name)
     require_folder(out)
+    require_file(out / "report.png")
 
     content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
                              resolution=config["resolution"])
-    (out / "report.png").unlink(missing_ok=True)  # of an earlier capture, perhaps
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
+    remove_file(out / "report.png")  # of an earlier capture, perhaps
     print(format_table(content))
     print(f"estimate: {out / 'estimate.json'}")
     if picture is not None:

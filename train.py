@@ -101,7 +101,7 @@ def train(config: TrainConfig) -> Path:
             train_loss = torch.stack(losses).mean().item()
             if not math.isfinite(train_loss) or not math.isfinite(metrics["loss"]):
                 raise InputError(f"the loss of epoch {epoch} is no finite number; try a smaller "
-                                 "optim.learning_rate")
+                                 "optim.learning_rate, and another out=")
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]

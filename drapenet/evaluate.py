@@ -10,11 +10,15 @@ in units of the training set's standard deviation, beside those of always predic
 set's mean.
 """
 
+import sim.interrupt
+
+# isort: split
 import json
 from pathlib import Path
 from typing import NoReturn
 
-import torch
+with sim.interrupt.deferred():
+    import torch
 from tqdm import tqdm
 
 from data.configs import compose_config, read_config

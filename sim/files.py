@@ -80,6 +80,19 @@ def replace_file(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
+def remove_file(path: Path) -> None:
+    """Remove the file ``path`` if it is there.
+
+    Raises:
+        InputError: the system refuses.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot remove {path}: {error.strerror}; do it by hand, it is of an "
+                         "earlier run") from None
+
+
 def replace_shared_file(path: Path, data: bytes) -> None:
     """Like :func:`replace_file`, where several processes, on any machines, may write ``path``.
 

@@ -27,12 +27,16 @@ sys.excepthook = _tell
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Ctrl-C within takes effect at the end. Other threads than the main one never meet it.
+    """Ctrl-C within takes effect at the end.
+
+    Nothing changes in other threads than the main one, which never meet it, and where Ctrl-C means
+    something else, as in jobs in the background, which ignore it.
 
     For imports of torch: at some moments of its loading an interruption ends the process with an
     abort and C++'s own words, at others Python swallows it.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
         yield
         return
     came = []

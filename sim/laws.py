@@ -57,7 +57,7 @@ class Laws:
             )
         if not (isinstance(self.bending, str) or callable(self.bending)):
             raise InputError(f"bending={self.bending!r}: give a name or a law, called with a mesh")
-        if not (hasattr(self.membrane, "energy") and hasattr(self.membrane, "scaled")):
+        if isinstance(self.membrane, type) or not hasattr(self.membrane, "scaled"):
             raise InputError(f"membrane={self.membrane!r}: give one of sim.membranes, such as "
                              "Corotational(stiffness=200.0)")
         if not (isinstance(self.others, tuple) and all(callable(law) for law in self.others)):

@@ -19,6 +19,7 @@ from data.cameras import CameraRig
 from data.captures import read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
 from sim.cli import run_command
+from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO, is_admissible
 
 THETA = np.array([-10.0, -10.5, -11.0, -0.002, -0.002, -0.002])
@@ -266,6 +267,15 @@ def test_a_report_of_another_capture_does_not_stay(capture: Path, checkpoint: Pa
     assert [file.name for file in out.iterdir()] == ["estimate.json"]
 
 
+def test_a_folder_in_the_way_of_the_report_is_told_before_work(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(infer, "infer", None)
+    (capture.parent / "out" / "report.png").mkdir(parents=True)
+    with pytest.raises(InputError, match="it is a folder"):
+        infer.main(words(capture, checkpoint, "drapes=0"))
+
+
 def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
     twill = read_capture(Path(__file__).parents[1] / "examples" / "captures" / "twill")
     folder = tmp_path / "capture"
@@ -273,7 +283,7 @@ def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
                   density=twill.density)
     infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=1", "resolution=17"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
-    for doubt in ("check that the pictures are upright", "do not trust the estimate"):
+    for doubt in ("check that the pictures are upright", "check the pictures, their intrinsics"):
         assert any(doubt in warning for warning in content["warnings"])
 
 

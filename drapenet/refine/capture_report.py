@@ -81,7 +81,7 @@ def refine_capture(
     if refined is None:
         return None
     corrected = _corrected(estimate, refined, capture.density)
-    return RefinedEstimate(corrected, _content(estimate, corrected, refined),
+    return RefinedEstimate(corrected, _content(estimate, corrected, refined, known),
                            _resimulation(views, refined))
 
 
@@ -123,7 +123,9 @@ def _corrected(estimate: Estimate, refined: RefinedViews, density: float) -> Est
                            axis=turn % math.pi))
 
 
-def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[str, Any]:
+def _content(
+    before: Estimate, after: Estimate, refined: RefinedViews, known: GaussianPrior
+) -> dict[str, Any]:
     """The part ``refined`` of ``estimate.json``, and the errors that now are typical."""
     warnings = list(after.warnings)
     change = {}
@@ -142,13 +144,15 @@ def _content(before: Estimate, after: Estimate, refined: RefinedViews) -> dict[s
         "misfit": refined.best.value, "simulations": refined.simulations,
         "status": refined.status.value, "message": refined.message,
     }}
+    errors = np.sqrt(np.diag(known.covariance))
     if refined.uncertainty is None:
         warnings.append("the refinement gives no uncertainty; the network's typical error stands")
     else:
-        theta = refined.best.theta
-        errors = refined.uncertainty.theta[SWAPPED if theta[0] < theta[2] else slice(None)]
-        content["typical_error"] = error_table(after.names, errors)
+        errors = refined.uncertainty.theta
         content["refined"]["reduced_chi2"] = refined.uncertainty.reduced_chi2
+    theta = refined.best.theta
+    content["typical_error"] = error_table(
+        after.names, errors[SWAPPED if theta[0] < theta[2] else slice(None)])
     content["warnings"] = warnings
     return content
 

@@ -19,7 +19,7 @@ from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
 from sim.errors import InputError
-from sim.files import replace_file, require_folder
+from sim.files import remove_file, replace_file, require_file, require_folder
 from sim.material import DIRECTIONS
 from sim.scene import Rig
 
@@ -149,9 +149,10 @@ def infer_scan(config: dict[str, Any]) -> None:
     path = Path(config["scan"])
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
     require_folder(out)
+    require_file(out / "report.png")
     content, shape, found = refine_scan(path, held=config["held"])
-    (out / "report.png").unlink(missing_ok=True)  # of an earlier scan, perhaps
     replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
+    remove_file(out / "report.png")  # of an earlier scan, perhaps
     print(format_scan(content))
     print(f"estimate: {out / 'estimate.json'}")
     replace_file(out / "report.png", draw(shape, found, content))

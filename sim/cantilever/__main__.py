@@ -38,6 +38,7 @@ import numpy as np
 from sim.cantilever.curves import read_curve
 from sim.cantilever.elastica import aspect_ratio, elastica
 from sim.cantilever.fabric import METHODS, correct, estimate
+from sim.cantilever.regression import RATIO_RANGE
 from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
 from sim.cli import parse_overrides, run_command
@@ -155,6 +156,7 @@ def print_estimate(config: dict) -> None:
             "misfit": e.misfit,
             "largest_curvature_1_m": e.curvature,
             "largest_reduced_curvature": e.reduced_curvature,
+            "tells_beta": not e.bounded,
         }
         for direction, e in found.items()
     }
@@ -170,7 +172,8 @@ def print_estimate(config: dict) -> None:
         print(f"{direction:6}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}"
               f"{100 * row['misfit']:10.2f}{row['largest_reduced_curvature']:15.2f}")
     for direction in (direction for direction, e in found.items() if e.bounded):
-        print(f"{direction}: beta/alpha is as large as it may be; these curves do not tell beta")
+        print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
+              f"{RATIO_RANGE[1]:g} m; these curves do not tell beta")
     if config["out"]:
         report = {"density_g_m2": config["density"], "method": config["method"],
                   "rounds": config["rounds"], "moduli": rows}

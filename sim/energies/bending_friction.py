@@ -12,7 +12,7 @@ of Coulomb friction, from S0 to where the cloth comes to rest; S0 does not follo
 cycles of loading.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +26,7 @@ BUILD_UP = 2.0
 _METRIC = np.array([1.0, 1.0, 2.0])  # of Sxx, Syy, Sxy
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rubbing:
     """A bending law (:class:`sim.laws.Law`) with friction.
 
@@ -42,7 +42,7 @@ class Rubbing:
     """
 
     torque: float
-    origin: np.ndarray | None = field(default=None, compare=False)
+    origin: np.ndarray | None = None
     build_up: float = BUILD_UP
 
     def __post_init__(self) -> None:

@@ -125,6 +125,13 @@ def test_ctrl_c_waits_for_the_end_of_what_it_must_not_meet():
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)  # as before
         time.sleep(1)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with deferred():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)
+    finally:
+        signal.signal(signal.SIGINT, before)
     with ThreadPoolExecutor(1) as pool, deferred():
         assert pool.submit(in_a_thread).result() == "fine"
 

@@ -149,7 +149,8 @@ def test_others_that_are_no_tuple_of_laws_are_refused(others):
         Laws(others=others)
 
 
-@pytest.mark.parametrize("wrong", [{"bending": None}, {"membrane": "stvk"}])
+@pytest.mark.parametrize("wrong", [{"bending": None}, {"membrane": "stvk"},
+                                   {"membrane": Corotational}])
 def test_laws_that_are_none_are_refused(wrong):
     with pytest.raises(InputError, match=f"{next(iter(wrong))}="):
         Laws(**wrong)
