@@ -10,17 +10,16 @@ capture are described in ``data/captures.py``, all keys in ``configs/infer.yaml`
 import sim.interrupt  # noqa: F401
 
 # isort: split
-import json
 from pathlib import Path
 from typing import NoReturn
 
 from data.captures import Capture, read_capture
 from data.configs import read_config
 from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
+from drapenet.output import require_output, write_estimate, write_report
 from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import remove_file, replace_file, require_file, require_folder
 from sim.interrupt import deferred
 
 
@@ -36,9 +35,11 @@ def infer(
         from drapenet.estimate import belief, make_estimate, to_json
         from drapenet.predict import predict
         from drapenet.registration import camera_doubts, locate_camera
+        from sim.scene import Rig
 
     rig = CameraRig.load(header.rig)
     views = to_camera(capture, rig)
+    camera = locate_camera(views, rig.nominal())
     prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
     estimate = make_estimate(prediction, capture=capture, header=header)
     refined = None
@@ -46,23 +47,22 @@ def infer(
         from drapenet.refine.capture_report import refine_capture
         from drapenet.refine.views import FINE
 
-        refined = refine_capture(estimate, capture, views, rig, known=belief(prediction, header),
-                                 resolution=resolution or FINE)
+        refined = refine_capture(estimate, capture, views, camera, rig=Rig.from_name(header.rig),
+                                 known=belief(prediction, header), resolution=resolution or FINE)
         estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
     if refined:
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
-    content["warnings"] += camera_doubts(locate_camera(views, rig.nominal()), rig)
+    content["warnings"] += camera_doubts(camera, rig)
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:
             from drapenet.resimulate import RESOLUTION, resimulate
-            from sim.scene import Rig
 
             drape = resimulate(
-                estimate.fabric, views, rig=Rig.from_name(header.rig), nominal=rig.nominal(),
+                estimate.fabric, views, camera, rig=Rig.from_name(header.rig),
                 resolution=resolution or RESOLUTION, drapes=drapes)
         if drape:
             from drapenet.limits import add_limits
@@ -112,18 +112,13 @@ def main(argv: list[str]) -> None:
     if not 0 <= config["drapes"] <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     out = Path(config["out"] or Path("outputs/infer") / capture.path.resolve().name)
-    require_folder(out)
-    require_file(out / "report.png")
+    require_output(out)
 
     content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
                              resolution=config["resolution"])
-    replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
-    remove_file(out / "report.png")  # of an earlier capture, perhaps
-    print(format_table(content))
-    print(f"estimate: {out / 'estimate.json'}")
+    write_estimate(out, content, format_table(content))
     if picture is not None:
-        replace_file(out / "report.png", picture)
-        print(f"report:   {out / 'report.png'}")
+        write_report(out, picture)
 
 
 def entry() -> NoReturn:

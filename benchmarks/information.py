@@ -138,7 +138,7 @@ def main(argv: list[str]) -> None:
     cases = {f"fabric_{k}_{label}": {"index": k, **settings} for k in range(config["fabrics"])}
     found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"],
                       sources=ESTIMATOR)
-    spread = np.sqrt(np.diag(load_prior("gaussian").covariance))
+    spread = load_prior("gaussian").deviation
     good = [case for case in found.values() if case["covariances"]["specimen"] is not None]
     rows = [figures(case, spread) for case in good]
     out = Path(config["out"])

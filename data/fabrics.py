@@ -38,7 +38,7 @@ TABLE_COLUMNS = {
 
 _COLUMNS = ", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
 
-DENSITY_RANGE = (1e-3, 10.0)  # kg/m²; beyond it, a density has another unit
+TABLE_DENSITIES = (1e-3, 10.0)  # kg/m²; beyond it, a density has another unit
 LINEAR_UNIT = 1e-9  # N·m
 QUADRATIC_UNIT = 1e-12  # N·m²
 
@@ -121,7 +121,7 @@ def read_fabric_table(path: str | Path) -> FabricTable:
         if not np.isfinite(values).all() or min(values[:4]) <= 0:
             raise InputError(f"{path}, line {line}: all values must be finite, density and linear "
                              "moduli must be positive")
-        low, high = DENSITY_RANGE
+        low, high = TABLE_DENSITIES
         if not low <= values[0] <= high:
             raise InputError(f"{path}, line {line}: density={values[0]:g} is outside {low:g} to "
                              f"{high:g} kg/m²; check the unit")

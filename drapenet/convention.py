@@ -5,6 +5,8 @@ So a drape alone can only tell the yarn direction with the larger linear modulus
 the other, *soft*; the bias lies between them in any case.
 """
 
+from collections.abc import Sequence
+
 STIFF_SOFT = ("stiff", "bias", "soft")
 TARGET_NAMES = (
     *(f"log_alpha_{name}" for name in STIFF_SOFT),
@@ -15,3 +17,8 @@ TARGET_UNITS = ("log N·m",) * 3 + ("m",) * 3
 LINEAR = slice(0, 3)  # the targets that are log alphas
 RATIO = slice(3, 6)  # the targets that are beta/alpha
 SWAPPED = [2, 1, 0, 5, 4, 3]  # theta with warp and weft exchanged
+
+
+def stiff_first(alpha: Sequence[float]) -> list[int] | slice:
+    """Order of theta in which the yarns of larger ``alpha`` (3 or more,) come first."""
+    return SWAPPED if alpha[0] < alpha[2] else slice(None)

@@ -132,8 +132,7 @@ def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str
         "moduli": moduli_table(names, estimate.fabric),
         "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
         "spread_over_view_orders": error_table(names, prediction.spread),
-        "typical_error": error_table(
-            names, np.sqrt(np.diag(belief(prediction, header).covariance))),
+        "typical_error": error_table(names, belief(prediction, header).deviation),
         "stiff_axis": {
             "direction_deg": math.degrees(prediction.axis),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",

@@ -7,10 +7,8 @@ this fabric hardly shows are named.
 
 from typing import Any
 
-import numpy as np
-
 from data.prior import load_prior
-from drapenet.convention import SWAPPED
+from drapenet.convention import stiff_first
 from drapenet.information import CAMERA, SPECIMEN, bounds, bounds_alone, depth_information
 from drapenet.refine.depth import DepthWeights
 from drapenet.resimulate import Resimulation
@@ -38,15 +36,14 @@ def add_limits(content: dict[str, Any], drape: Resimulation) -> None:
                                    f"{found.message}")
         return
     covariance = found.covariance((*SPECIMEN, *CAMERA))
-    alpha = drape.drape.fabric.alpha
-    order = SWAPPED if alpha[0] < alpha[2] else slice(None)
+    order = stiff_first(drape.drape.fabric.alpha)
     least, others_known = bounds(covariance)[order], bounds_alone(covariance)[order]
     names = list(content["moduli"])
     content["limits"] = error_table(names, least)
     for name, limit in content["limits"].items():
         own = content["typical_error"][name]
         own |= {key: max(own[key], limit[key]) for key in own}
-    spread = np.sqrt(np.diag(load_prior("gaussian").covariance))
+    spread = load_prior("gaussian").deviation
     moduli = [f"{what} {name}" for what in ("alpha", "beta/alpha") for name in names]
     for text, bound, known, usual in zip(moduli, least, others_known, spread, strict=True):
         if bound > HARDLY * usual:

@@ -12,7 +12,7 @@ import numpy as np
 
 from data.cameras import Camera
 from data.render import DepthRenderer
-from drapenet.registration import count_folds, locate_camera, radius_profile, silhouette_overlap
+from drapenet.registration import count_folds, radius_profile, silhouette_overlap
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.scene import Rig
@@ -67,9 +67,9 @@ class Resimulation:
 def resimulate(
     fabric: Fabric,
     views: np.ndarray,
+    camera: Camera,
     *,
     rig: Rig,
-    nominal: Camera,
     resolution: int,
     drapes: int,
 ) -> Resimulation | None:
@@ -77,12 +77,10 @@ def resimulate(
 
     Args:
         fabric: stiff along warp.
-        views: (4, H, W) captured z-depth, m, in the nominal camera's intrinsics.
-        nominal: the rig's camera.
+        views: (4, H, W) captured z-depth, m, as ``camera`` saw them.
         resolution: vertices a side of the simulated specimen.
         drapes: how many to make, at most as many as there are :data:`STARTS`.
     """
-    camera = locate_camera(views, nominal)
     small = camera.resized(camera.width // 2, camera.height // 2)
     captured = views[:, ::2, ::2] > 0
     best, statuses = None, []

@@ -30,6 +30,11 @@ class GaussianPrior:
     of +40 mm among 201, all others between -17 and +1), which would otherwise triple the spread
     along the warp and make one fabric in ten stiffen when bent instead of one in a hundred."""
 
+    @property
+    def deviation(self) -> np.ndarray:
+        """(6,) standard deviation of each entry of theta."""
+        return np.sqrt(np.diag(self.covariance))
+
     @classmethod
     def fit(cls, theta: np.ndarray) -> "GaussianPrior":
         """Fit to the distinct fabrics theta (F, 6), F > 6, the tails drawn in by ``TAIL``.

@@ -7,22 +7,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from data.cameras import CameraRig
+from data.cameras import Camera
 from data.captures import Capture
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior.gaussian import GaussianPrior
-from drapenet.convention import SWAPPED
+from drapenet.convention import SWAPPED, stiff_first
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.views import FREE_ROUNDS, HELD_ROUNDS, SPREAD, RefinedViews, refine_views
-from drapenet.registration import (
-    count_folds,
-    locate_camera,
-    radius_profile,
-    silhouette_overlap,
-)
+from drapenet.registration import count_folds, radius_profile, silhouette_overlap
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
 from drapenet.table import error_table
 from sim.material import MICRO, REFERENCE_DENSITY
@@ -48,8 +43,9 @@ def refine_capture(
     estimate: Estimate,
     capture: Capture,
     views: np.ndarray,
-    cameras: CameraRig,
+    camera: Camera,
     *,
+    rig: Rig,
     known: GaussianPrior,
     resolution: int,
 ) -> RefinedEstimate | None:
@@ -59,12 +55,10 @@ def refine_capture(
 
     Args:
         estimate: in the order stiff, bias, soft; stiff lies along the x axis of the specimen.
-        views: (4, H, W) z-depth, m, as the nominal camera of ``cameras`` would show them.
+        views: (4, H, W) z-depth, m, as ``camera`` saw them.
         known: what the network's word says of theta, see :func:`drapenet.estimate.belief`.
         resolution: vertices a side of the simulated specimen.
     """
-    rig = Rig.from_name(cameras.name)
-    camera = locate_camera(views, cameras.nominal())
     fabric = estimate.fabric.at_density(REFERENCE_DENSITY)
     theta = to_theta(fabric.alpha, fabric.beta)
     turns = specimen_turns(estimate, capture, DepthViews(views, camera, np.zeros((0, 3), int)), rig)
@@ -144,15 +138,13 @@ def _content(
         "misfit": refined.best.value, "simulations": refined.simulations,
         "status": refined.status.value, "message": refined.message,
     }}
-    errors = np.sqrt(np.diag(known.covariance))
+    errors = known.deviation
     if refined.uncertainty is None:
         warnings.append("the refinement gives no uncertainty; the network's typical error stands")
     else:
         errors = refined.uncertainty.theta
         content["refined"]["reduced_chi2"] = refined.uncertainty.reduced_chi2
-    theta = refined.best.theta
-    content["typical_error"] = error_table(
-        after.names, errors[SWAPPED if theta[0] < theta[2] else slice(None)])
+    content["typical_error"] = error_table(after.names, errors[stiff_first(refined.best.theta)])
     content["warnings"] = warnings
     return content
 

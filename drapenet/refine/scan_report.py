@@ -1,6 +1,5 @@
 """``python infer.py scan=FILE refine=scan``: a scan in, moduli and their fidelity out."""
 
-import json
 import math
 import zipfile
 from pathlib import Path
@@ -12,6 +11,7 @@ from tqdm import tqdm
 
 from data.prior.files import load_prior
 from data.scans import LARGEST_SCAN, read_scan
+from drapenet.output import require_output, write_estimate, write_report
 from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.register import SLID, edge_strain, laid_anew, register
@@ -19,7 +19,6 @@ from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
 from sim.errors import InputError
-from sim.files import remove_file, replace_file, require_file, require_folder
 from sim.material import DIRECTIONS
 from sim.scene import Rig
 
@@ -148,15 +147,10 @@ def infer_scan(config: dict[str, Any]) -> None:
         raise InputError(f"refine={config['refine']} does not go with scan=FILE; use refine=scan")
     path = Path(config["scan"])
     out = Path(config["out"] or Path("outputs/infer") / path.stem)
-    require_folder(out)
-    require_file(out / "report.png")
+    require_output(out)
     content, shape, found = refine_scan(path, held=config["held"])
-    replace_file(out / "estimate.json", (json.dumps(content, indent=1) + "\n").encode())
-    remove_file(out / "report.png")  # of an earlier scan, perhaps
-    print(format_scan(content))
-    print(f"estimate: {out / 'estimate.json'}")
-    replace_file(out / "report.png", draw(shape, found, content))
-    print(f"report:   {out / 'report.png'}")
+    write_estimate(out, content, format_scan(content))
+    write_report(out, draw(shape, found, content))
 
 
 def format_scan(content: dict[str, Any]) -> str:

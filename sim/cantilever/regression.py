@@ -28,7 +28,6 @@ LARGEST_MISFIT = 0.5
 strips they leave 0.4 to 0.9, and alpha is off by up to a factor of four; what is no strip leaves
 0.98."""
 
-
 NO_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
 
 

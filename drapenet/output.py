@@ -1,0 +1,29 @@
+"""What ``infer.py`` leaves in its folder: ``estimate.json`` and ``report.png``, of the same run."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from sim.files import remove_file, replace_file, require_file, require_folder
+
+ESTIMATE, REPORT = "estimate.json", "report.png"
+
+
+def require_output(out: Path) -> None:
+    """InputError where the two files cannot be written to ``out``; to be told before long work."""
+    require_folder(out)
+    require_file(out / REPORT)
+
+
+def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
+    """Write ``content``, and print it as ``lines``; the report of an earlier run goes."""
+    replace_file(out / ESTIMATE, (json.dumps(content, indent=1) + "\n").encode())
+    remove_file(out / REPORT)
+    print(lines)
+    print(f"estimate: {out / ESTIMATE}")
+
+
+def write_report(out: Path, picture: bytes) -> None:
+    """Write a ``picture``, the bytes of a PNG."""
+    replace_file(out / REPORT, picture)
+    print(f"report:   {out / REPORT}")
