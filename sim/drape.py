@@ -19,15 +19,17 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import check_resolution
 from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import GRAVITY, Rig, Scene, State
+from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 from sim.specimens import Specimen, make_specimen
 
 COARSEST = 16  # fewest vertices a side that a drape is started on
 BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to survive
-COARSE_MEMBRANE = 0.1
+COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
-matters for the shape but limits the length of Newton's steps: soft fabrics take half the time."""
+matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
+COARSE_CONTACT = 0.003
+"""The same for the obstacles' pressure: most steps of falling cloth would end in the cylinder."""
 LENGTHS_PER_SPACING = 0.6
 """Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
 _CHOSEN = (41, 101)  # vertices a side: fewest, for folds and rim; most, for the time
@@ -159,7 +161,7 @@ def drape(
             specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
         )
         state, result, _ = find_settled_equilibrium(
-            Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles),
+            scene_on(specimen, rig, last=last),
             simulated,
             State.at(specimen.mesh, positions),
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
@@ -223,6 +225,16 @@ def start_positions(
         positions = initial_positions(rest, rig=rig, start=start, rng=rng)
     positions[held] = rig.place(rest[held])
     return positions
+
+
+def scene_on(specimen: Specimen, rig: Rig, *, last: bool) -> Scene:
+    """A specimen on ``rig``, on the last mesh or on a coarser one, where obstacles are soft."""
+    return Scene(
+        mesh=specimen.mesh,
+        held=specimen.held,
+        obstacles=rig.obstacles,
+        contact_pressure=CONTACT_PRESSURE * (1.0 if last else COARSE_CONTACT),
+    )
 
 
 def drape_result(

@@ -13,7 +13,6 @@ from sim.newton import NewtonOptions, NewtonResult, minimise
 from sim.potential import Potential, Terms
 from sim.scene import Scene, State
 
-CONTACT_PRESSURE = 120.0  # carried at a depth of 0.1 mm, as a multiple of the cloth's weight
 STEP_UNIT = 1e-3  # m: steps are reported in mm
 
 
@@ -57,7 +56,7 @@ def cloth_terms(
         *extra,
     ]
     for obstacle in scene.obstacles:
-        energies += _contact(scene, obstacle, CONTACT_PRESSURE * weight_per_area)
+        energies += _contact(scene, obstacle, scene.contact_pressure * weight_per_area)
     coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
     used = np.zeros(coordinates + edges, dtype=bool)
     for energy in (membrane, *energies):

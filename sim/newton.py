@@ -100,8 +100,10 @@ SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 SMALLEST_STEP = 2.0**-30
 NOISE = 1e-14  # of an energy, relative: smaller differences are rounding
 NUDGES = 5
-NUDGE = 0.1  # size of a nudge, in units of the step length
+NUDGE = 0.1  # size of the first nudge, in units of the step length
+NUDGE_GROWTH = 3.0  # of every other one: a short one may lead back to a flat saddle
 NUDGE_HALVINGS = 20
+NEAR = 1.0  # residual from which on steps of the exact Hessian are precise, for they converge fast
 
 
 def ending(status: Status, residual: float, iterations: int) -> str:
@@ -160,8 +162,8 @@ class _Run:
                         return self._end(Status.CONVERGED)
                     self.convexity, self.rest = 0.0, False
                 elif nudges < NUDGES:
+                    result.y = result.y + self._nudge(nudges)
                     nudges += 1
-                    result.y = result.y + self._nudge()
                     value = self.objective.value(result.y)
                     gradient = self.objective.gradient(result.y)
                     self.convexity = 1.0
@@ -210,9 +212,9 @@ class _Run:
             self.result.factorisations += 1
             return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+    def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         with self._timed("factorise"):
-            return self.solver.solve(rhs)
+            return self.solver.solve(rhs, rough=rough)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
@@ -224,13 +226,13 @@ class _Run:
                 # Having tried in vain to need less, try again only after another step.
                 self.rest = trial == self.convexity and lowest < now
                 self.convexity = trial
-                return self._solve(-gradient)
+                return self._solve(-gradient, rough=trial > 0 or self.result.residual > NEAR)
         self.convexity = 1.0
         while not self._factorise(1.0, SHIFTS[self.shift]):
             if self.shift == len(SHIFTS) - 1:
                 return None
             self.shift += 1
-        return self._solve(-gradient)
+        return self._solve(-gradient, rough=True)
 
     def _search(
         self, value: float, gradient: np.ndarray, step: np.ndarray
@@ -268,12 +270,13 @@ class _Run:
             best = (length, trial, trial_value)
         return *best, objective.gradient(best[1])
 
-    def _nudge(self) -> np.ndarray:
-        """A small move out of a saddle: random, smoothed by the convex Hessian."""
+    def _nudge(self, nudges: int) -> np.ndarray:
+        """A small move out of a saddle after some ``nudges``: random, smoothed by the convex
+        Hessian."""
         if not self._factorise(1.0, SHIFTS[1]):
             return np.zeros(self.objective.size)
         move = self._solve(self.rng.standard_normal(self.objective.size))
-        move *= NUDGE / self.objective.step_length(move)
+        move *= NUDGE * NUDGE_GROWTH**nudges / self.objective.step_length(move)
         for _ in range(NUDGE_HALVINGS):
             if self.objective.allows(self.result.y, self.result.y + move):
                 return move

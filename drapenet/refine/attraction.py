@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drapenet.refine.guided import surface_positions
-from sim.drape import COARSE_MEMBRANE, DrapeResult, coarse_to_fine, drape_result
+from sim.drape import DrapeResult, coarse_to_fine, drape_result
 from sim.energies.hinge_stencils import find_hinges, hinge_angles
 from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
@@ -25,6 +25,7 @@ from sim.scene import Rig, Scene, State
 from sim.specimens import make_specimen
 
 COARSEST = 16
+_COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
 BENT = 1.5
 """rad; hinges of the first mesh that are bent more are smoothed. Laid on a surface with narrow
 folds, cloth is so crumpled that soft fabrics came out entangled, or no minimum was found at all."""
@@ -105,7 +106,7 @@ def captured_shape(
             positions = smoothed(scene, positions)
         state, result = pulled(
             scene, fabric, State.at(specimen.mesh, positions), points, normals,
-            laws=laws if last else laws.softened(COARSE_MEMBRANE),
+            laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
         coarse = rest, state.positions
     return drape_result(fabric, rig, specimen, state, result, resolution=resolution,

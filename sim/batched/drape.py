@@ -28,6 +28,7 @@ from sim.drape import (
     default_resolution,
     drape,
     drape_result,
+    scene_on,
     start_positions,
 )
 from sim.errors import InputError
@@ -232,7 +233,7 @@ def _together(
             start_positions(specimen, rig, coarse=before, start=request.start, seed=request.seed)
             for request, specimen, before in zip(requests, specimens, coarse, strict=True)
         ]
-        scenes = [Scene(mesh=s.mesh, held=s.held, obstacles=rig.obstacles) for s in specimens]
+        scenes = [scene_on(specimen, rig, last=last) for specimen in specimens]
         states, results = find_equilibria(
             scenes,
             fabrics,

@@ -27,6 +27,7 @@ from sim.batched.objective import (
 from sim.newton import (
     CONVEXITY,
     NUDGE,
+    NUDGE_GROWTH,
     NUDGE_HALVINGS,
     NUDGES,
     SHIFTS,
@@ -193,7 +194,8 @@ class _Run:
             self.objective.hessians(self.y), index, level, shift, on_device(noise, self.y)
         )
         objective, y = self._part(index), self.y[self._at(index)]
-        move = move * (NUDGE / objective.step_length(move))[:, None]
+        size = on_device(NUDGE * NUDGE_GROWTH ** self.nudges[index], self.y)
+        move = move * (size / objective.step_length(move))[:, None]
         move[self._at(np.flatnonzero(~found))] = 0.0
         for _ in range(NUDGE_HALVINGS):
             barred = on_host(~objective.allows(y, y + move))

@@ -11,8 +11,9 @@ import numpy as np
 
 from sim.linear.pattern import SparsePattern
 
-_CHECKS = 3  # failures in single precision that are checked in double before they are believed
+_CHECKS = 1  # failures in single precision that are checked in double before they are believed
 _ROUGH = 1e-2  # of the error before the last refinement, which about squares it
+_LENGTH = 0.1  # by which a rough solution's best length may differ from its own
 _REFINEMENTS = 10
 _REPRODUCIBLE = 2  # MKL_CBWR_AUTO; without it, results change when PyTorch is loaded beside MKL
 
@@ -21,9 +22,9 @@ class PardisoSolver:
     """Factors in double precision, or rough ones in single precision with refined solutions.
 
     A single factor takes about two thirds of the time. Refinement is by conjugate gradients in
-    double precision with that factor as preconditioner; two steps nearly always suffice. For
-    matrices so ill-conditioned that single precision misjudges one of the first few, or refines
-    too slowly, the solver stays with double precision.
+    double precision with that factor as preconditioner; two steps nearly always suffice, one for a
+    rough solution. For matrices so ill-conditioned that single precision misjudges the first that
+    is not definite, or refines too slowly, the solver stays with double precision.
     """
 
     name = "pardiso"
@@ -50,16 +51,19 @@ class PardisoSolver:
             self._single_serves = not definite
         return definite
 
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        return self._refine(rhs) if self._refined else self._double.solve(rhs)
+    def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
     def _factorise_single(self, data: np.ndarray) -> bool:
         if self._single is None:
             self._single = _Factor(self._pattern, order=self._double.order, single=True)
         return self._single.factorise(data)
 
-    def _refine(self, rhs: np.ndarray) -> np.ndarray:
-        """Conjugate gradients; stops early rather than follow a direction of no curvature."""
+    def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
+        """Conjugate gradients; stops early rather than follow a direction of no curvature.
+
+        A ``rough`` solution is that of the first step if the matrix says it has the right length.
+        """
         x, residual = np.zeros(len(rhs)), np.array(rhs, dtype=np.float64)
         step = self._single.solve(residual)
         error = residual @ step
@@ -71,6 +75,9 @@ class PardisoSolver:
                 break
             length = error / curvature
             x += length * step
+            if rough and abs(length - 1.0) < _LENGTH:
+                return x
+            rough = False
             residual -= length * image
             if error <= enough:
                 return x

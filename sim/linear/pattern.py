@@ -24,15 +24,12 @@ class SparsePattern:
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
         self.size = size
-        pairs = [np.repeat(np.arange(size)[:, None], 2, axis=1)]
-        pairs += [_upper_pairs(stencil) for stencil in stencils]
-        rows, columns = np.concatenate(pairs).T
-        structure = sparse.csr_matrix(
-            (np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(size, size)
-        )  # the conversion merges repeated entries
-        structure.sort_indices()
-        self.indices = structure.indices.astype(np.int32)
-        self.indptr = structure.indptr.astype(np.int32)
+        alone = np.arange(size)[:, None]  # every diagonal entry is there
+        elements = [alone, *stencils]
+        first = np.concatenate([np.full(len(rows), rows.shape[1]) for rows in elements])
+        first = np.concatenate([[0], np.cumsum(first)])
+        rows = np.concatenate([rows.ravel() for rows in elements])
+        self.indptr, self.indices = _structure(first, rows, size)
         self.diagonal = self.indptr[:-1].copy()
         self._slots = [self.slots(stencil) for stencil in stencils]
 
@@ -72,20 +69,45 @@ class SparsePattern:
 
 
 @numba.njit(cache=True)
-def _upper_pairs(stencil):
-    """(M, 2) row and column, row <= column, of the upper entries of all elements."""
-    n, k = stencil.shape
-    pairs = np.empty((n * k * (k + 1) // 2, 2), dtype=np.int32)
+def _structure(first, rows, size):
+    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows.
+
+    Element t has the rows (-1: none) from first[t] to first[t + 1].
+    """
+    # The elements of each row, one row after the other.
+    begin = np.zeros(size + 1, dtype=np.int64)
+    for i in rows:
+        if i >= 0:
+            begin[i + 1] += 1
+    begin = np.cumsum(begin)
+    fill = begin[:-1].copy()
+    owner = np.empty(begin[-1], dtype=np.int64)
+    for t in range(len(first) - 1):
+        for i in rows[first[t] : first[t + 1]]:
+            if i >= 0:
+                owner[fill[i]] = t
+                fill[i] += 1
+
+    seen = np.full(size, -1, dtype=np.int64)  # the last row that has each column
+    indptr = np.zeros(size + 1, dtype=np.int32)
+    indices = np.empty(32 * size, dtype=np.int32)
     count = 0
-    for t in range(n):
-        for a in range(k):
-            for b in range(a, k):
-                i, j = stencil[t, a], stencil[t, b]
-                if i >= 0 and j >= 0:
-                    pairs[count, 0] = min(i, j)
-                    pairs[count, 1] = max(i, j)
+    for i in range(size):
+        for t in owner[begin[i] : begin[i + 1]]:
+            for j in rows[first[t] : first[t + 1]]:
+                if j >= i and seen[j] != i:
+                    seen[j] = i
+                    if count == len(indices):
+                        indices = np.concatenate((indices, np.empty_like(indices)))
+                    # Rows are short: each column goes to its place at once.
+                    place = count
+                    while place > indptr[i] and indices[place - 1] > j:
+                        indices[place] = indices[place - 1]
+                        place -= 1
+                    indices[place] = j
                     count += 1
-    return pairs[:count]
+        indptr[i + 1] = count
+    return indptr, indices[:count].copy()
 
 
 @numba.njit(cache=True)

@@ -24,8 +24,12 @@ class CholeskySolver(Protocol):
         error of about 1e-4 in the matrix's norm.
         """
 
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the last factor, which must exist; rhs (n,)."""
+    def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        """Solve with the last factor, which must exist; rhs (n,).
+
+        ``rough`` allows a relative error of a few hundredths in the matrix's norm where the factor
+        is a rough one, for half the price.
+        """
 
 
 class SuperLUSolver:
@@ -52,7 +56,7 @@ class SuperLUSolver:
         diagonal_pivots = np.array_equal(self._factor.perm_r, self._factor.perm_c)
         return diagonal_pivots and bool((self._factor.U.diagonal() > 0).all())
 
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
+    def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         return self._factor.solve(rhs)
 
 

@@ -41,7 +41,7 @@ def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
     edge = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).mean()
 
     def forces_at(rest: np.ndarray) -> np.ndarray:
-        moved = Scene(Mesh(rest, scene.mesh.faces), scene.held, scene.obstacles, scene.gravity)
+        moved = replace(scene, mesh=Mesh(rest, scene.mesh.faces))
         terms = cloth_terms(moved, tangent.fabric, state, laws=tangent.laws)
         return forces([energy for stage in terms.stages for energy in stage], tangent.q)
 

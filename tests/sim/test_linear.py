@@ -1,11 +1,13 @@
 """Sparse assembly and direct solvers against dense linear algebra."""
 
+import itertools
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from sim.errors import InputError
 from sim.linear import SparsePattern, available_solvers, make_solver
@@ -28,6 +30,20 @@ def dense(stencil: np.ndarray, blocks: np.ndarray, size: int) -> np.ndarray:
                 if i >= 0 and j >= 0:
                     total[i, j] += block[a, b]
     return total
+
+
+def test_the_pattern_is_that_of_all_pairs():
+    """Elements of different sizes, with rows that none has, against the dense structure."""
+    rng = np.random.default_rng(4)
+    stencils = [rng.integers(-1, 50, size=(30, 21)), rng.integers(-1, 50, size=(9, 3))]
+    pattern = SparsePattern(stencils, 60)
+    full = np.eye(60, dtype=bool)
+    for rows in itertools.chain(*stencils):
+        there = rows[rows >= 0]
+        full[np.ix_(there, there)] = True
+    expected = sparse.csr_matrix(np.triu(full))
+    assert np.array_equal(pattern.indptr, expected.indptr)
+    assert np.array_equal(pattern.indices, expected.indices)
 
 
 def test_assembly_equals_dense_sums():
@@ -68,11 +84,11 @@ def stiff_chain(contrast: float, count: int = 300):
     return pattern, data
 
 
-def error_in_norm(pattern, data, solver) -> float:
+def error_in_norm(pattern, data, solver, **settings) -> float:
     """Relative error of a solution, in the norm of the matrix."""
     matrix = pattern.symmetric(data)
     exact = np.random.default_rng(0).standard_normal(pattern.size)
-    wrong = solver.solve(matrix @ exact) - exact
+    wrong = solver.solve(matrix @ exact, **settings) - exact
     return float(np.sqrt((wrong @ (matrix @ wrong)) / (exact @ (matrix @ exact))))
 
 
@@ -85,6 +101,17 @@ def test_rough_factors_serve_refined_solutions(name, contrast):
     assert error_in_norm(pattern, data, solver) < 1e-4
     assert solver.factorise(data)  # after a rough factor, an exact one is exact
     assert error_in_norm(pattern, data, solver) < 1e-10
+
+
+@pytest.mark.parametrize("name", available_solvers())
+@pytest.mark.parametrize("contrast", [1e2, 1e6, 1e8])
+def test_rough_solutions_point_the_right_way(name, contrast):
+    """Also where single precision is no good at all, which the solver finds out by itself."""
+    pattern, data = stiff_chain(contrast)
+    solver = make_solver(pattern, name)
+    assert solver.factorise(data, rough=True)
+    assert error_in_norm(pattern, data, solver, rough=True) < 0.1
+    assert error_in_norm(pattern, data, solver) < 1e-4
 
 
 @pytest.mark.parametrize("name", available_solvers())

@@ -80,14 +80,29 @@ def test_saddle_is_left():
     assert abs(result.y[0]) == pytest.approx(1.0, abs=1e-4)
 
 
+def test_a_flat_saddle_is_left_too():
+    """Minima at y0 = ±9; nearer to the saddle than 1 the residual is below what is asked."""
+    slope = 1e-5
+    function = Function(
+        lambda y: slope * y[0] ** 2 * (y[0] ** 2 / 324 - 1 / 2) + y[1] ** 2,
+        lambda y: np.array([slope * y[0] * (y[0] ** 2 / 81 - 1), 2 * y[1]]),
+        lambda y: [[slope * (y[0] ** 2 / 27 - 1), 0], [0, 2]],
+    )
+    result = minimise(function, np.zeros(2), NewtonOptions(residual=1e-5, step=1e-3))
+    assert result.status is Status.CONVERGED
+    assert abs(result.y[0]) == pytest.approx(9.0, abs=1e-3)
+
+
 def test_a_minimum_is_proved_in_full_precision(monkeypatch):
-    calls = []
+    calls, solved = [], []
 
     def recording(pattern, name=None):
         solver = make_solver(pattern, name)
         factorise = solver.factorise
         solver.factorise = lambda data, *, rough=False: calls.append(rough) or factorise(
             data, rough=rough)
+        solve = solver.solve
+        solver.solve = lambda rhs, *, rough=False: solved.append(rough) or solve(rhs, rough=rough)
         return solver
 
     monkeypatch.setattr("sim.newton.make_solver", recording)
@@ -95,6 +110,7 @@ def test_a_minimum_is_proved_in_full_precision(monkeypatch):
     assert result.positive_definite
     assert not calls[-1] and all(calls[:3])  # proved exactly, found roughly
     assert len(calls) == result.factorisations
+    assert solved[0] and not any(solved[-3:])  # far away, rough steps do
 
 
 def test_hopeless_saddle_is_reported():
