@@ -61,7 +61,7 @@ def throughput(
     fabrics: list[Fabric], *, resolution: int | None, workers: int, repeats: int
 ) -> dict:
     """One core against several, in turn: whole rounds over the fabrics, and their ratio."""
-    drape(fabrics[0], resolution=16)  # compiles or loads the kernels
+    drape(fabrics[0], resolution=41)  # compiles or loads the kernels
     start = start_seconds(fabrics[0], workers)
     single, several, children = [], [], []
     for repeat in range(repeats):

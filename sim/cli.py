@@ -12,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from sim.errors import InputError
+from sim.memory import keep_freed_memory
 
 
 def parse_overrides(defaults: dict, argv: list[str]) -> dict:
@@ -72,6 +73,7 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     if usage and {"-h", "--help"} & set(sys.argv[1:]):
         print(usage)
         sys.exit(0)
+    keep_freed_memory()
     try:
         main(sys.argv[1:])
     except InputError as error:

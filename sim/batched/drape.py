@@ -40,7 +40,7 @@ from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 from sim.specimens import make_specimen, rim_radius
-from sim.workers import worker_pool
+from sim.workers import defined_in_main, worker_pool
 
 MESHES = ("structured", "perturbed")
 """Triangulations of a grid, which drapes that are made together must have."""
@@ -96,10 +96,10 @@ def drape_batch(
         together: whether drapes of one resolution share their minimisation; None: not on a CPU.
         at_a_time: so many at most, which limits the memory.
         workers: processes that make drapes each on its own, or free those made together that
-            intersect themselves; they take a second or two to start. None for one a core. With
+            intersect themselves; they take a second to start. None for one a core. With
             1, as for a single drape, this process does it itself.
-            Otherwise the calling script must keep what it runs under ``if __name__ ==
-            "__main__"``, for the processes import it.
+            Otherwise a script that defines laws of its own must keep what it runs under ``if
+            __name__ == "__main__"``, for the processes import it.
 
     Returns:
         The drapes in the order of ``fabrics``; a numerical failure is in a drape's ``status``.
@@ -196,7 +196,7 @@ def _one_by_one(
     if workers <= 1:
         return [drape(**vars(request), **shared) for request in requests]
     longest = sorted(range(len(requests)), key=lambda k: -_expected_work(requests[k]))
-    with worker_pool(workers) as pool:
+    with worker_pool(workers, main=defined_in_main(shared)) as pool:
         made = {k: pool.submit(drape, **vars(requests[k]), **shared) for k in longest}
         return [made[k].result() for k in range(len(requests))]
 
@@ -295,7 +295,7 @@ def _freed(
     if workers <= 1:
         made = [_free(*task) for task in tasks]
     else:
-        with worker_pool(workers) as pool:
+        with worker_pool(workers, main=defined_in_main(tasks[0])) as pool:
             made = list(pool.map(_free, *zip(*tasks, strict=True)))
     states = list(states)
     for k, (state, _, _) in zip(tangled, made, strict=True):

@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -164,3 +165,53 @@ def test_workers_are_born_deaf_to_ctrl_c_and_the_main_process_is_not():
         assert signal.SIGINT in thread.submit(asked_by, pool).result()
         assert signal.SIGINT not in asked_by(thread)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+SCRIPT = """
+print("imported")
+import numpy as np
+from sim.batched.drape import drape_batch
+from sim.energies.gravity import Gravity
+from sim.laws import Laws
+from sim.material import Fabric
+
+def heavier(mesh, active, *, fabric):
+    return Gravity(mesh, density=fabric.density, gravity=5.0)
+
+if __name__ == "__main__":
+    laws = Laws(others=({others}))
+    fabrics = [Fabric(np.full(3, alpha)) for alpha in (30e-6, 60e-6)]
+    made = drape_batch(fabrics, resolution=16, laws=laws, workers=2)
+    print([result.status.value for result in made])
+"""
+
+
+@pytest.mark.parametrize(("others", "imports"), [("", 1), ("heavier,", 3)])
+def test_workers_import_the_main_script_only_for_what_it_defines(tmp_path, others, imports):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(others=others), encoding="utf-8")
+    ran = subprocess.run([sys.executable, script], capture_output=True, text=True,
+                         env=os.environ | {"PYTHONPATH": str(Path(sim.__file__).parents[1])})
+    assert ran.stdout.splitlines()[-1] == "['converged', 'converged']", ran.stderr
+    assert ran.stdout.count("imported") == imports
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's settings")
+def test_commands_keep_the_memory_of_large_arrays():
+    def page_faults(prepare: str) -> int:
+        script = f"""
+import resource
+import numpy as np
+from sim.memory import keep_freed_memory
+{prepare}
+np.ones(8_000_000)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(20):
+    np.ones(8_000_000)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+        environment = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC", "GLIBC"))}
+        return int(subprocess.run([sys.executable, "-c", script], env=environment, check=True,
+                                  capture_output=True, text=True).stdout)
+
+    assert page_faults("keep_freed_memory()") < 0.1 * page_faults("")
