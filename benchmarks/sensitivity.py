@@ -4,7 +4,8 @@ Fabrics of the shipped prior, draped from a sine start. At each drape, converged
 derivative dx/dp of all vertices by each of the six moduli (log alpha and beta/alpha of warp,
 bias, weft), found in three ways:
 
-- central differences of two drapes, each followed from the first and converged to rounding;
+- central differences of two drapes, each followed from the first and converged to rounding, as far
+  apart as differences do not depend on it;
 - forward sensitivities, one solve for each modulus;
 - the adjoint, through PyTorch: the derivative of w·x with w along the difference's own direction.
 
@@ -42,7 +43,10 @@ from sim.sensitivity.adjoint import equilibria, pulled_back
 LIMIT = 1e-3  # of the norm of dx/dp
 COST = 0.15  # of the drape
 TIGHT = NewtonOptions(residual=1e-7, step=1e-7)
-STEPS = np.repeat([1e-4, 1e-7], 3)  # of log alpha, and of beta/alpha in m
+STEPS = np.repeat([1e-4, 1e-7], 3)  # of log alpha, and of beta/alpha in m, at most
+SHORTER = 1 / 3  # of a step, the next one, until
+AGREE = LIMIT / 3  # their differences do, relative
+SHORTENED = 4  # at most so often
 
 DEFAULTS = {
     "fabrics": 20,
@@ -120,17 +124,25 @@ def one_fabric(index: int, seed: int, resolution: int) -> dict:
 
 
 def by_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
-    """(6, V, 3) central differences of the drapes next to ``start``, and how many failed."""
+    """(6, V, 3) central differences of the drapes next to ``start``, and how many failed.
+
+    A drape close to losing its stability moves far, and not in proportion, for a small change.
+    """
     failed, rows = 0, []
     for k, step in enumerate(STEPS):
-        ends = []
-        for sign in (1, -1):
-            moved = theta.copy()
-            moved[k] += sign * step
-            end = follow(start, fabric_from_theta(moved), options=TIGHT)
-            failed += not end.converged
-            ends.append(end.positions)
-        rows.append((ends[0] - ends[1]) / (2 * step))
+        row = np.inf
+        for power in range(SHORTENED + 1):
+            ends = []
+            for sign in (1, -1):
+                moved = theta.copy()
+                moved[k] += sign * step * SHORTER**power
+                end = follow(start, fabric_from_theta(moved), options=TIGHT)
+                failed += not end.converged
+                ends.append(end.positions)
+            before, row = row, (ends[0] - ends[1]) / (2 * step * SHORTER**power)
+            if np.linalg.norm(row - before) < AGREE * np.linalg.norm(row):
+                break
+        rows.append(row)
     return np.stack(rows), failed
 
 
