@@ -5,12 +5,14 @@ import pytest
 
 from sim.drape import coarse_to_fine, default_resolution, drape
 from sim.energies.gravity import Gravity
+from sim.equilibrium import build_potential
 from sim.errors import InputError
 from sim.laws import Corotational, Laws
-from sim.material import Fabric
+from sim.material import REFERENCE_DENSITY, Fabric
 from sim.measures import maximum_stretch
+from sim.mesh import Mesh
 from sim.newton import NewtonOptions
-from sim.scene import GRAVITY, Rig
+from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene, State
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
@@ -90,6 +92,22 @@ def test_refinement_changes_a_stiff_drape_by_little():
     assert same.sum() > 500
     shared = fine.positions.reshape(51, 51, 3)[::2, ::2].reshape(-1, 3)
     assert np.linalg.norm(shared[same] - coarse.positions[same], axis=1).mean() < 2.2e-3
+
+
+def test_only_the_coarser_meshes_are_soft():
+    """The forces on a drape balance on a scene and under laws made anew, in their full stiffness."""
+    result = drape(isotropic(20, 2), resolution=31, seed=1)
+    assert len(coarse_to_fine(31)) == 2
+    state = State(result.positions, result.rotations)
+    residuals = []
+    for contact in (CONTACT_PRESSURE, 0.5 * CONTACT_PRESSURE):
+        scene = Scene(Mesh(result.rest, result.faces), result.held, Rig().obstacles,
+                      contact_pressure=contact)
+        potential = build_potential(scene, result.fabric.at_density(REFERENCE_DENSITY), state)
+        residuals.append(potential.residual(potential.gradient(
+            potential.free_part(state.unknowns))))
+    assert residuals[0] < 1e-3
+    assert residuals[1] > 0.1  # the cylinder carries some of the cloth
 
 
 def test_cloth_stays_out_of_the_cylinder():
