@@ -95,7 +95,7 @@ def test_refinement_changes_a_stiff_drape_by_little():
 
 
 def test_only_the_coarser_meshes_are_soft():
-    """The forces on a drape balance on a scene and under laws made anew, in their full stiffness."""
+    """The forces on a drape balance in a scene and under laws made anew, in full stiffness."""
     result = drape(isotropic(20, 2), resolution=31, seed=1)
     assert len(coarse_to_fine(31)) == 2
     state = State(result.positions, result.rotations)
