@@ -162,7 +162,7 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 def test_held_cloth_that_touches_itself_feels_it() -> None:
     alpha = np.array([2.0, 2.2, 1.8]) * MICRO
     theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
-    soft = drape(fabric_from_theta(theta), resolution=31, seed=0, start="fold")
+    soft = drape(fabric_from_theta(theta), resolution=31, seed=2, start="fold")
     assert soft.converged and "self-contact" in soft.message
     cloth = HeldCloth.to_vertices(soft)
     same = cloth.follow(replace(soft, rotations=np.zeros_like(soft.rotations)), soft.fabric)

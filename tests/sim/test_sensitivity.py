@@ -368,7 +368,7 @@ def test_mistakes_are_named(draped):
 @pytest.mark.slow
 def test_cloth_that_meets_itself():
     alpha = np.array([2e-6, 2.2e-6, 1.8e-6])
-    result = drape(Fabric(alpha, -2e-3 * alpha), resolution=31, seed=0, start="fold")
+    result = drape(Fabric(alpha, -2e-3 * alpha), resolution=31, seed=2, start="fold")
     assert result.converged and "self-contact" in result.message
     moves = sensitivities(result, parameters=("log_alpha",))
     assert moves.ok
