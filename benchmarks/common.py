@@ -19,6 +19,7 @@ from sim.provenance import package_versions, processor
 from sim.workers import worker_pool
 
 if TYPE_CHECKING:
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 ESTIMATOR = ("sim", "data", "drapenet")
@@ -61,6 +62,16 @@ def write_figure(path: Path, figure: "Figure") -> None:
     """Write a matplotlib figure as PNG."""
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110)
+
+
+def tick_short_scales(*scales: "Axis") -> None:
+    """Label logarithmic scales hardly longer than a power of ten with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for scale in scales:
+        scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        scale.set_major_formatter("{x:g}")
+        scale.set_minor_formatter(NullFormatter())
 
 
 def run_cases(

@@ -20,9 +20,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
+from benchmarks.common import (
+    REPORTS,
+    parse_settings,
+    run_cases,
+    table,
+    tick_short_scales,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior
 from data.sampling import STARTS, SamplingConfig, plan_drape
@@ -159,10 +166,7 @@ def draw(runs: list[dict], path: Path) -> None:
         for axis, key in zip(axes, ("residual", "iterations"), strict=True):
             axis.loglog(softest, [r[key] for r in chosen], marker, ms=4, alpha=0.7, label=start)
     axes[0].axhline(RESIDUAL, color="grey", lw=0.8)
-    for scale in (*(axis.xaxis for axis in axes), axes[1].yaxis):  # hardly a power of ten
-        scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        scale.set_major_formatter("{x:g}")
-        scale.set_minor_formatter(NullFormatter())
+    tick_short_scales(*(axis.xaxis for axis in axes), axes[1].yaxis)
     axes[0].set(xlabel="smallest α, µN·m", ylabel="largest force / vertex weight")
     axes[1].set(xlabel="smallest α, µN·m", ylabel="Newton steps, all meshes")
     axes[1].legend(title="start", frameon=False)

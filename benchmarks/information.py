@@ -25,7 +25,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.common import (
     ESTIMATOR,
@@ -33,6 +32,7 @@ from benchmarks.common import (
     parse_settings,
     run_cases,
     table,
+    tick_short_scales,
     write_figure,
     write_report,
 )
@@ -214,10 +214,7 @@ def draw(report: dict, path: Path) -> None:
             axis.axhline(report["spread"][k], color=f"C{k % 3}", lw=0.8, ls="--")
             for style, values in zip(("-", ":"), report["reached"].values(), strict=False):
                 axis.axhline(values[k], color=f"C{k % 3}", lw=0.8, ls=style)
-        for scale in (axis.xaxis, axis.yaxis):  # hardly longer than a power of ten
-            scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            scale.set_major_formatter("{x:g}")
-            scale.set_minor_formatter(NullFormatter())
+        tick_short_scales(axis.xaxis, axis.yaxis)
         axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
         axis.set_title(f"least standard deviation of {name}, {unit}", fontsize=9)
         axis.legend(fontsize=7, frameon=False)

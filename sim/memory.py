@@ -11,8 +11,7 @@ def keep_freed_memory() -> None:
 
     By default glibc gives arrays beyond 32 MiB back to the system after every use, and fetching
     them anew takes a tenth of the time of drapes with 101 x 101 vertices. What a process has once
-    used it then keeps to its end. Worker processes are told by their environment
-    (:mod:`sim.workers`).
+    used it then keeps to its end.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -14,6 +14,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 
 from sim.errors import InputError
+from sim.memory import keep_freed_memory
 
 WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -22,11 +23,7 @@ WORKER_ENVIRONMENT = {
     "NUMBA_NUM_THREADS": "1",
     # Without it MKL's rounding depends on where in memory a matrix happens to lie.
     "MKL_CBWR": "AUTO",
-    # glibc would give the memory of large element matrices back to the system after every use,
-    # and fetching it anew takes 8 % of the time of drapes with 101 x 101 vertices.
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(1 << 31),
-    # In large pages: 2 to 3 % less time at 41 x 41.
+    # Memory in large pages: 2 to 3 % less time at 41 x 41.
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
 
@@ -106,6 +103,7 @@ def worker_pool(
 def _start(initializer: Callable[..., None] | None, arguments: tuple) -> None:
     """Prepare a worker process."""
     _end_with_parent()
+    keep_freed_memory()
     if initializer is not None:
         initializer(*arguments)
 
