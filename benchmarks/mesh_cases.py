@@ -101,7 +101,7 @@ def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], d
     folder, n = Path(config["cases"]), config["resolution"]
     start = f"{fabric}_start_{config['start']}"
     wanted = {(law, mesh, n) for law in laws_for(fabric, config) for mesh in MESHES}
-    wanted |= {(DEFAULT_LAW, "perturbed", m) for m in config["refinement"]}
+    wanted |= {(DEFAULT_LAW, mesh, m) for mesh in MESHES for m in config["refinement"]}
     drapes = {
         case_name(fabric, law, mesh, m): {
             **common, "law": law, "mesh": mesh, "resolution": m, "begin": str(folder / start)

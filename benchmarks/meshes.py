@@ -5,7 +5,7 @@ way down; so each fabric is draped once, and the equilibrium next to that shape 
 mesh and under every law, without coarser meshes before it. Compared are
 
 - structured, perturbed and unstructured meshes, for the default law and for hinge laws;
-- perturbed meshes of 51 to 151 vertices a side, for the default law;
+- the same for the default law on coarser meshes, and each with the finest perturbed one;
 - a perturbed mesh with itself, started from the common shape and from the unstructured mesh's
   drape: what remains between the two are minima that the mesh itself makes.
 
@@ -16,9 +16,9 @@ Keys (``key=value``):
 
     fabrics       some of the names in benchmarks.mesh_cases.FABRICS, or all
     laws          bending laws; those that follow a direction are left out for isotropic fabrics
-    resolution    vertices a side where meshes are compared
-    refinement    vertices a side of the refined meshes
-    start         vertices a side of the common start
+    resolution    vertices a side where meshes are compared under every law
+    refinement    vertices a side where they are under the default law
+    start         vertices a side of the common start, on a perturbed mesh
     membrane      in-plane stiffness, N/m
     seed          of the common start and of the meshes
     workers       processes, one thread each
@@ -26,7 +26,8 @@ Keys (``key=value``):
     out           the report, JSON; a picture of the same name beside it
 """
 
-from itertools import combinations
+from itertools import combinations, groupby
+from operator import itemgetter
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -65,9 +66,9 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 DEFAULTS = {
     "fabrics": "all",
     "laws": "midedge,hinge,hinge_edge,hinge_curvature",
-    "resolution": 51,
-    "refinement": [51, 76, 101, 151],
-    "start": 51,
+    "resolution": 201,
+    "refinement": [51, 76, 101, 151, 201],
+    "start": 201,
     "membrane": 200.0,
     "seed": 0,
     "workers": 1,
@@ -104,15 +105,13 @@ class Finished:
         }
 
 
-def compare_meshes(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
-    """Differences between the three meshes, for each fabric and law."""
+def compare_meshes(finished: Finished, fabric: str, law: str, resolution: int) -> list[dict]:
+    """Differences between the three meshes of one resolution."""
     rows = []
-    for fabric in fabrics:
-        for law in laws_for(fabric, config):
-            for one, two in combinations(MESHES, 2):
-                names = [case_name(fabric, law, mesh, config["resolution"]) for mesh in (one, two)]
-                rows.append({"fabric": fabric, "law": law, "meshes": [one, two],
-                             **finished.difference(*names)})
+    for one, two in combinations(MESHES, 2):
+        names = [case_name(fabric, law, mesh, resolution) for mesh in (one, two)]
+        rows.append({"fabric": fabric, "law": law, "resolution": resolution, "meshes": [one, two],
+                     **finished.difference(*names)})
     return rows
 
 
@@ -165,7 +164,10 @@ def main(argv: list[str]) -> None:
         cases = {name: settings for cases in group for name, settings in cases.items()}
         results |= run_cases(work, cases, folder=folder, workers=config["workers"])
     finished = Finished(folder, results)
-    meshes = compare_meshes(finished, fabrics, config)
+    meshes = [row for fabric in fabrics for law in laws_for(fabric, config)
+              for row in compare_meshes(finished, fabric, law, config["resolution"])]
+    spacings = [row for fabric in fabrics for n in sorted(config["refinement"])
+                for row in compare_meshes(finished, fabric, DEFAULT_LAW, n)]
     resolutions = compare_resolutions(finished, fabrics, config)
     returns = compare_returns(finished, fabrics, config)
     summary = summarise(meshes)
@@ -175,6 +177,9 @@ def main(argv: list[str]) -> None:
         ["fabric", "law", "meshes", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
         [[row["fabric"], row["law"], " – ".join(row["meshes"]), *_cells(row)] for row in meshes],
     ))
+    print(f"\n{DEFAULT_LAW}: largest mean displacement between the three meshes, mm; "
+          "in brackets: of different folds\n")
+    print(table(["fabric", *map(str, sorted(config["refinement"]))], spacing_rows(spacings)))
     print("\nPerturbed meshes against the finest\n")
     print(table(
         ["fabric", "vertices a side", "mean, mm", "largest, mm", "curvature", "folds",
@@ -201,9 +206,23 @@ def main(argv: list[str]) -> None:
         "fabrics_alpha_uN_m": {name: FABRICS[name] for name in fabrics},
         "beta_over_alpha_mm": SOFTENING,
         "limit_mm": LIMIT, "passed": passed, "summary": summary,
-        "meshes": meshes, "refinement": resolutions, "returns": returns, "drapes": results,
+        "meshes": meshes, "spacings": spacings, "refinement": resolutions, "returns": returns,
+        "drapes": results,
     })
     draw(finished, fabrics, config, out.with_suffix(".png"))
+
+
+def spacing_rows(spacings: list[dict]) -> list[list[str]]:
+    """For each fabric, how far apart its drapes on meshes of every resolution lie at most."""
+    rows = []
+    for fabric, of_fabric in groupby(spacings, key=itemgetter("fabric")):
+        cells = []
+        for _, pairs in groupby(of_fabric, key=itemgetter("resolution")):
+            farthest = max(pairs, key=itemgetter("mean_mm"))
+            cell = f"{farthest['mean_mm']:.2f}"
+            cells.append(cell if farthest["same_folds"] else f"({cell})")
+        rows.append([fabric, *cells])
+    return rows
 
 
 def _cells(row: dict) -> list[object]:
