@@ -7,6 +7,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from sim.errors import InputError
 from sim.scene import Rig
+from sim.threads import one_blas_thread
 
 STARTS = ("sine", "fold")
 """Starts made at random; a drape can also be borrowed, see :func:`borrowed_positions`."""
@@ -126,6 +127,7 @@ def borrowed_positions(
     )
 
 
+@one_blas_thread
 def interpolate_positions(
     coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:

@@ -12,6 +12,7 @@ from sim.energies.contact import Obstacle
 from sim.energies.membrane import CorotationalMembrane
 from sim.mesh import Mesh
 from sim.scene import Rig
+from sim.threads import one_blas_thread
 
 _PIXEL = 5e-4  # m, of the top view that is measured
 _LEAST_FOLD = 3e-3  # m, depth of the shallowest fold that is counted
@@ -36,6 +37,7 @@ def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
     return _covered(pixels[faces], shape[0], shape[1]) * _PIXEL**2
 
 
+@one_blas_thread
 def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarray:
     """The drape's edge seen from above: (720, 2) x and y, m, of a material circle.
 

@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from sim.errors import InputError
 from sim.mesh import Mesh
+from sim.threads import one_blas_thread
 
 _ROUNDS = 40
 _CORRECTIONS = (10, 17, 24)  # rounds after which points are taken away and added
@@ -146,6 +147,7 @@ def _keys(edges: np.ndarray, count: int) -> np.ndarray:
     return low_high[:, 0] * count + low_high[:, 1]
 
 
+@one_blas_thread
 def _scattered(fixed: np.ndarray, edge: float, rng: np.random.Generator) -> np.ndarray:
     """Points (n, 2) inside the hull of ``fixed`` (m, 2), not too close to those.
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import batched, common, information, refine_views, report
+from benchmarks import batched, common, information, meshes, refine_views, report
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from sim.errors import InputError
@@ -188,3 +188,26 @@ def test_fabrics_with_other_folds_are_gathered_until_there_are_enough(monkeypatc
     assert list(refine_views.gather(config)) == ["views_0", "views_1", "views_2", "views_3"]
     other = refine_views.gather(config | {"other_folds": True})
     assert list(other) == ["views_0", "views_3", "views_6", "views_9"]
+
+
+def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
+    out = tmp_path / "meshes.json"
+    meshes.main(["fabrics=stiff", "laws=midedge", "resolution=31", "refinement=[21, 31]",
+                 "start=31", f"cases={tmp_path / 'cases'}", f"out={out}"])
+    content = json.loads(out.read_text(encoding="utf-8"))
+    coarse, fine = content["spacings"][:3], content["spacings"][3:]
+    assert fine == content["meshes"]
+    assert {row["resolution"] for row in coarse} == {21}
+    # The coarser the mesh, the more the drape depends on it.
+    assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
+    assert capsys.readouterr().out.count(f"{max(row['mean_mm'] for row in coarse):.2f}") == 1
+
+
+def test_drapes_of_different_folds_are_marked_in_the_table_of_spacings():
+    def pair(mean_mm: float, *, same_folds: bool) -> dict:
+        return {"fabric": "soft", "resolution": 51, "mean_mm": mean_mm, "same_folds": same_folds}
+
+    assert meshes.spacing_rows([pair(1.0, same_folds=True), pair(0.2, same_folds=False)]) == [
+        ["soft", "1.00"]]
+    assert meshes.spacing_rows([pair(1.0, same_folds=True), pair(8.0, same_folds=False)]) == [
+        ["soft", "(8.00)"]]

@@ -20,6 +20,7 @@ from scipy.spatial import Delaunay
 from drapenet.refine.objective import Linearised
 from sim.errors import InputError
 from sim.scene import Rig
+from sim.threads import one_blas_thread
 
 _SMALLEST = 1e-9  # m²: powers below have no root to speak of (0.03 mm), and a smooth one
 
@@ -161,6 +162,7 @@ class PhaseFree:
         return Linearised(residuals, along, np.zeros((len(residuals), 0)))
 
 
+@one_blas_thread
 def interpolation(rest: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
     """(N, V) matrix from values at rest points (V, 2) to linear interpolants at points (N, 2).
 
