@@ -115,7 +115,9 @@ def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], d
             "begin": str(folder / far),
         }
     }
-    return {start: {**common, "resolution": config["start"]}}, drapes, back
+    # A mesh of its own: on the start's mesh the start would simply stay.
+    own = {**common, "seed": config["seed"] + 1, "resolution": config["start"]}
+    return {start: own}, drapes, back
 
 
 def laws_for(name: str, config: dict) -> list[str]:

@@ -18,9 +18,9 @@ Keys (``key=value``):
     laws          bending laws; those that follow a direction are left out for isotropic fabrics
     resolution    vertices a side where meshes are compared under every law
     refinement    vertices a side where they are under the default law
-    start         vertices a side of the common start, on a perturbed mesh
+    start         vertices a side of the common start, on a perturbed mesh of its own
     membrane      in-plane stiffness, N/m
-    seed          of the common start and of the meshes
+    seed          of the meshes; the common start's is the next
     workers       processes, one thread each
     cases         folder of finished drapes; an interrupted run goes on from there
     out           the report, JSON; a picture of the same name beside it
@@ -66,9 +66,9 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 DEFAULTS = {
     "fabrics": "all",
     "laws": "midedge,hinge,hinge_edge,hinge_curvature",
-    "resolution": 201,
-    "refinement": [51, 76, 101, 151, 201],
-    "start": 201,
+    "resolution": 251,
+    "refinement": [51, 76, 101, 151, 251],
+    "start": 251,
     "membrane": 200.0,
     "seed": 0,
     "workers": 1,
