@@ -65,7 +65,7 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 
 DEFAULTS = {
     "fabrics": "all",
-    "laws": "midedge,hinge,hinge_edge,hinge_curvature",
+    "laws": "midedge,hinge",
     "resolution": 251,
     "refinement": [51, 76, 101, 151, 251],
     "start": 251,
