@@ -83,11 +83,9 @@ class Finished:
     def __init__(self, folder: Path, results: dict[str, dict]) -> None:
         self.results = results
         self.shapes = {name: SimpleNamespace(**load_arrays(folder, name)) for name in results}
-
-    def outline(self, name: str) -> np.ndarray:
-        """Material circle of a drape seen from above, (720, 2) m."""
-        shape = self.shapes[name]
-        return fold_outline(shape.positions, shape.rest, Rig())
+        # Material circles seen from above, (720, 2) m; each drape is in several pairs.
+        self.outlines = {name: fold_outline(shape.positions, shape.rest, Rig())
+                         for name, shape in self.shapes.items()}
 
     def difference(self, one: str, two: str) -> dict:
         """How far drape ``two`` lies from ``one``, in people's units."""
@@ -99,7 +97,7 @@ class Finished:
             "largest_mm": 1e3 * found.largest,
             "curvature": found.curvature,
             "folds": [r["folds"] for r in results],
-            "same_folds": same_folds(self.outline(one), self.outline(two)),
+            "same_folds": same_folds(self.outlines[one], self.outlines[two]),
             "drape_coefficients": [r["drape_coefficient"] for r in results],
             "converged": all(r["status"] == "converged" for r in results),
         }
@@ -164,10 +162,13 @@ def main(argv: list[str]) -> None:
         cases = {name: settings for cases in group for name, settings in cases.items()}
         results |= run_cases(work, cases, folder=folder, workers=config["workers"])
     finished = Finished(folder, results)
-    meshes = [row for fabric in fabrics for law in laws_for(fabric, config)
-              for row in compare_meshes(finished, fabric, law, config["resolution"])]
-    spacings = [row for fabric in fabrics for n in sorted(config["refinement"])
-                for row in compare_meshes(finished, fabric, DEFAULT_LAW, n)]
+    of_laws = [(fabric, law, config["resolution"])
+               for fabric in fabrics for law in laws_for(fabric, config)]
+    of_spacings = [(fabric, DEFAULT_LAW, n)
+                   for fabric in fabrics for n in sorted(config["refinement"])]
+    pairs = {key: compare_meshes(finished, *key) for key in dict.fromkeys(of_laws + of_spacings)}
+    meshes, spacings = ([row for key in keys for row in pairs[key]]
+                        for keys in (of_laws, of_spacings))
     resolutions = compare_resolutions(finished, fabrics, config)
     returns = compare_returns(finished, fabrics, config)
     summary = summarise(meshes)
@@ -254,7 +255,7 @@ def draw(finished: Finished, fabrics: list[str], config: dict, path: Path) -> No
         for axis, (title, group) in zip(row[len(columns):], groups.items(), strict=True):
             for label, name in group.items():
                 if name in finished.shapes:
-                    outline = 1e3 * finished.outline(name)
+                    outline = 1e3 * finished.outlines[name]
                     axis.plot(*np.vstack([outline, outline[:1]]).T, lw=0.8, label=label)
             if axis.lines:
                 axis.legend(fontsize=4.5, frameon=False, loc="center")

@@ -1,5 +1,7 @@
 """Drapes: proven minima, invariances, contact, and failure as data."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,9 @@ from sim.errors import InputError
 from sim.laws import Corotational, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.measures import maximum_stretch
-from sim.mesh import Mesh
 from sim.newton import NewtonOptions
-from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene, State
+from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, State
+from sim.sensitivity.tangent import scene_of
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
@@ -101,8 +103,7 @@ def test_only_the_coarser_meshes_are_soft():
     state = State(result.positions, result.rotations)
     residuals = []
     for contact in (CONTACT_PRESSURE, 0.5 * CONTACT_PRESSURE):
-        scene = Scene(Mesh(result.rest, result.faces), result.held, Rig().obstacles,
-                      contact_pressure=contact)
+        scene = replace(scene_of(result), contact_pressure=contact)
         potential = build_potential(scene, result.fabric.at_density(REFERENCE_DENSITY), state)
         residuals.append(potential.residual(potential.gradient(
             potential.free_part(state.unknowns))))
