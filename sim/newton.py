@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.linear import SparsePattern, make_solver
+from sim.linear import CholeskySolver, SparsePattern, make_solver
 
 
 class Status(str, Enum):
@@ -32,19 +32,25 @@ class Status(str, Enum):
 class Objective(Protocol):
     """What is minimised; :class:`sim.potential.Potential` is one.
 
+    ``hessian`` returns a pattern and the CSR data in it, of the Hessian in coordinates of the
+    objective's choice at ``y``: ``into_frames`` takes a gradient there, ``out_of_frames`` brings a
+    step back.
     ``regularisation`` (size,) is added to the diagonal, in multiples, where even the convex
     Hessian is singular; its entries have the units of the Hessian's diagonal.
     """
 
     size: int
-    pattern: SparsePattern
     regularisation: np.ndarray
 
     def value(self, y: np.ndarray) -> float: ...
 
     def gradient(self, y: np.ndarray) -> np.ndarray: ...
 
-    def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray: ...
+    def hessian(self, y: np.ndarray, convexity: float) -> tuple[SparsePattern, np.ndarray]: ...
+
+    def into_frames(self, y: np.ndarray, gradient: np.ndarray) -> np.ndarray: ...
+
+    def out_of_frames(self, y: np.ndarray, move: np.ndarray) -> np.ndarray: ...
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
 
@@ -140,8 +146,7 @@ class _Run:
         self.result = NewtonResult(y=y, status=Status.MAX_ITERATIONS, message="")
         self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
         self.rng = np.random.default_rng(0)
-        with self._timed("analyse"):
-            self.solver = make_solver(objective.pattern, options.linear_solver)
+        self.solvers: dict[SparsePattern, CholeskySolver] = {}
 
     def iterate(self) -> None:
         result, options = self.result, self.options
@@ -205,16 +210,22 @@ class _Run:
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         with self._timed("assemble"):
-            data = self.objective.hessian(self.result.y, convexity)
+            pattern, data = self.objective.hessian(self.result.y, convexity)
             if shift:
-                data[self.objective.pattern.diagonal] += shift * self.objective.regularisation
+                data[pattern.diagonal] += shift * self.objective.regularisation
+        if pattern not in self.solvers:
+            with self._timed("analyse"):
+                self.solvers[pattern] = make_solver(pattern, self.options.linear_solver)
+        self.solver = self.solvers[pattern]
         with self._timed("factorise"):
             self.result.factorisations += 1
             return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        objective, y = self.objective, self.result.y
         with self._timed("factorise"):
-            return self.solver.solve(rhs, rough=rough)
+            rhs = objective.into_frames(y, rhs)
+            return objective.out_of_frames(y, self.solver.solve(rhs, rough=rough))
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""

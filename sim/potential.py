@@ -1,12 +1,13 @@
 """The total energy of a cloth as a function of its free unknowns, for an optimiser."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numba
 import numpy as np
 
-from sim.energies.base import Energy
+from sim.energies.base import Energy, FramedEnergy, SeldomEnergy
 from sim.linear import SparsePattern
 
 
@@ -53,17 +54,14 @@ class Potential:
     ) -> None:
         self.energies = energies = [energy for stage in stages for energy in stage]
         self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
-        self._assembled_at: np.ndarray | None = None
-        self._assembled: dict[tuple[int, float], np.ndarray] = {}
         self._template = template
         self._free = np.flatnonzero(free)
-        row = np.full(len(free), -1)
-        row[self._free] = np.arange(len(self._free))
-        self._stencils = [
-            np.where(energy.dofs >= 0, row[energy.dofs], -1) for energy in energies
-        ]
+        self._row = np.full(len(free), -1)
+        self._row[self._free] = np.arange(len(self._free))
         self.size = len(self._free)
-        self.pattern = SparsePattern(self._stencils, self.size)
+        self._stencils = [self._rows(energy.dofs) for energy in energies]
+        self._framed = _framed_energy(energies, len(free))
+        self._here = _Here(np.empty(0), np.empty(0), self._usual_pattern)
         self._force_scale = force_scale[self._free]
         self.length_scale = length_scale[self._free]
         self.regularisation = self._force_scale / self.length_scale
@@ -91,33 +89,98 @@ class Potential:
             _add_elements(total, stencil, energy.gradient(q))
         return total
 
-    def hessian(self, y: np.ndarray, convexity: float) -> np.ndarray:
-        """CSR data (nnz,) in ``pattern``; ``convexity`` as in :meth:`Energy.hessian`.
+    def hessian(self, y: np.ndarray, convexity: float) -> tuple[SparsePattern, np.ndarray]:
+        """The Hessian by moves in the frames at ``y`` (see :meth:`into_frames`).
 
         What has been assembled at ``y`` is kept, so that another convexity there costs little.
+
+        Args:
+            convexity: as for :meth:`sim.energies.base.Energy.hessian`.
+
+        Returns:
+            A pattern and the CSR data (nnz,) in it. There are two patterns: the usual one, and one
+            with the places of energies that are felt seldom.
         """
-        if self._assembled_at is None or not np.array_equal(y, self._assembled_at):
-            self._assembled_at = y.copy()
-            self._assembled.clear()
-        stages = self._stage[-1] + 1
-        total = np.zeros(len(self.pattern.indices))
-        for stage, share in enumerate(stage_shares(convexity, stages)):
+        here = self._look(y)
+        total = np.zeros(len(here.pattern.indices))
+        for stage, share in enumerate(stage_shares(convexity, self._stage[-1] + 1)):
             for end, weight in ((0.0, 1.0 - share), (1.0, share)):
                 if weight > 0.0:
-                    part = self._end(stage, end)
+                    part = self._end(here, stage, end)
                     total += part if weight == 1.0 else weight * part
-        return total
+        return here.pattern, total
 
-    def _end(self, stage: int, convexity: float) -> np.ndarray:
-        """One stage's part of the Hessian at the kept point, exact (0) or convex (1)."""
-        if (stage, convexity) not in self._assembled:
-            q = self.full(self._assembled_at)
+    def into_frames(self, y: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Derivatives (n,) by moves in the frames of the edges at ``y``, from those by unknowns.
+
+        The frames are those of :mod:`sim.energies.edge_frames`; without rotations, nothing changes.
+        """
+        if self._framed is None:
+            return gradient
+        return _into_frames(gradient, *self._frame_rows, self._levers(y))
+
+    def out_of_frames(self, y: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """The move of the unknowns (n,) that is ``move`` (n,) in the frames at ``y``."""
+        if self._framed is None:
+            return move
+        return _out_of_frames(move, *self._frame_rows, self._levers(y))
+
+    def _look(self, y: np.ndarray) -> "_Here":
+        """What is known at ``y``."""
+        if not np.array_equal(y, self._here.y):
+            q = self.full(y)
+            felt = any(e.is_felt(q) for e in self.energies if isinstance(e, SeldomEnergy))
+            pattern = self._whole_pattern if felt else self._usual_pattern
+            self._here = _Here(y.copy(), q, pattern)
+        return self._here
+
+    def _end(self, here: "_Here", stage: int, convexity: float) -> np.ndarray:
+        """One stage's part of the Hessian, exact (0) or convex (1)."""
+        if (stage, convexity) not in here.assembled:
             # One after the other: blocks are large, and fresh memory is slow.
-            self._assembled[stage, convexity] = self.pattern.assemble(
-                energy.hessian(q, convexity) if own == stage else None
+            here.assembled[stage, convexity] = here.pattern.assemble(
+                self._blocks(energy, here.q, convexity) if own == stage else None
                 for energy, own in zip(self.energies, self._stage, strict=True)
             )
-        return self._assembled[stage, convexity]
+        return here.assembled[stage, convexity]
+
+    def _blocks(self, energy: Energy, q: np.ndarray, convexity: float) -> np.ndarray | None:
+        return (energy.framed_hessian if energy is self._framed else energy.hessian)(q, convexity)
+
+    def _levers(self, y: np.ndarray) -> np.ndarray:
+        here = self._look(y)
+        if here.levers is None:
+            here.levers = self._framed.frames.levers(here.q)
+        return here.levers
+
+    @cached_property
+    def _frame_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (M, 12) and (M,) of the unknowns of the frames, -1 for held ones."""
+        return self._rows(self._framed.frames.dofs), self._rows(self._framed.frames.rotations)
+
+    @cached_property
+    def _usual_pattern(self) -> SparsePattern:
+        """Without the energies that are felt seldom, where these reach further than the others."""
+        if self._framed is None:
+            return self._whole_pattern
+        return SparsePattern(
+            [stencil[:0] if isinstance(energy, SeldomEnergy) else stencil
+             for energy, stencil in zip(self.energies, self._hessian_stencils, strict=True)],
+            self.size,
+        )
+
+    @cached_property
+    def _whole_pattern(self) -> SparsePattern:
+        return SparsePattern(self._hessian_stencils, self.size)
+
+    @cached_property
+    def _hessian_stencils(self) -> list[np.ndarray]:
+        return [self._rows(energy.framed_dofs) if energy is self._framed else stencil
+                for energy, stencil in zip(self.energies, self._stencils, strict=True)]
+
+    def _rows(self, dofs: np.ndarray) -> np.ndarray:
+        """The rows of unknowns, -1 for those that are held or absent."""
+        return np.where(dofs >= 0, self._row[dofs], -1)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether every energy allows the step between free unknowns (n,)."""
@@ -131,6 +194,56 @@ class Potential:
     def step_length(self, step: np.ndarray) -> float:
         """Largest entry of a step (n,) in units of its length scale."""
         return float(np.abs(step / self.length_scale).max())
+
+
+@dataclass
+class _Here:
+    """What is known of the Hessian at one point.
+
+    Attributes:
+        y, q: free and all unknowns there.
+        pattern: of the Hessian.
+        assembled: CSR data by stage and convexity.
+        levers: of the frames, once they are asked for.
+    """
+
+    y: np.ndarray
+    q: np.ndarray
+    pattern: SparsePattern
+    assembled: dict[tuple[int, float], np.ndarray] = field(default_factory=dict)
+    levers: np.ndarray | None = None
+
+
+def _framed_energy(energies: Sequence[Energy], unknowns: int) -> FramedEnergy | None:
+    """The energy whose frames are used: the only one that depends on the rotations in them."""
+    for energy in energies:
+        if isinstance(energy, FramedEnergy):
+            rotates = np.zeros(unknowns + 1, dtype=bool)  # one more, for dofs of -1
+            rotates[energy.frames.rotations] = True
+            others = (other.dofs for other in energies if other is not energy)
+            return None if any(rotates[dofs].any() for dofs in others) else energy
+    return None
+
+
+@numba.njit(cache=True)
+def _into_frames(gradient, corners, rotations, levers):
+    result = gradient.copy()
+    for e in range(len(rotations)):
+        torque = gradient[rotations[e]]
+        for k in range(corners.shape[1]):
+            if corners[e, k] >= 0:
+                result[corners[e, k]] += levers[e, k] * torque
+    return result
+
+
+@numba.njit(cache=True)
+def _out_of_frames(move, corners, rotations, levers):
+    result = move.copy()
+    for e in range(len(rotations)):
+        for k in range(corners.shape[1]):
+            if corners[e, k] >= 0:
+                result[rotations[e]] += levers[e, k] * move[corners[e, k]]
+    return result
 
 
 @numba.njit(cache=True)

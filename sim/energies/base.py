@@ -1,8 +1,10 @@
 """What every energy offers: value, gradient and Hessian blocks over small stencils."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+
+from sim.energies.edge_frames import EdgeFrames
 
 
 class Energy(Protocol):
@@ -35,6 +37,34 @@ class Energy(Protocol):
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether a step from ``old`` to ``new`` stays on one branch of the energy."""
+
+
+@runtime_checkable
+class FramedEnergy(Energy, Protocol):
+    """An energy of edges' rotations whose Hessian couples less in the frames of these edges.
+
+    Attributes:
+        frames: of the edges.
+        framed_dofs: (N, M) int64, the unknowns that each element's block has there.
+    """
+
+    frames: EdgeFrames
+    framed_dofs: np.ndarray
+
+    def framed_hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+        """(N, M, M) blocks by moves in the frames at ``q``; ``convexity`` as for :meth:`hessian`.
+
+        Their sum is the Hessian of the whole energy; one alone is not that of its element. What is
+        held is not in it.
+        """
+
+
+@runtime_checkable
+class SeldomEnergy(Energy, Protocol):
+    """An energy without a Hessian nearly always, which then need not have a place in the pattern."""
+
+    def is_felt(self, q: np.ndarray) -> bool:
+        """Whether :meth:`hessian` is not None at ``q``."""
 
 
 def blend_eigenvalue(value: float, convexity: float) -> float:

@@ -25,32 +25,39 @@ def angle(x):
 
 
 @numba.njit(cache=True)
-def gradient(x, g):
-    """Fill g (4, 3) with the derivatives of the angle by the corners x (4, 3)."""
+def add_side_gradient(x, corner, sign, g):
+    """Add to g (4, 3) how one triangle turns about the edge when x0, x1 and its ``corner`` move.
+
+    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. The turn is counted against a frame
+    that parallel transport carries along with the edge; those of both triangles add up to the
+    change of the angle.
+    """
     ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
     ee = ex * ex + ey * ey + ez * ez
-    length = np.sqrt(ee)
-    for side in range(2):
-        c = 2 + side
-        ax, ay, az = x[c, 0] - x[0, 0], x[c, 1] - x[0, 1], x[c, 2] - x[0, 2]
-        nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-        scale = -length / (nx * nx + ny * ny + nz * nz)
-        if side == 1:
-            scale = -scale
-        g[c, 0], g[c, 1], g[c, 2] = scale * nx, scale * ny, scale * nz
-        t = (ax * ex + ay * ey + az * ez) / ee
-        for k in range(3):
-            if side == 0:
-                g[1, k] = -t * g[c, k]
-                g[0, k] = -(1.0 - t) * g[c, k]
-            else:
-                g[1, k] -= t * g[c, k]
-                g[0, k] -= (1.0 - t) * g[c, k]
+    ax, ay, az = x[corner, 0] - x[0, 0], x[corner, 1] - x[0, 1], x[corner, 2] - x[0, 2]
+    nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+    scale = -sign * np.sqrt(ee) / (nx * nx + ny * ny + nz * nz)
+    own = scale * nx, scale * ny, scale * nz
+    t = (ax * ex + ay * ey + az * ez) / ee
+    for k in range(3):
+        g[corner, k] += own[k]
+        g[1, k] -= t * own[k]
+        g[0, k] -= (1.0 - t) * own[k]
 
 
 @numba.njit(cache=True)
-def _add_side(x, corner, sign, weight, first, frame, block):
+def gradient(x, g):
+    """Fill g (4, 3) with the derivatives of the angle by the corners x (4, 3)."""
+    g[:, :] = 0.0
+    add_side_gradient(x, 2, 1.0, g)
+    add_side_gradient(x, 3, -1.0, g)
+
+
+@numba.njit(cache=True)
+def add_side_hessian(x, corner, sign, weight, first, frame, block):
     """Add the part of one triangle for :func:`add_hessian`, whose arguments these are.
+
+    ``corner`` and ``sign`` as for :func:`add_side_gradient`; only x0, x1 and the corner have a part.
 
     With n its unit normal, u along the edge of length l, m from the edge to the opposite
     ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient
@@ -107,5 +114,5 @@ def add_hessian(x, weight, first, frame, block):
     Corner c has the three rows and columns of ``block`` from first[c] on; ``frame`` (3, 3) is
     scratch.
     """
-    _add_side(x, 2, 1.0, weight, first, frame, block)
-    _add_side(x, 3, -1.0, weight, first, frame, block)
+    add_side_hessian(x, 2, 1.0, weight, first, frame, block)
+    add_side_hessian(x, 3, -1.0, weight, first, frame, block)

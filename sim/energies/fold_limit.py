@@ -43,10 +43,13 @@ class FoldLimit:
     def gradient(self, q: np.ndarray) -> np.ndarray:
         return chain_gradient(q, self.dofs, self._derivatives(q)[0])
 
+    def is_felt(self, q: np.ndarray) -> bool:
+        return bool((np.abs(self.angles(q)) > LIMIT_START).any())
+
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray | None:
-        slope, bend = self._derivatives(q)
-        if not bend.any():
+        if not self.is_felt(q):
             return None
+        slope, bend = self._derivatives(q)
         return chain_hessian(q, self.dofs, slope * (1.0 - convexity), bend)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 
 from sim.energies import dihedral, plate_law
 from sim.energies.clamp import bending_areas
+from sim.energies.edge_frames import EdgeFrames
 from sim.material import Fabric
 from sim.mesh import Mesh
 
@@ -39,6 +40,7 @@ class MidEdgeBending:
         maps: (N, 3, 3), 1/m, see :func:`curvature_maps`.
         areas: (N,) m², with the weights next to a clamp.
         law: (15,) constants, see :func:`sim.energies.plate_law.constants`.
+        frames, framed_dofs: see :class:`sim.energies.base.FramedEnergy`.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
@@ -52,6 +54,11 @@ class MidEdgeBending:
         self.dofs = np.concatenate(
             [coordinates, np.where(self.sign != 0, rotation, -1)], axis=1
         )
+        self.framed_dofs = np.concatenate([self.dofs[:, :9], self.dofs[:, 18:]], axis=1)
+        self._edges = edges
+        t, i = np.nonzero((self.share == 0.5) & (self.sign > 0))
+        rows = np.array([_first_rows(k) for k in range(3)])[i, :, None] + np.arange(3)
+        self.frames = EdgeFrames(self.dofs[t[:, None], rows.reshape(-1, 12)], rotation[t, i])
         self.areas = bending_areas(mesh, active, self.share)
         self.maps = curvature_maps(mesh)[active]
         self.law = plate_law.constants(fabric)
@@ -64,12 +71,11 @@ class MidEdgeBending:
         return _gradient(q, *self._geometry, stress)
 
     def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        stress, tangent = self.stress(self.curvatures(q))
-        if convexity > 0.0:
-            # The rotations of the edges have no other stiffness: the floor is positive.
-            floor = CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
-            _convexify(tangent, floor, convexity)
-        return _hessian(q, *self._geometry, stress, tangent, convexity)
+        return _hessian(q, *self._geometry, *self._derivatives(q, convexity), convexity)
+
+    def framed_hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+        return _framed_hessian(q, *self._geometry, self._edges,
+                               *self._derivatives(q, convexity), convexity)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         return True
@@ -85,6 +91,15 @@ class MidEdgeBending:
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
         return plate_law.stresses(curvatures, self.law)
+
+    def _derivatives(self, q: np.ndarray, convexity: float) -> tuple[np.ndarray, np.ndarray]:
+        """:meth:`stress` at ``q``, its tangents as convex as asked for."""
+        stress, tangent = self.stress(self.curvatures(q))
+        if convexity > 0.0:
+            # The rotations of the edges have no other stiffness: the floor is positive.
+            floor = CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
+            _convexify(tangent, floor, convexity)
+        return stress, tangent
 
     @property
     def _geometry(self) -> tuple[np.ndarray, ...]:
@@ -128,6 +143,14 @@ def _load_hinge(q, dofs, i, x):
     """Copy the corners of the hinge on edge i of an element to x (4, 3)."""
     first = _first_rows(i)
     for c in range(4):
+        for k in range(3):
+            x[c, k] = q[dofs[first[c] + k]]
+
+
+@numba.njit(cache=True)
+def _load_side(q, dofs, first, x):
+    """Copy the corners of a hinge that are an element's own to x (4, 3)."""
+    for c in range(3):
         for k in range(3):
             x[c, k] = q[dofs[first[c] + k]]
 
@@ -225,6 +248,25 @@ def _stiffness(tangent, maps, area, k):
 
 
 @numba.njit(cache=True)
+def _dyads(rows, stiffness, moment, block):
+    """Fill block (K, K) with rows^T stiffness rows; rows (3, K), moment (3, K) is scratch."""
+    count = len(block)
+    for i in range(3):
+        for j in range(count):
+            moment[i, j] = (
+                stiffness[i, 0] * rows[0, j]
+                + stiffness[i, 1] * rows[1, j]
+                + stiffness[i, 2] * rows[2, j]
+            )
+    for i in range(count):
+        a, b, c = rows[0, i], rows[1, i], rows[2, i]
+        for j in range(i, count):
+            block[i, j] = a * moment[0, j] + b * moment[1, j] + c * moment[2, j]
+        for j in range(i):
+            block[i, j] = block[j, i]
+
+
+@numba.njit(cache=True)
 def _hessian(q, dofs, share, sign, maps, areas, stress, tangent, convexity):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
     # turning of the hinges under their torque, indefinite and dropped in full convexity.
@@ -236,19 +278,7 @@ def _hessian(q, dofs, share, sign, maps, areas, stress, tangent, convexity):
         block = result[t]
         _stiffness(tangent[t], maps[t], areas[t], stiffness)
         _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
-        for i in range(3):
-            for j in range(21):
-                moment[i, j] = (
-                    stiffness[i, 0] * rows[0, j]
-                    + stiffness[i, 1] * rows[1, j]
-                    + stiffness[i, 2] * rows[2, j]
-                )
-        for i in range(21):
-            a, b, c = rows[0, i], rows[1, i], rows[2, i]
-            for j in range(i, 21):
-                block[i, j] = a * moment[0, j] + b * moment[1, j] + c * moment[2, j]
-            for j in range(i):
-                block[i, j] = block[j, i]
+        _dyads(rows, stiffness, moment, block)
         if convexity == 1.0:
             continue
         for i in range(3):
@@ -260,4 +290,43 @@ def _hessian(q, dofs, share, sign, maps, areas, stress, tangent, convexity):
             m *= areas[t] * share[t, i] * (1.0 - convexity)
             _load_hinge(q, dofs[t], i, x)
             dihedral.add_hessian(x, m, _first_rows(i), frame, block)
+    return result
+
+
+@numba.njit(cache=True)
+def _framed_hessian(q, dofs, share, sign, maps, areas, edges, stress, tangent, convexity):
+    # As in _hessian, but with the rows of phi in the edges' frames. An edge's torque is that of
+    # both triangles, and each has its own part of the angle's second derivatives.
+    result = np.empty((len(dofs), 12, 12))
+    torque = np.zeros(edges.max() + 1)
+    for t in range(len(dofs)):
+        for i in range(3):
+            for a in range(3):
+                torque[edges[t, i]] += areas[t] * share[t, i] * maps[t, a, i] * stress[t, a]
+    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
+    stiffness = np.empty((3, 3))
+    rows, moment = np.empty((3, 12)), np.empty((3, 12))
+    for t in range(len(dofs)):
+        block = result[t]
+        _stiffness(tangent[t], maps[t], areas[t], stiffness)
+        rows[:, :] = 0.0
+        for i in range(3):
+            rows[i, 9 + i] = sign[t, i]
+            if share[t, i] != 0.0:
+                first = _first_rows(i)
+                _load_side(q, dofs[t], first, x)
+                g[:, :] = 0.0
+                dihedral.add_side_gradient(x, 2, 1.0, g)
+                for c in range(3):
+                    for k in range(3):
+                        rows[i, first[c] + k] = g[c, k]
+        _dyads(rows, stiffness, moment, block)
+        if convexity == 1.0:
+            continue
+        for i in range(3):
+            if share[t, i] != 0.0:
+                first = _first_rows(i)
+                _load_side(q, dofs[t], first, x)
+                weight = torque[edges[t, i]] * (1.0 - convexity)
+                dihedral.add_side_hessian(x, 2, 1.0, weight, first, frame, block)
     return result

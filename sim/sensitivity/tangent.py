@@ -11,7 +11,7 @@ from sim.equilibrium import build_potential, cloth_terms
 from sim.errors import InputError
 from sim.hinge_laws import HingeLaw
 from sim.laws import Laws
-from sim.linear import make_solver
+from sim.linear import SparsePattern, make_solver
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.potential import Potential
@@ -64,7 +64,7 @@ class Tangent:
         self.scene, self.fabric, self.laws = scene, fabric, laws or Laws()
         _require_energy(self.laws)
         self._potential = build_potential(scene, fabric, state, laws=self.laws, extra=extra)
-        self._solver = make_solver(self._potential.pattern)
+        self._pattern: SparsePattern | None = None
         self.q = state.unknowns
         self.softest = 0.0
         self.ok, self.message = self._approach()
@@ -113,7 +113,7 @@ class Tangent:
             return np.full(len(self.q), np.nan)
         move = np.zeros_like(self.q)
         free = self._potential.free_part(np.arange(len(self.q)))
-        move[free] = self._solver.solve(force[free])
+        move[free] = self._solve(self._potential.free_part(self.q), force[free])
         return move
 
     def force_of(self, move: np.ndarray) -> np.ndarray:
@@ -135,32 +135,39 @@ class Tangent:
         potential = self._potential
         y = potential.free_part(self.q)
         for _ in range(_STEPS):
-            data = potential.hessian(y, 0.0)
+            pattern, data = potential.hessian(y, 0.0)
             if not np.isfinite(data).all():
                 return False, "the energy is not a finite number"
+            if pattern is not self._pattern:
+                self._pattern, self._solver = pattern, make_solver(pattern)
             if not self._solver.factorise(data):
                 return False, "the Hessian is not positive definite: no minimum, or a fold"
             gradient = potential.gradient(y)
-            step = self._solver.solve(-gradient)
+            step = self._solve(y, -gradient)
             length = potential.step_length(step)
             if not length < FARTHEST:
                 break
             if length < STEP and potential.residual(gradient) < RESIDUAL:
                 self.q = potential.full(y)
-                self.softest = self._softest()
+                self.softest = self._softest(y)
                 if self.softest < SOFTEST:
                     return False, "the Hessian is singular: the cloth can move freely, or a fold"
                 return True, "equilibrium"
             y = y + step
         return False, f"no equilibrium: Newton's method goes on by {length:.1e} mm"
 
-    def _softest(self) -> float:
+    def _solve(self, y: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Free unknowns' moves (n,) under forces (n,), by the factor at ``y``."""
+        potential = self._potential
+        return potential.out_of_frames(y, self._solver.solve(potential.into_frames(y, force)))
+
+    def _softest(self, y: np.ndarray) -> float:
         potential = self._potential
         scale = potential.regularisation
         motion = np.random.default_rng(0).standard_normal(potential.size)
         for _ in range(_POWERS):
             motion /= np.sqrt(scale @ motion**2)
-            before, motion = motion, self._solver.solve(scale * motion)
+            before, motion = motion, self._solve(y, scale * motion)
         return float(1.0 / (before @ (scale * motion)))
 
     def _fail(self, message: str) -> None:

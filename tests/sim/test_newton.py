@@ -25,7 +25,13 @@ class Function:
         value, vector = np.linalg.eigh(np.array(self._hessian(y)))
         blended = np.where(value > 0, value, (1 - convexity) * value)
         matrix = (vector * blended) @ vector.T
-        return self.pattern.assemble([matrix[None]])
+        return self.pattern, self.pattern.assemble([matrix[None]])
+
+    def into_frames(self, y, gradient):
+        return gradient
+
+    def out_of_frames(self, y, move):
+        return move
 
     def allows(self, old, new):
         return True
