@@ -111,8 +111,8 @@ def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnkno
         mask = np.zeros(len(q), dtype=bool)
         mask[chosen] = True
         y = potential.free_part(q)
-        samples.append(Sample(potential.pattern, potential.hessian(y, 0.0),
-                              potential.hessian(y, 1.0), unknowns.rows(mesh, mask)[chosen]))
+        (pattern, exact), (_, convex) = (potential.hessian(y, c) for c in (0.0, 1.0))
+        samples.append(Sample(pattern, exact, convex, unknowns.rows(mesh, mask)[chosen]))
     return unknowns, samples
 
 

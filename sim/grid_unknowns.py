@@ -50,9 +50,20 @@ class GridUnknowns:
 
     @cached_property
     def pattern(self) -> SparsePattern:
+        """Of Hessians in the frames of edges, where triangles couple with themselves alone."""
+        return self._pattern([triangle for triangle, _ in self._triangles()])
+
+    @cached_property
+    def wide_pattern(self) -> SparsePattern:
         """Of all Hessians whose elements reach no further than a triangle and its neighbours."""
-        stencils = self._stencils()
-        return SparsePattern([np.where(stencils >= 0, self._row[stencils], -1)], self.size)
+        return self._pattern(
+            [np.concatenate(parts, axis=1) for parts in self._triangles()]
+        )
+
+    def _pattern(self, stencils: list[np.ndarray]) -> SparsePattern:
+        return SparsePattern(
+            [np.where(stencil >= 0, self._row[stencil], -1) for stencil in stencils], self.size
+        )
 
     def rows(self, mesh: Mesh, free: np.ndarray) -> np.ndarray:
         """(Q,) row of each unknown of one sample's mesh, -1 for those that are not free.
@@ -82,7 +93,7 @@ class GridUnknowns:
         return np.where(free, row, -1)
 
     def embed(self, pattern: SparsePattern, data: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """CSR data (nnz,) in the shared pattern of one sample's own matrix.
+        """CSR data (nnz,) in the shared :attr:`pattern` of one sample's own matrix.
 
         Rows that the sample has no unknown for get a one on the diagonal.
 
@@ -102,11 +113,12 @@ class GridUnknowns:
         result[self.pattern.slots(pairs)[:, 1]] = data
         return result
 
-    def _stencils(self) -> np.ndarray:
-        """(4 cells, 27) what a triangle's bending may depend on, for all choices of diagonals.
+    def _triangles(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Each triangle that some choice of diagonals makes, and what lies around it.
 
-        The cell's corners, the far corners of the cells across the triangle's two grid edges,
-        and the rotations of its edges.
+        For each of a cell's four: (cells, 12) unknowns of its corners and of its edges; (cells, 15)
+        those of the cell's fourth corner and of the far corners of the cells across its two grid
+        edges, where its neighbours may have theirs.
         """
         nx, ny = self.shape
         i, j = (a.ravel() for a in np.indices((nx - 1, ny - 1)))
@@ -119,12 +131,14 @@ class GridUnknowns:
             inside = (a >= 0) & (a < nx) & (b >= 0) & (b < ny)
             return np.where(inside[:, None], 3 * (a * ny + b)[:, None] + np.arange(3), -1)
 
-        corners = [vertices(i + a, j + b) for a in (0, 1) for b in (0, 1)]
-        stencils = []
+        triangles = []
         for a in (0, 1):  # the side of the cell across x, and the one across y
             for b in (0, 1):
-                beyond_x = [vertices(i + 3 * a - 1, j + k) for k in (0, 1)]
-                beyond_y = [vertices(i + k, j + 3 * b - 1) for k in (0, 1)]
                 edges = np.stack([across[i + a, j], along[i, j + b], diagonal], axis=1)
-                stencils.append(np.concatenate([*corners, *beyond_x, *beyond_y, edges], axis=1))
-        return np.concatenate(stencils)
+                corners = [vertices(i + k, j + m) for k, m in ((a, b), (1 - a, b), (a, 1 - b))]
+                around = [vertices(i + 1 - a, j + 1 - b)]
+                around += [vertices(i + 3 * a - 1, j + k) for k in (0, 1)]
+                around += [vertices(i + k, j + 3 * b - 1) for k in (0, 1)]
+                triangles.append((np.concatenate([*corners, edges], axis=1),
+                                  np.concatenate(around, axis=1)))
+        return triangles

@@ -1,8 +1,8 @@
 """Equilibria of many cloths on meshes of one grid."""
 
 import functools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -14,12 +14,13 @@ from sim.batched.solvers import FrontalSolver
 from sim.equilibrium import cloth_terms
 from sim.grid_unknowns import GridUnknowns
 from sim.laws import Laws
+from sim.linear import SparsePattern
 from sim.linear.multifrontal import Analysis, analyse
 from sim.material import Fabric
 from sim.newton import NewtonOptions, NewtonResult
 from sim.scene import Scene, State
 
-_KEPT = 6  # analyses, some 30 MB each for 41 vertices a side and 400 MB for 101
+_KEPT = 6  # analyses, some 10 MB each for 41 vertices a side and 110 MB for 101
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,19 @@ class Analysed:
     """What all drapes on a grid share.
 
     Attributes:
-        unknowns: numbering and pattern.
-        analysis: of the batched linear solver, on the device of the minimisation.
+        unknowns: numbering and patterns.
+        device: of the minimisation.
     """
 
     unknowns: GridUnknowns
-    analysis: Analysis
+    device: torch.device
+    _analyses: dict[SparsePattern, Analysis] = field(default_factory=dict, repr=False)
+
+    def analysis(self, pattern: SparsePattern) -> Analysis:
+        """Of the batched linear solver for a pattern of ``unknowns``, on the device; kept."""
+        if pattern not in self._analyses:
+            self._analyses[pattern] = analyse(pattern, self.unknowns.places, device=self.device)
+        return self._analyses[pattern]
 
 
 def analyse_grid(free: np.ndarray, device: torch.device | str = "cpu") -> Analysed:
@@ -49,7 +57,9 @@ def analyse_grid(free: np.ndarray, device: torch.device | str = "cpu") -> Analys
 @functools.lru_cache(maxsize=_KEPT)
 def _analyse(shape: tuple[int, int], free: bytes, device: str) -> Analysed:
     unknowns = GridUnknowns(shape, np.frombuffer(free, dtype=bool).reshape(shape))
-    return Analysed(unknowns, analyse(unknowns.pattern, unknowns.places, device=device))
+    analysed = Analysed(unknowns, torch.device(device))
+    analysed.analysis(unknowns.pattern)  # the one that is always needed
+    return analysed
 
 
 def find_equilibria(
@@ -60,7 +70,7 @@ def find_equilibria(
     *,
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
-    solver: BatchedSolver | None = None,
+    make_solver: Callable[[SparsePattern], BatchedSolver] | None = None,
 ) -> tuple[list[State], list[NewtonResult]]:
     """For each sample what :func:`sim.equilibrium.find_equilibrium` finds.
 
@@ -69,7 +79,7 @@ def find_equilibria(
         analysed: of that grid; all vertices that a scene does not hold are among its free ones.
         laws: of all samples; only those whose energies have batched twins.
         options: of every minimisation.
-        solver: of the Newton systems, None for the batched one.
+        make_solver: makes the solver of the Newton systems of one pattern; None: the batched one.
 
     Raises:
         InputError: laws, meshes or held vertices that do not fit.
@@ -78,14 +88,14 @@ def find_equilibria(
         cloth_terms(scene, fabric, start, laws=laws)
         for scene, fabric, start in zip(scenes, fabrics, starts, strict=True)
     ]
-    device = analysed.analysis.device
+    device = analysed.device
     meshes = [scene.mesh for scene in scenes]
     potential = BatchedPotential(terms, meshes, analysed.unknowns, device)
     results = minimise_batch(
         potential,
         potential.start([sample.template for sample in terms]),
         options,
-        solver=solver or FrontalSolver(analysed.analysis),
+        make_solver=make_solver or (lambda pattern: FrontalSolver(analysed.analysis(pattern))),
     )
     y = torch.from_numpy(np.stack([result.y for result in results])).to(device)
     unknowns = potential.full(y).cpu().numpy()

@@ -9,7 +9,7 @@ comes back to the host, where the decisions are taken.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -24,6 +24,7 @@ from sim.batched.objective import (
     on_host,
     part_of,
 )
+from sim.linear import SparsePattern
 from sim.newton import (
     CONVEXITY,
     NUDGE,
@@ -46,7 +47,7 @@ def minimise_batch(
     start: torch.Tensor,
     options: NewtonOptions | None = None,
     *,
-    solver: BatchedSolver,
+    make_solver: Callable[[SparsePattern], BatchedSolver],
 ) -> list[NewtonResult]:
     """Find a local minimum of each function near ``start`` (B, n), as :func:`sim.newton.minimise`.
 
@@ -56,13 +57,13 @@ def minimise_batch(
         objective: the functions.
         start: float64 on the objective's device.
         options: of every sample; the linear solver they name is not used.
-        solver: of the Newton systems.
+        make_solver: makes the solver of the Newton systems of one pattern.
 
     Returns:
         A result a sample, its ``y`` on the host; ``seconds`` is wall time, of which everything
         done together is shared out evenly.
     """
-    run = _Run(objective, start, options or NewtonOptions(), solver)
+    run = _Run(objective, start, options or NewtonOptions(), make_solver)
     with np.errstate(all="ignore"), torch.no_grad():
         run.iterate()
     return run.results
@@ -76,10 +77,11 @@ class _Run:
         objective: BatchedObjective,
         start: torch.Tensor,
         options: NewtonOptions,
-        solver: BatchedSolver,
+        make_solver: Callable[[SparsePattern], BatchedSolver],
     ) -> None:
         count = len(start)
-        self.objective, self.options, self.solver = objective, options, solver
+        self.objective, self.options, self.make_solver = objective, options, make_solver
+        self.solvers: dict[SparsePattern, BatchedSolver] = {}
         self.y = start.clone()
         self.gradient = self.y  # known when the iteration begins
         self.sample = np.arange(count)  # which of those that were given
@@ -91,7 +93,7 @@ class _Run:
         self.rest, self.definite = np.zeros((2, count), dtype=bool)
         self.ended: list[Status | None] = [None] * count
         self.rngs = [np.random.default_rng(0) for _ in range(count)]
-        activities = ("assemble", "factorise", "search", "total")
+        activities = ("analyse", "assemble", "factorise", "search", "total")
         self.seconds = {name: np.zeros(count) for name in activities}  # of all that were given
         self.results = [
             NewtonResult(y=np.empty(0), status=Status.MAX_ITERATIONS, message="")
@@ -177,12 +179,23 @@ class _Run:
         rhs: torch.Tensor,
     ) -> tuple[np.ndarray, torch.Tensor]:
         """Whether the Hessians of the samples ``index`` (b,) are definite, and solutions (b, n)."""
-        with self._timed("assemble"):
-            data = hessians.data(index, np.take(CONVEXITY, level), np.take(SHIFTS, shift))
-        with self._timed("factorise"):
-            self.factorisations[index] += 1
-            found, solution = self.solver.solve(data, rhs)
-            return on_host(found), solution
+        self.factorisations[index] += 1
+        found, solution = np.zeros(len(index), dtype=bool), torch.empty_like(rhs)
+        systems = hessians.systems(index, np.take(CONVEXITY, level), np.take(SHIFTS, shift))
+        while True:
+            with self._timed("assemble"):
+                which, pattern, data = next(systems, (None, None, None))
+            if which is None:
+                return found, solution
+            if pattern not in self.solvers:
+                with self._timed("analyse"):
+                    self.solvers[pattern] = self.make_solver(pattern)
+            with self._timed("factorise"):
+                some, at = index[which], self._at(which)
+                force = hessians.into_frames(some, rhs[at])
+                definite, move = self.solvers[pattern].solve(data, force)
+                found[which] = on_host(definite)
+                solution[at] = hessians.out_of_frames(some, move)
 
     def _nudge(self, index: np.ndarray) -> None:
         """Small moves out of saddles: random, smoothed by the convex Hessian."""

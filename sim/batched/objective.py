@@ -1,22 +1,37 @@
 """What a minimisation of many samples asks of its functions and of its linear solver."""
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
 import torch
 
+from sim.linear import SparsePattern
+
 
 class Hessians(Protocol):
-    """The Hessians of a batch at one point, assembled as far as they are asked for."""
+    """The Hessians of a batch at one point, assembled as far as they are asked for.
 
-    def data(self, index: np.ndarray, convexity: np.ndarray, shift: np.ndarray) -> torch.Tensor:
-        """CSR data (b, nnz) of some samples.
+    They are in coordinates of the objective's choice, see :class:`sim.newton.Objective`.
+    """
+
+    def systems(
+        self, index: np.ndarray, convexity: np.ndarray, shift: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, SparsePattern, torch.Tensor]]:
+        """The matrices of some samples, those of one pattern together.
 
         Args:
             index: (b,) int64, the samples.
             convexity: (b,) as in :meth:`sim.energies.base.Energy.hessian`.
             shift: (b,) multiples of the regularisation that are added to the diagonals.
+
+        Yields:
+            Which of the b they are, (c,) int64, their pattern and CSR data (c, nnz).
         """
+
+    def into_frames(self, index: np.ndarray, gradient: torch.Tensor) -> torch.Tensor: ...
+
+    def out_of_frames(self, index: np.ndarray, move: torch.Tensor) -> torch.Tensor: ...
 
 
 class BatchedObjective(Protocol):

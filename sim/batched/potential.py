@@ -6,14 +6,15 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from sim.batched.energies import batch_energies
-from sim.batched.objective import on_device, part_of
+from sim.batched.energies import BatchedEnergy, batch_energies
+from sim.batched.energies.edge_frames import BatchedEdgeFrames
+from sim.batched.energies.fold_limit import BatchedFoldLimit
+from sim.batched.hessians import CachedHessians, Layout
+from sim.energies.base import FramedEnergy
 from sim.errors import InputError
 from sim.grid_unknowns import GridUnknowns
 from sim.mesh import Mesh
-from sim.potential import Terms, stage_shares
-
-_AT_A_TIME = {"cpu": 2, "cuda": 64}  # samples whose element blocks are in memory
+from sim.potential import Terms
 
 
 class BatchedPotential:
@@ -23,7 +24,7 @@ class BatchedPotential:
     that they stay where they are.
 
     Args:
-        samples: the terms of each, their energies in the same order.
+        samples: the terms of each, their energies in the same order, one of them with frames.
         meshes: of the samples, triangulations of the grid.
         unknowns: the shared numbering; some sample may lack any row, none may need another.
         device: of all tensors.
@@ -44,9 +45,8 @@ class BatchedPotential:
         self._energies = batch_energies(
             [[energy for stage in terms.stages for energy in stage] for terms in samples], device
         )
-        pattern = unknowns.pattern
-        self._size, self._entries = unknowns.size, len(pattern.indices)
-        self._diagonal = torch.from_numpy(pattern.diagonal.astype(np.int64)).to(device)
+        self._unknowns, self._size = unknowns, unknowns.size
+        self._usual = Layout.of(unknowns.pattern, device)
         row = np.stack([
             unknowns.rows(mesh, terms.free) for terms, mesh in zip(samples, meshes, strict=True)
         ])
@@ -59,8 +59,13 @@ class BatchedPotential:
             self._absent > 0, 0.0, self._force_scale / self._length_scale
         )
         self._stencils = [self._stencil(energy.dofs.mT) for energy in self._energies]
-        keys = _keys(pattern.indptr, pattern.indices).to(device)
-        self._slots = [self._find_slots(stencil, keys) for stencil in self._stencils]
+        self._slots = [self._places(energy, self._usual) for energy in self._energies]
+        self._frames = BatchedEdgeFrames.stack([
+            next(e.frames for stage in terms.stages for e in stage if isinstance(e, FramedEnergy))
+            for terms in samples
+        ], device)
+        self._frame_corners = self._stencil(self._frames.entries)  # (B, 12, M)
+        self._frame_rotations = self._stencil(self._frames.rotations)  # (B, M)
 
     def start(self, q: Sequence[np.ndarray]) -> torch.Tensor:
         """Rows (B, n) of all unknowns (Q,) of each sample, zero for those it has not."""
@@ -85,9 +90,9 @@ class BatchedPotential:
             total.scatter_add_(1, stencil.flatten(1), parts)
         return total[:, : self._size]
 
-    def hessians(self, y: torch.Tensor) -> "CachedHessians":
+    def hessians(self, y: torch.Tensor) -> CachedHessians:
         """The Hessians at ``y`` (B, n), not assembled yet."""
-        return CachedHessians(self, y)
+        return CachedHessians(self, self.full(y))
 
     def allows(self, old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
         """(B,) whether every energy allows the step between points (B, n)."""
@@ -107,9 +112,10 @@ class BatchedPotential:
         part = copy.copy(self)
         part._energies = [energy.take(index) for energy in self._energies]
         part._stencils = [stencil[index] for stencil in self._stencils]
-        part._slots = [slots[index] for slots in self._slots]
+        part._slots = [None if slots is None else slots[index] for slots in self._slots]
+        part._frames = self._frames.take(index)
         for name in ("_rows", "_template", "_force_scale", "_length_scale", "_absent",
-                     "regularisation"):
+                     "regularisation", "_frame_corners", "_frame_rotations"):
             setattr(part, name, getattr(self, name)[index])
         return part
 
@@ -118,22 +124,54 @@ class BatchedPotential:
         """Groups of energies that are made convex one after the other."""
         return int(self._stage[-1]) + 1
 
-    def assemble(self, q: torch.Tensor, stage: int, convexity: float) -> torch.Tensor:
+    def is_felt(self, q: torch.Tensor) -> torch.Tensor:
+        """(B,) whether an energy that couples more than the others, felt seldom, is felt now."""
+        return torch.stack([energy.is_felt(q) for energy in self._energies
+                            if isinstance(energy, BatchedFoldLimit)]).any(dim=0)
+
+    def layout(self, *, wide: bool) -> Layout:
+        """The pattern with, or without, places for all energies."""
+        if not wide:
+            return self._usual
+        return Layout.of(self._unknowns.wide_pattern, self._rows.device, wide=True)
+
+    def assemble(
+        self, q: torch.Tensor, stage: int, convexity: float, layout: Layout
+    ) -> torch.Tensor:
         """CSR data (B, nnz) of one stage, exact (0) or convex (1), at all unknowns (B, Q)."""
-        total = q.new_zeros(len(q), self._entries + 1)  # the last one for what is held
+        entries = len(layout.pattern.indices)
+        total = q.new_zeros(len(q), entries + 1)  # the last one for what is held
         for energy, slots, own in zip(self._energies, self._slots, self._stage, strict=True):
             blocks = energy.hessian(q, convexity) if own == stage else None
             if blocks is not None:
+                if layout.wide:
+                    slots = self._places(energy, layout)
                 count = blocks.shape[-1]
                 upper = torch.triu_indices(count, count, device=q.device)
-                entries = blocks.permute(0, 2, 3, 1)[:, upper[0], upper[1]]  # (B, P, N)
-                total.scatter_add_(1, slots.flatten(1), entries.flatten(1))
-        return total[:, : self._entries]
+                values = blocks.permute(0, 2, 3, 1)[:, upper[0], upper[1]]  # (B, P, N)
+                total.scatter_add_(1, slots.flatten(1), values.flatten(1))
+        return total[:, :entries]
 
-    def complete(self, data: torch.Tensor, index: torch.Tensor, shift: torch.Tensor) -> None:
+    def complete(
+        self, data: torch.Tensor, index: torch.Tensor, shift: torch.Tensor, layout: Layout
+    ) -> None:
         """Add to the diagonals of ``data`` (b, nnz) the shifts (b,) and the ones of absent rows."""
         more = self._absent[index] + shift[:, None] * self.regularisation[index]
-        data.index_add_(1, self._diagonal, more)
+        data.index_add_(1, layout.diagonal, more)
+
+    def into_frames(self, q: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
+        """See :meth:`sim.potential.Potential.into_frames`; at all unknowns (B, Q)."""
+        padded = torch.nn.functional.pad(gradient, (0, 1))  # what is held has no force
+        torque = padded.gather(1, self._frame_rotations)
+        more = self._frames.levers(q) * torque[:, None]
+        return padded.scatter_add(1, self._frame_corners.flatten(1), more.flatten(1))[:, :-1]
+
+    def out_of_frames(self, q: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+        """See :meth:`sim.potential.Potential.out_of_frames`; at all unknowns (B, Q)."""
+        padded = torch.nn.functional.pad(move, (0, 1))  # what is held stays
+        corners = padded.gather(1, self._frame_corners.flatten(1)).view(self._frame_corners.shape)
+        turn = (self._frames.levers(q) * corners).sum(1)
+        return padded.scatter_add(1, self._frame_rotations, turn)[:, :-1]
 
     def _spread(self, unknowns: Sequence[np.ndarray]) -> torch.Tensor:
         """Rows (B, n) of all unknowns (Q,) of each sample, infinite for those it has not."""
@@ -143,73 +181,31 @@ class BatchedPotential:
         return rows.scatter_(1, target, source)[:, : self._size]
 
     def _stencil(self, dofs: torch.Tensor) -> torch.Tensor:
-        """(B, K, N) rows of elements' unknowns ``dofs`` (B, K, N), n for absent and held ones."""
+        """Rows of unknowns ``dofs`` (B, ...), n for absent and held ones."""
         rows = self._rows.gather(1, dofs.clamp(min=0).flatten(1)).view(dofs.shape)
         return torch.where((dofs >= 0) & (rows >= 0), rows, self._size)
 
-    def _find_slots(self, stencil: torch.Tensor, keys: torch.Tensor) -> torch.Tensor:
-        """(B, K(K+1)/2, N) where blocks' upper triangles go in the CSR data, nnz: nowhere."""
-        count = stencil.shape[1]
+    def _places(self, energy: BatchedEnergy, layout: Layout) -> torch.Tensor | None:
+        """(B, K(K+1)/2, N) where blocks' upper triangles go in the CSR data, nnz: nowhere.
+
+        None for an energy that has no place in the pattern.
+        """
+        if isinstance(energy, BatchedFoldLimit) and not layout.wide:
+            return None
+        stencil = self._stencil(energy.coupled.mT)
+        count, entries = stencil.shape[1], len(layout.keys)
         a, b = torch.triu_indices(count, count, device=stencil.device)
         found = []
         for sample in stencil:  # one by one, for the memory
             low = torch.minimum(sample[a], sample[b])
             high = torch.maximum(sample[a], sample[b])
             key = low * self._size + high
-            slots = torch.searchsorted(keys, key).clamp(max=self._entries - 1)
+            slots = torch.searchsorted(layout.keys, key).clamp(max=entries - 1)
             absent = high == self._size
-            if not ((keys[slots] == key) | absent).all():
+            if not ((layout.keys[slots] == key) | absent).all():
                 raise InputError("an energy reaches further than the grid's pattern")
-            found.append(torch.where(absent, self._entries, slots))
+            found.append(torch.where(absent, entries, slots))
         return torch.stack(found)
-
-
-class CachedHessians:
-    """Hessians of a batch at one point; what has been assembled is kept for other convexities."""
-
-    def __init__(self, potential: BatchedPotential, y: torch.Tensor) -> None:
-        self._potential, self._q = potential, potential.full(y)
-        self._data: dict[tuple[int, float], torch.Tensor] = {}
-        self._known: dict[tuple[int, float], np.ndarray] = {}
-
-    def data(self, index: np.ndarray, convexity: np.ndarray, shift: np.ndarray) -> torch.Tensor:
-        """See :meth:`sim.batched.objective.Hessians.data`."""
-        shares = np.array([stage_shares(c, self._potential.stages) for c in convexity])
-        at = on_device(index, self._q)
-        total = None
-        for stage in range(self._potential.stages):
-            for end, weight in ((0.0, 1.0 - shares[:, stage]), (1.0, shares[:, stage])):
-                needed = weight > 0.0
-                if not needed.any():
-                    continue
-                part = self._end(stage, end, index[needed])[at]
-                if not (weight == 1.0).all():
-                    part *= on_device(weight, part)[:, None]
-                total = part if total is None else total.add_(part)
-        self._potential.complete(total, at, on_device(shift, total))
-        return total
-
-    def _end(self, stage: int, convexity: float, index: np.ndarray) -> torch.Tensor:
-        """(B, nnz) one stage, exact (0) or convex (1), assembled for the samples ``index``."""
-        key = stage, convexity
-        if key not in self._data:
-            self._data[key] = self._q.new_zeros(len(self._q), self._potential._entries)
-            self._known[key] = np.zeros(len(self._q), dtype=bool)
-        missing = index[~self._known[key][index]]
-        many = _AT_A_TIME[self._q.device.type]
-        for first in range(0, len(missing), many):
-            index = missing[first : first + many]
-            some, part = on_device(index, self._q), part_of(self._potential, index, self._q)
-            self._data[key][some] = part.assemble(self._q[some], stage, convexity)
-        self._known[key][missing] = True
-        return self._data[key]
-
-
-def _keys(indptr: np.ndarray, indices: np.ndarray) -> torch.Tensor:
-    """(nnz,) ascending numbers of the pattern's entries: row times size, plus column."""
-    size = len(indptr) - 1
-    rows = np.repeat(np.arange(size), np.diff(indptr))
-    return torch.from_numpy(rows * size + indices)
 
 
 def _stacked(arrays: Sequence[np.ndarray], device: torch.device | str) -> torch.Tensor:

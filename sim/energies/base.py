@@ -61,7 +61,7 @@ class FramedEnergy(Energy, Protocol):
 
 @runtime_checkable
 class SeldomEnergy(Energy, Protocol):
-    """An energy without a Hessian nearly always, which then need not have a place in the pattern."""
+    """An energy whose Hessian is nearly always zero, and which has no place in patterns then."""
 
     def is_felt(self, q: np.ndarray) -> bool:
         """Whether :meth:`hessian` is not None at ``q``."""

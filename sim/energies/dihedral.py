@@ -57,7 +57,8 @@ def gradient(x, g):
 def add_side_hessian(x, corner, sign, weight, first, frame, block):
     """Add the part of one triangle for :func:`add_hessian`, whose arguments these are.
 
-    ``corner`` and ``sign`` as for :func:`add_side_gradient`; only x0, x1 and the corner have a part.
+    ``corner`` and ``sign`` are those of :func:`add_side_gradient`; x0, x1 and the corner have a
+    part.
 
     With n its unit normal, u along the edge of length l, m from the edge to the opposite
     ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient

@@ -9,10 +9,10 @@ same frame. Then
 
     dphi_1 = dalpha_1 + dxi,   dphi_2 = dalpha_2 - dxi,   dzeta = dxi + (dalpha_1 - dalpha_2)/2,
 
-and alpha_1 depends on the first triangle alone: 12 unknowns. Moves (dx, dxi) are a linear change of
-(dx, dzeta) at each state, so that Newton's steps are the same, but their matrix has half the entries
-and its factorisation takes a third of the time. (Grinspun et al. 2006, Computing discrete shape
-operators on general meshes, have such normals as unknowns.)
+and alpha_1 depends on the first triangle alone: 12 unknowns. Moves (dx, dxi) are a linear change
+of (dx, dzeta) at each state, so that Newton's steps are the same, but their matrix has half the
+entries and its factorisation takes a third of the time. (Grinspun et al. 2006, Computing discrete
+shape operators on general meshes, have such normals as unknowns.)
 """
 
 from dataclasses import dataclass

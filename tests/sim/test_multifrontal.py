@@ -160,8 +160,8 @@ def drapes():
         mask = np.zeros(len(q), dtype=bool)
         mask[chosen] = True
         rows = unknowns.rows(specimen.mesh, mask)[chosen]
-        data = potential.hessian(q[chosen], 1.0)
-        cases.append((potential.pattern, data, rows, unknowns.embed(potential.pattern, data, rows)))
+        pattern, data = potential.hessian(q[chosen], 1.0)
+        cases.append((pattern, data, rows, unknowns.embed(pattern, data, rows)))
     return unknowns, cases
 
 

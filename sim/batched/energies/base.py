@@ -38,10 +38,16 @@ class BatchedEnergy(Protocol):
     def gradient(self, q: Tensor) -> Tensor:
         """(B, N, K) derivatives of each element's energy by its unknowns."""
 
-    def hessian(self, q: Tensor, convexity: float) -> Tensor | None:
-        """(B, N, K, K) second derivatives, or None where all are zero.
+    @property
+    def coupled(self) -> Tensor:
+        """(B, N, M) int64, the entries that Hessian blocks have; mostly the dofs."""
 
-        ``convexity``: 0.0 for the exact ones, 1.0 for positive semi-definite ones.
+    def hessian(self, q: Tensor, convexity: float) -> Tensor | None:
+        """(B, N, M, M) blocks of the Hessian, or None where all are zero.
+
+        By moves in the frames of the edges, where the energy depends on their rotations: see
+        :class:`sim.energies.base.FramedEnergy`. ``convexity``: 0.0 for the exact ones, 1.0 for
+        positive semi-definite ones.
         """
 
     def allows(self, old: Tensor, new: Tensor) -> Tensor:
@@ -70,6 +76,10 @@ class ElementBatch:
     @property
     def dofs(self) -> Tensor:
         return self.entries.mT
+
+    @property
+    def coupled(self) -> Tensor:
+        return self.dofs
 
     def allows(self, old: Tensor, new: Tensor) -> Tensor:
         return torch.ones(len(old), dtype=torch.bool, device=old.device)

@@ -26,6 +26,7 @@ class Frames:
     """Unit vectors and sizes of the two triangles of every hinge.
 
     The second triangle's normal points to the other side, which makes both alike in the formulas.
+    Where only the first one is asked for, the axis of length 2 has length 1.
 
     Attributes:
         normal: (..., 2, 3, N).
@@ -45,13 +46,13 @@ class Frames:
 
 
 def frames(x: Tensor) -> Frames:
-    """Frames of hinges with corners x (..., 4, 3, N) m."""
+    """Frames of hinges with corners x (..., 4, 3, N) m, or (..., 3, 3, N) of first triangles."""
     origin = x[..., 0, :, :]
     edge = x[..., 1, :, :] - origin
     sides = x[..., 2:, :, :] - origin[..., None, :, :]
     square = dot(edge, edge)
     length = square.sqrt()
-    outward = torch.stack([edge, -edge], dim=-3)
+    outward = torch.stack([edge, -edge][: sides.shape[-3]], dim=-3)
     normal = cross(outward, sides)
     double_area = dot(normal, normal).sqrt()
     foot = dot(sides, edge[..., None, :, :]) / square[..., None, :]
@@ -67,9 +68,15 @@ def frames(x: Tensor) -> Frames:
     )
 
 
-def gradient(f: Frames) -> Tensor:
-    """(..., 4, 3, N) derivatives of the angle by the corners."""
+def gradient(f: Frames, *, second: float = 1.0) -> Tensor:
+    """(..., 4, 3, N) derivatives of the angle by the corners.
+
+    They are the sum of the turns of both triangles about the edge, that of the second one taken
+    ``second`` times; (..., 3, 3, N) for frames of the first one alone.
+    """
     opposite = -f.normal / f.height[..., None, :]
+    if second != 1.0:
+        opposite[..., 1, :, :] *= second
     end = -(f.foot[..., None, :] * opposite)
     start = -opposite - end
     return torch.cat(
@@ -82,7 +89,8 @@ def second_factors(f: Frames, weight: Tensor) -> Tensor:
 
         H_ab = n W_abᵀ + W_ba nᵀ
 
-    for the corners a and b of each triangle, in the order opposite corner, x1, x0, n its normal.
+    for the corners a and b of each triangle (of the first one alone where the frames are), in the
+    order opposite corner, x1, x0, n its normal.
     With p = (1, -t, t - 1) and e = (0, 1, -1), t the foot, d the height, l the length, m across
     and u along the edge,
 

@@ -45,6 +45,10 @@ class BatchedFoldLimit(ElementBatch):
         result.mT[place] = rows.mT
         return result.mT
 
+    def is_felt(self, q: Tensor) -> Tensor:
+        """(B,) bool, whether :meth:`hessian` is not zero."""
+        return (self.angles(q).abs() > LIMIT_START).any(1)
+
     def hessian(self, q: Tensor, convexity: float) -> Tensor | None:
         place, frames, slope, bend = self._bent(q)
         if not len(bend):

@@ -12,8 +12,8 @@ from sim.energies.midedge import CONVEX_FLOOR, MidEdgeBending
 
 _HINGES = ((1, 2, 0, 3), (2, 0, 1, 4), (0, 1, 2, 5))
 """Corners of the hinge on each edge of a triangle among its own and those across its edges."""
-_SIDES = tuple(((h[2], h[1], h[0]), (h[3], h[1], h[0])) for h in _HINGES)
-"""Their triangles: opposite corner, end and start of the edge."""
+_OWN = tuple((h[2], h[1], h[0]) for h in _HINGES)
+"""The triangle itself: opposite corner, end and start of the edge."""
 _MOST = 16384  # matrices: cuSOLVER's batched eigenvalues refuse much more than 32 000
 
 
@@ -71,6 +71,10 @@ class BatchedMidEdge(ElementBatch):
         parts = [own.flatten(1, 2), far.flatten(1, 2), self.sign * moment]
         return torch.cat(parts, dim=1).mT
 
+    @property
+    def coupled(self) -> Tensor:
+        return torch.cat([self.entries[:, :9], self.entries[:, 18:]], dim=1).mT
+
     def hessian(self, q: Tensor, convexity: float) -> Tensor:
         # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
         # turning of the hinges under their torque, indefinite and dropped in full convexity.
@@ -80,17 +84,14 @@ class BatchedMidEdge(ElementBatch):
             self._convexify(tangent)
         # K = area mapsᵀ tangent maps; the tangent is symmetric.
         stiffness = dyads(self.maps, dyads(tangent, self.areas[:, None, None] * self.maps))
-        frames = dihedral.frames(hinges)
+        frames = dihedral.frames(hinges[:, :, :3])
         rows = self._angle_rows(frames)
         block = dyads(rows, dyads(stiffness, rows))
         if convexity == 0.0:
-            torque = self._moments(stress) * self.share
-            factors = dihedral.second_factors(frames, torque)
-            groups = block.unflatten(2, (7, 3)).unflatten(1, (7, 3))
-            for i, sides in enumerate(_SIDES):
-                for side, corners in enumerate(sides):
-                    normal = frames.normal[:, i, side]
-                    dihedral.add_dyads(groups, normal, factors[:, i, side], corners)
+            factors = dihedral.second_factors(frames, self._torques(stress, q.shape[1]))
+            groups = block.unflatten(2, (4, 3)).unflatten(1, (4, 3))
+            for i, corners in enumerate(_OWN):
+                dihedral.add_dyads(groups, frames.normal[:, i, 0], factors[:, i, 0], corners)
         return block.permute(0, 3, 1, 2)
 
     def _hinges(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -109,14 +110,25 @@ class BatchedMidEdge(ElementBatch):
         """(B, 3, N) derivatives of the energy by the angles phi, J/rad."""
         return self.areas[:, None] * (self.maps * stress[:, :, None]).sum(1)
 
+    def _torques(self, stress: Tensor, unknowns: int) -> Tensor:
+        """(B, 3, N) derivatives of the energy by the edges' dihedral angles, J/rad.
+
+        Both triangles' together. ``unknowns``: Q.
+        """
+        own = self._moments(stress) * self.share
+        rotation = self.entries[:, 18:]
+        place = torch.where(rotation >= 0, rotation, unknowns).flatten(1)
+        total = own.new_zeros(len(own), unknowns + 1).scatter_add_(1, place, own.flatten(1))
+        return torch.where(rotation >= 0, total.gather(1, place).view(own.shape), own)
+
     def _angle_rows(self, frames: dihedral.Frames) -> Tensor:
-        """(B, 3, 21, N) derivatives of phi by the unknowns."""
-        gradient = self.share[:, :, None, None] * dihedral.gradient(frames)
-        rows = gradient.new_zeros(*self.share.shape[:2], 7, *gradient.shape[-2:])
+        """(B, 3, 12, N) derivatives of phi by moves in the frames of the edges."""
+        gradient = (self.share != 0)[:, :, None, None] * dihedral.gradient(frames)
+        rows = gradient.new_zeros(*self.share.shape[:2], 4, *gradient.shape[-2:])
         for i, hinge in enumerate(_HINGES):
-            for c, corner in enumerate(hinge):
+            for c, corner in enumerate(hinge[:3]):
                 rows[:, i, corner] = gradient[:, i, c]
-            rows[:, i, 6, i] = self.sign[:, i]
+            rows[:, i, 3, i] = self.sign[:, i]
         return rows.flatten(2, 3)
 
     def _convexify(self, tangent: Tensor) -> None:

@@ -88,6 +88,12 @@ def problem(fabrics, n, **settings):
     return scenes, fabrics, starts, analyse_grid(free), terms
 
 
+def only(systems):
+    """The one group of systems there is, its data as an array."""
+    (which, pattern, data), = systems
+    return which, pattern, data.numpy()
+
+
 def test_potential_is_that_of_the_samples():
     """Value, gradient, Hessian at every convexity, scales and limits, on shared unknowns."""
     fabrics = [STIFF, SOFTENING, SOFT]
@@ -99,9 +105,16 @@ def test_potential_is_that_of_the_samples():
     index, shift = np.array([2, 0, 2, 1]), np.array([0.0, 0.5, 2.0, 0.0])
     levels = np.array([0.1, 0.0, 1.0, 0.5])
     hessians = potential.hessians(y)
-    data = hessians.data(index, levels, shift).numpy()
-    again = hessians.data(np.array([1, 2]), np.array([0.5, 0.1]), np.zeros(2)).numpy()
+    which, pattern, data = only(hessians.systems(index, levels, shift))
+    assert pattern is unknowns.pattern and np.array_equal(which, np.arange(4))
+    _, _, again = only(hessians.systems(np.array([1, 2]), np.array([0.5, 0.1]), np.zeros(2)))
     assert np.array_equal(again, data[[3, 0]])
+    everyone = np.arange(3)
+    inside = hessians.into_frames(everyone, potential.gradient(y))
+    outside = hessians.out_of_frames(everyone, y)
+    some = np.array([0, 2])
+    assert np.array_equal(hessians.into_frames(some, potential.gradient(y)[some]), inside[some])
+    assert np.array_equal(hessians.out_of_frames(some, y[some]), outside[some])
     part = potential.take(torch.tensor([1]))
     for k, (scene, fabric, start) in enumerate(zip(scenes, fabrics, starts, strict=True)):
         single = build_potential(scene, fabric, start)
@@ -120,19 +133,44 @@ def test_potential_is_that_of_the_samples():
         assert np.isclose(potential.step_length(y)[k], single.step_length(own), rtol=1e-12)
         if k == 1:
             assert np.isclose(part.value(y[[1]])[0], single.value(own), rtol=1e-12)
+        for found, framed in ((inside[k], single.into_frames(own, expected)),
+                              (outside[k], single.out_of_frames(own, own))):
+            found = found.numpy()[rows[rows >= 0]]
+            assert np.allclose(found, framed, atol=1e-12 * abs(framed).max())
         for where in np.flatnonzero(index == k):
-            matrix = single.hessian(own, levels[where])
-            matrix[single.pattern.diagonal] += shift[where] * single.regularisation
-            expected = unknowns.embed(single.pattern, matrix, rows[rows >= 0])
+            pattern, matrix = single.hessian(own, levels[where])
+            matrix[pattern.diagonal] += shift[where] * single.regularisation
+            expected = unknowns.embed(pattern, matrix, rows[rows >= 0])
             assert np.allclose(data[where], expected, atol=1e-11 * abs(expected).max())
+
+
+def test_who_feels_the_limit_of_folds_has_another_pattern():
+    """Two of three samples, one of them crumpled: its matrix is that of the single potential."""
+    fabrics = [STIFF, SOFTENING, SOFT]
+    scenes, _, starts, analysed, terms = problem(fabrics, 12)
+    unknowns = analysed.unknowns
+    potential = BatchedPotential(terms, [scene.mesh for scene in scenes], unknowns)
+    y = potential.start([sample.template for sample in terms])
+    y[1] += 0.03 * torch.from_numpy(np.random.default_rng(0).standard_normal(y[1].shape))
+    hessians = potential.hessians(y)
+    systems = list(hessians.systems(np.array([0, 1]), np.array([0.0, 0.1]), np.zeros(2)))
+    assert [which.tolist() for which, _, _ in systems] == [[0], [1]]
+    assert [pattern for _, pattern, _ in systems] == [unknowns.pattern, unknowns.wide_pattern]
+    rows = unknowns.rows(scenes[1].mesh, terms[1].free)
+    single = build_potential(scenes[1], fabrics[1], starts[1])
+    own = y[1].numpy()[rows[rows >= 0]]
+    pattern, expected = single.hessian(own, 0.1)
+    whole = systems[1][1].symmetric(systems[1][2][0].numpy())[rows[rows >= 0]][:, rows[rows >= 0]]
+    difference = whole - pattern.symmetric(expected)
+    assert abs(difference).max() < 1e-11 * abs(expected).max()
 
 
 def test_both_linear_solvers_find_the_same():
     scenes, fabrics, starts, analysed, _ = problem([STIFF, SOFTENING], 12)
-    solvers = (None, SparseSolver(analysed.unknowns.pattern, threads=2))
+    makers = (None, lambda pattern: SparseSolver(pattern, threads=2))
     first, second = (
-        find_equilibria(scenes, fabrics, starts, analysed, options=TIGHT, solver=solver)
-        for solver in solvers
+        find_equilibria(scenes, fabrics, starts, analysed, options=TIGHT, make_solver=maker)
+        for maker in makers
     )
     for a, b in zip(first[0], second[0], strict=True):
         assert np.abs(a.positions - b.positions).max() < 1e-9

@@ -72,6 +72,15 @@ class ChainHessians:
     def __init__(self, chains, y):
         self.chains, self.y = chains, y
 
+    def systems(self, index, convexity, shift):
+        yield np.arange(len(index)), CHAIN, self.data(index, convexity, shift)
+
+    def into_frames(self, index, gradient):
+        return gradient
+
+    def out_of_frames(self, index, move):
+        return move
+
     def data(self, index, convexity, shift):
         part = self.chains.take(torch.from_numpy(index))
         block, rest = part.blocks(self.y[torch.from_numpy(index)])
@@ -91,7 +100,7 @@ class ChainHessians:
 class Single:
     """One of the chains as the single minimisation sees it."""
 
-    size, pattern, regularisation = N, CHAIN, np.ones(N)
+    size, regularisation = N, np.ones(N)
 
     def __init__(self, chains, k):
         self.chains = chains.take(torch.tensor([k]))
@@ -102,13 +111,20 @@ class Single:
 
     def hessian(self, y, convexity):
         hessians = self.chains.hessians(torch.from_numpy(y)[None])
-        return hessians.data(np.array([0]), np.array([convexity]), np.zeros(1))[0].numpy()
+        return CHAIN, hessians.data(np.array([0]), np.array([convexity]), np.zeros(1))[0].numpy()
+
+    def into_frames(self, y, gradient):
+        return gradient
+
+    def out_of_frames(self, y, move):
+        return move
 
 
-def solver(kind):
+def maker(kind):
+    """Of the solver of a pattern."""
     if kind == "sparse":
-        return SparseSolver(CHAIN, threads=2)
-    return FrontalSolver(analyse(CHAIN, np.arange(N)[:, None], leaf=3))
+        return lambda pattern: SparseSolver(pattern, threads=2)
+    return lambda pattern: FrontalSolver(analyse(pattern, np.arange(N)[:, None], leaf=3))
 
 
 def mixed():
@@ -128,12 +144,12 @@ def mixed():
 @pytest.mark.parametrize("kind", ["frontal", "sparse"])
 def test_every_sample_as_if_alone(kind):
     chains, start = mixed()
-    together = minimise_batch(chains, start, TIGHT, solver=solver(kind))
+    together = minimise_batch(chains, start, TIGHT, make_solver=maker(kind))
     statuses = [result.status for result in together]
     assert statuses == [*[Status.CONVERGED] * 5, Status.NOT_FINITE]
     for k, result in enumerate(together):
         index = torch.tensor([k])
-        alone, = minimise_batch(chains.take(index), start[index], TIGHT, solver=solver(kind))
+        alone, = minimise_batch(chains.take(index), start[index], TIGHT, make_solver=maker(kind))
         assert (alone.status, alone.iterations) == (result.status, result.iterations)
         assert alone.factorisations == result.factorisations
         assert np.allclose(alone.y, result.y, atol=1e-11)
@@ -141,7 +157,7 @@ def test_every_sample_as_if_alone(kind):
 
 def test_every_sample_as_the_single_minimisation():
     chains, start = mixed()
-    together = minimise_batch(chains, start, TIGHT, solver=solver("sparse"))
+    together = minimise_batch(chains, start, TIGHT, make_solver=maker("sparse"))
     for k, result in enumerate(together):
         single = minimise(Single(chains, k), start[k].numpy(), TIGHT)
         assert single.status is result.status and single.message == result.message
@@ -153,11 +169,11 @@ def test_every_sample_as_the_single_minimisation():
 
 def test_iterations_are_limited_for_each_sample():
     chains, start = mixed()
-    free = minimise_batch(chains, start, TIGHT, solver=solver("frontal"))
+    free = minimise_batch(chains, start, TIGHT, make_solver=maker("frontal"))
     limit = int(np.median([result.iterations for result in free]))
     options = NewtonOptions(TIGHT.residual, TIGHT.step, limit)
     for before, result in zip(free, minimise_batch(chains, start, options,
-                                                   solver=solver("frontal")), strict=True):
+                                                   make_solver=maker("frontal")), strict=True):
         if before.iterations < limit or before.status is not Status.CONVERGED:
             assert result.status is before.status and np.array_equal(result.y, before.y)
         elif before.iterations > limit:
@@ -172,7 +188,7 @@ def test_converges_quadratically():
     error = []
     for steps in range(1, 30):
         options = NewtonOptions(1e-14, 1e-14, steps)
-        result, = minimise_batch(chains, start, options, solver=solver("frontal"))
+        result, = minimise_batch(chains, start, options, make_solver=maker("frontal"))
         error.append(np.abs(result.y - 1.0).max())
     small = [k for k, e in enumerate(error) if 1e-7 < e < 1e-2]
     assert small and all(error[k + 1] < 300 * error[k] ** 2 for k in small)
@@ -182,7 +198,7 @@ def test_a_saddle_without_a_way_out_is_one():
     """-y² with steps forbidden: stationary, not a minimum, and it says so."""
     chains = Chains([1.0, 1.0], [1.0, 0.0], reach=torch.tensor([0.0, torch.inf]).double())
     start = torch.zeros(2, N, dtype=torch.float64)
-    stuck, easy = minimise_batch(chains, start, TIGHT, solver=solver("frontal"))
+    stuck, easy = minimise_batch(chains, start, TIGHT, make_solver=maker("frontal"))
     assert stuck.status is Status.SADDLE and not stuck.positive_definite
     assert np.array_equal(stuck.y, np.zeros(N))
     assert easy.status is Status.CONVERGED
@@ -190,7 +206,7 @@ def test_a_saddle_without_a_way_out_is_one():
 
 def test_times_are_shared_out():
     chains, start = mixed()
-    results = minimise_batch(chains, start, TIGHT, solver=solver("frontal"))
+    results = minimise_batch(chains, start, TIGHT, make_solver=maker("frontal"))
     for result in results[:5]:
         parts = sum(result.seconds[name] for name in ("assemble", "factorise", "search"))
         assert 0 < parts <= result.seconds["total"]
