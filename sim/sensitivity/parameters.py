@@ -68,25 +68,36 @@ def force_derivatives(
     The error is below 1e-9 of the bending forces.
 
     Args:
-        potential: of the cloth's energies and others; ``fabric`` and ``laws`` those it was made of.
+        potential: of the cloth's energies and others, in the order of
+            :func:`sim.equilibrium.cloth_terms`; ``fabric`` and ``laws`` those it was made of.
     """
-    def by_moduli(made: Sequence[Law], row: int, step: float) -> np.ndarray:
+    own, others = potential.energies[:3], potential.energies[3 : 3 + len(laws.others)]
+    membrane, bending, fold_limit = own
+
+    def made(law: Law, energy: Energy, fabric: Fabric) -> Energy:
+        if hasattr(energy, "with_fabric"):
+            return energy.with_fabric(fabric)
+        return law(scene.mesh, scene.active, fabric=fabric)
+
+    def by_moduli(
+        laws: Sequence[Law], energies: Sequence[Energy], row: int, step: float
+    ) -> np.ndarray:
         ahead, behind = (
-            forces([law(scene.mesh, scene.active, fabric=_changed(fabric, row, s))
-                    for law in made], q)
+            forces([made(law, energy, _changed(fabric, row, s))
+                    for law, energy in zip(laws, energies, strict=True)], q)
             for s in (step, -step)
         )
         return (ahead - behind) / (2 * step)
 
     result = np.zeros((BASIC, len(q)))
-    membrane, _, fold_limit = own = laws.energies(scene.mesh, scene.active, fabric)[:3]
     result[_MEMBRANE] = forces([membrane], q)
     result[_DENSITY] = forces(potential.energies, q) - forces(own, q)
     for k in range(3):
         for row, step in ((k, _LOG_STEP), (3 + k, _RATIO_STEP)):
-            result[row] = by_moduli([laws.bending_law, *laws.others], row, step)
+            result[row] = by_moduli(
+                [laws.bending_law, *laws.others], [bending, *others], row, step)
     if laws.others:
-        result[_DENSITY] -= sum(by_moduli(laws.others, k, _LOG_STEP) for k in range(3))
+        result[_DENSITY] -= sum(by_moduli(laws.others, others, k, _LOG_STEP) for k in range(3))
     result[fabric.alpha.argmin()] += forces([fold_limit], q)  # its stiffness is that alpha
     return result
 
