@@ -49,7 +49,9 @@ from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E4
 from sim.linear.multifrontal import LEAF, Analysis, BatchedCholesky, analyse  # noqa: E402
 from sim.linear.nested_dissection import dissect  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
+from sim.potential import Potential  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
+from sim.sensitivity.parameters import gathered  # noqa: E402
 from sim.specimens import make_specimen  # noqa: E402
 
 DEFAULTS = {
@@ -67,19 +69,39 @@ STAGES = (0, 3, 10, 400)  # Newton steps on the final mesh; the last reach equil
 
 @dataclass(frozen=True)
 class Sample:
-    """A drape's Hessians.
+    """A drape's Hessians, in the frames of its edges.
 
     Attributes:
-        pattern: of its own unknowns.
-        chosen: (m,) these unknowns among all of its mesh.
+        potential, y: whose and where.
+        pattern: of its own m unknowns.
         exact, convex: CSR data.
         rows: (m,) of the shared numbering.
     """
 
+    potential: Potential
+    y: np.ndarray
     pattern: SparsePattern
     exact: np.ndarray
     convex: np.ndarray
     rows: np.ndarray
+
+    def residual(self, inside: np.ndarray, rhs: np.ndarray, convexity: float) -> float:
+        """Relative residual of a solution in frames (m,), for a right-hand side by unknowns (m,).
+
+        The Hessian is summed from the energies' own blocks by unknowns, which know of no frames.
+        """
+        q = self.potential.full(self.y)
+        move = np.zeros(len(q) + 1)  # the zero at the end for dofs of -1
+        move[self.potential.free_part(np.arange(len(q)))] = self.potential.out_of_frames(
+            self.y, inside)
+        product = np.zeros(len(q))
+        for energy in self.potential.energies:
+            blocks = energy.hessian(q, convexity)
+            if blocks is not None:
+                parts = np.einsum("nij,nj->ni", blocks, move[energy.dofs])
+                product += gathered(energy, parts, len(q))
+        error = self.potential.free_part(product) - rhs
+        return float(np.linalg.norm(error) / np.linalg.norm(rhs))
 
 
 def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnknowns, list[Sample]]:
@@ -112,7 +134,8 @@ def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnkno
         mask[chosen] = True
         y = potential.free_part(q)
         (pattern, exact), (_, convex) = (potential.hessian(y, c) for c in (0.0, 1.0))
-        samples.append(Sample(pattern, exact, convex, unknowns.rows(mesh, mask)[chosen]))
+        samples.append(Sample(potential, y, pattern, exact, convex,
+                              unknowns.rows(mesh, mask)[chosen]))
     return unknowns, samples
 
 
@@ -133,12 +156,15 @@ def check(unknowns: GridUnknowns, samples: list[Sample], device: str) -> dict:
         for kind in ("convex", "exact"):
             values = embedded(unknowns, part, kind)
             found = solver.factorise(torch.from_numpy(values).to(device)).tolist()
-            rhs = rng.standard_normal((len(part), unknowns.size))
+            right = [rng.standard_normal(len(sample.rows)) for sample in part]
+            rhs = np.zeros((len(part), unknowns.size))
+            for row, sample, own in zip(rhs, part, right, strict=True):
+                row[sample.rows] = sample.potential.into_frames(sample.y, own)
             x = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
             for k, sample in enumerate(part):
                 if found[k]:
-                    error = unknowns.pattern.symmetric(values[k]) @ x[k] - rhs[k]
-                    residuals.append(np.linalg.norm(error) / np.linalg.norm(rhs[k]))
+                    residuals.append(sample.residual(x[k][sample.rows], right[k],
+                                                     float(kind == "convex")))
                 if kind == "exact":
                     definite += found[k]
                     agree += found[k] == make_solver(sample.pattern).factorise(sample.exact)

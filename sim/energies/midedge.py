@@ -13,7 +13,6 @@ plate it discretises, on any triangulation (docs/physics.md).
 """
 
 import copy
-from typing import Self
 
 import numba
 import numpy as np
@@ -66,7 +65,7 @@ class MidEdgeBending:
         self.maps = curvature_maps(mesh)[active]
         self._take_moduli(fabric)
 
-    def with_fabric(self, fabric: Fabric) -> Self:
+    def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
         """The same energy of another fabric, for a fraction of the price of a new one."""
         other = copy.copy(self)
         other._take_moduli(fabric)
