@@ -63,17 +63,16 @@ class MidEdgeBending:
         self.frames = EdgeFrames(self.dofs[t[:, None], rows.reshape(-1, 12)], rotation[t, i])
         self.areas = bending_areas(mesh, active, self.share)
         self.maps = curvature_maps(mesh)[active]
-        self._take_moduli(fabric)
+        self.law = plate_law.constants(fabric)
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
-        """The same energy of another fabric, for a fraction of the price of a new one."""
-        other = copy.copy(self)
-        other._take_moduli(fabric)
-        return other
+        """The same energy of another fabric, for a fraction of the price of a new one.
 
-    def _take_moduli(self, fabric: Fabric) -> None:
-        """Set what depends on the fabric."""
-        self.law = plate_law.constants(fabric)
+        Laws that build on this one may have more that depends on the fabric.
+        """
+        other = copy.copy(self)
+        other.law = plate_law.constants(fabric)
+        return other
 
     def value(self, q: np.ndarray) -> float:
         return _total(self.areas, self.density(self.curvatures(q)))

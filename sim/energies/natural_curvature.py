@@ -52,13 +52,9 @@ class CurvedBending(MidEdgeBending):
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray
     ) -> None:
-        self._curvature = curvature
         super().__init__(mesh, active, fabric=fabric)
-
-    def _take_moduli(self, fabric: Fabric) -> None:
-        super()._take_moduli(fabric)
         a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        xx, yy, xy = self._curvature
+        xx, yy, xy = curvature
         self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:

@@ -75,7 +75,8 @@ def force_derivatives(
     membrane, bending, fold_limit = own
 
     def made(law: Law, energy: Energy, fabric: Fabric) -> Energy:
-        if hasattr(energy, "with_fabric"):
+        # Not one that is inherited: a law of its own may have more that depends on the fabric.
+        if "with_fabric" in vars(type(energy)):
             return energy.with_fabric(fabric)
         return law(scene.mesh, scene.active, fabric=fabric)
 
