@@ -9,6 +9,7 @@ import torch
 from sim.batched.energies import batch_energies
 from sim.cantilever.elastica import elastica
 from sim.drape import DrapeResult, drape
+from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
 from sim.laws import Laws
@@ -305,6 +306,20 @@ def test_other_laws_have_derivatives_too():
                        for s in (1e-3, -1e-3))
     difference = (stiffer.positions - softer.positions) / 2e-3
     assert np.isnan(pull_on_rest(Tangent.of(result, laws=laws), np.zeros(1))).all()
+    assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
+
+
+def test_what_a_law_makes_of_the_moduli_itself_counts():
+    """Natural curvature is a torque in proportion to the plate's constants, beside its own law."""
+    laws = Laws(bending=NaturallyCurved((20.0, 0.0, 0.0)))
+    fabric = Fabric([80e-6, 40e-6, 50e-6], [-80e-9, -40e-9, -50e-9])
+    result = drape(fabric, resolution=13, laws=laws, options=TIGHT)
+    moves = sensitivities(result, laws=laws, parameters=("log_alpha",))
+    factors = np.array([np.exp(1e-3), 1.0, 1.0])  # of the warp, beta/alpha kept
+    stiffer, softer = (follow(result, Fabric(fabric.alpha * f, fabric.beta * f), laws=laws,
+                              options=TIGHT)
+                       for f in (factors, 1 / factors))
+    difference = (stiffer.positions - softer.positions) / 2e-3
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
