@@ -13,7 +13,6 @@ set's mean.
 import sim.interrupt
 
 # isort: split
-import json
 from pathlib import Path
 from typing import NoReturn
 
@@ -33,7 +32,7 @@ from drapenet.predict import average_orders
 from drapenet.targets import direction_vectors, to_stiff_soft
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import folder_named, replace_file, require_folder
+from sim.files import folder_named, replace_json, require_folder
 
 
 def evaluate(header: Header, drapes: SplitDataset) -> dict:
@@ -103,7 +102,7 @@ def main(argv: list[str]) -> None:
     drapes = open_views(data, noise=noise,
                         orientations_per_epoch=config["orientations"], seed=config["seed"])
     result = evaluate(header, drapes)
-    replace_file(out / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())
+    replace_json(out / "evaluation.json", result)
     print(format_result(result))
     print(f"written to {out / 'evaluation.json'}")
 

@@ -1,10 +1,9 @@
 """What ``infer.py`` leaves in its folder: ``estimate.json`` and ``report.png``, of the same run."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-from sim.files import remove_file, replace_file, require_file, require_folder
+from sim.files import remove_file, replace_file, replace_json, require_file, require_folder
 
 ESTIMATE, REPORT = "estimate.json", "report.png"
 
@@ -17,7 +16,7 @@ def require_output(out: Path) -> None:
 
 def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
     """Write ``content``, and print it as ``lines``; the report of an earlier run goes."""
-    replace_file(out / ESTIMATE, (json.dumps(content, indent=1) + "\n").encode())
+    replace_json(out / ESTIMATE, content)
     remove_file(out / REPORT)
     print(lines)
     print(f"estimate: {out / ESTIMATE}")

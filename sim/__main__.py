@@ -22,8 +22,6 @@ Keys (``key=value``):
 import sim.interrupt  # noqa: F401
 
 # isort: split
-import json
-import math
 import sys
 from pathlib import Path
 
@@ -33,7 +31,7 @@ from sim.cli import parse_overrides, run_command
 from sim.drape import DrapeResult, drape
 from sim.drape_file import read_borrowed, write_drape
 from sim.errors import InputError
-from sim.files import folder_named, replace_file, require_folder
+from sim.files import folder_named, replace_file, replace_json, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
@@ -143,10 +141,7 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     _, picture = cv2.imencode(".png", np.hstack(views)[..., ::-1])
     replace_file(folder / "drape.ply", mesh.export(file_type="ply"))
     replace_file(folder / "drape.png", picture.tobytes())
-    # JSON has no infinity; a drape that never took a step has such a last one.
-    finite = {key: None if isinstance(value, float) and not math.isfinite(value) else value
-              for key, value in summary.items()}
-    replace_file(folder / "drape.json", (json.dumps(finite, indent=2) + "\n").encode())
+    replace_json(folder / "drape.json", summary)
     write_drape(folder / "drape.npz", result)
 
 

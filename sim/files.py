@@ -1,5 +1,7 @@
 """Writing files so that each is either complete under its name or not there."""
 
+import json
+import math
 import os
 import secrets
 import tempfile
@@ -78,6 +80,23 @@ def replace_file(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` in one step, see :func:`replacing`."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+def replace_json(path: Path, content: object) -> None:
+    """Write ``content`` to ``path`` as JSON, as a whole or not at all.
+
+    Numbers that are not finite become null: JSON has none, and few programs read Python's.
+    """
+    text = json.dumps(_with_finite_numbers(content), indent=2, allow_nan=False)
+    replace_file(path, (text + "\n").encode())
+
+
+def _with_finite_numbers(content: object) -> object:
+    if isinstance(content, dict):
+        return {key: _with_finite_numbers(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_with_finite_numbers(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def remove_file(path: Path) -> None:

@@ -43,7 +43,7 @@ from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
 from sim.cli import parse_overrides, run_command
 from sim.errors import InputError
-from sim.files import replace_file, require_file
+from sim.files import replace_file, replace_json, require_file
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
 from sim.scene import GRAVITY
@@ -177,7 +177,7 @@ def print_estimate(config: dict) -> None:
     if config["out"]:
         report = {"density_g_m2": config["density"], "method": config["method"],
                   "rounds": config["rounds"], "moduli": rows}
-        replace_file(Path(config["out"]), (json.dumps(report, indent=2) + "\n").encode())
+        replace_json(Path(config["out"]), report)
 
 
 def print_torque_curves(strips: dict[str, list[np.ndarray]], config: dict) -> None:
@@ -199,7 +199,7 @@ def print_torque_curves(strips: dict[str, list[np.ndarray]], config: dict) -> No
         print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in found.torque)}")
     if config["out"]:
         report = {"density_g_m2": config["density"], "method": "spline", "torque_curves": rows}
-        replace_file(Path(config["out"]), (json.dumps(report, indent=2) + "\n").encode())
+        replace_json(Path(config["out"]), report)
 
 
 def entry() -> None:

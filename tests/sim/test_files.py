@@ -1,14 +1,16 @@
 """Files are replaced whole or stay as they were."""
 
+import json
 import os
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim import kernel_cache
 from sim.errors import InputError, one_line
-from sim.files import replace_file, replacing, require_file, require_folder
+from sim.files import replace_file, replace_json, replacing, require_file, require_folder
 
 
 def test_a_file_is_made_with_its_folder_and_replaced(tmp_path):
@@ -28,6 +30,22 @@ def test_an_interrupted_write_changes_nothing(tmp_path):
         raise KeyboardInterrupt
     assert path.read_bytes() == b"first"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_what_is_no_finite_number_becomes_null(tmp_path):
+    """JSON knows neither infinity nor NaN, and a strict reader would refuse the file."""
+    path = tmp_path / "made" / "figures.json"
+    numbers = [1.5, float("inf"), np.float64("nan"), 2]
+    replace_json(path, {"deep": [{"a": (float("-inf"), "text")}, numbers], "none": None})
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    found = json.loads(path.read_text(), parse_constant=refuse)
+    assert found == {"deep": [{"a": [None, "text"]}, [1.5, None, None, 2]], "none": None}
+    with pytest.raises(TypeError):
+        replace_json(path, {"array": np.zeros(2)})
+    assert json.loads(path.read_text()) == found
 
 
 def test_what_cannot_be_written_is_an_input_error(tmp_path):
