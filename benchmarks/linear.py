@@ -41,6 +41,7 @@ from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
 from sim.cli import run_command  # noqa: E402
 from sim.drape import drape  # noqa: E402
+from sim.energies.base import SeldomEnergy  # noqa: E402
 from sim.equilibrium import build_potential  # noqa: E402
 from sim.errors import InputError  # noqa: E402
 from sim.grid_unknowns import GridUnknowns  # noqa: E402
@@ -105,7 +106,10 @@ class Sample:
 
 
 def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnknowns, list[Sample]]:
-    """Hessians of ``count`` fabrics of the prior on meshes of their own, stage after stage."""
+    """Hessians of ``count`` fabrics of the prior on meshes of their own, stage after stage.
+
+    But for those of cloth that feels the limit of folds.
+    """
     prior, rig = load_prior("gaussian"), Rig()
     specimens = [make_specimen(rig, resolution=n, seed=seed) for seed in range(count)]
     free = np.any([~specimen.held for specimen in specimens], axis=0)
@@ -133,6 +137,8 @@ def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnkno
         mask = np.zeros(len(q), dtype=bool)
         mask[chosen] = True
         y = potential.free_part(q)
+        if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
+            continue  # its matrix has another pattern
         (pattern, exact), (_, convex) = (potential.hessian(y, c) for c in (0.0, 1.0))
         samples.append(Sample(potential, y, pattern, exact, convex,
                               unknowns.rows(mesh, mask)[chosen]))

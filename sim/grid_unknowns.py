@@ -1,9 +1,9 @@
 """One numbering of a cloth's unknowns for all triangulations of a grid.
 
 Perturbed meshes differ in which diagonal each cell has and in which vertices the rig holds.
-Numbered by grid place instead of by mesh, their Hessians share one pattern: it holds the
+Numbered by grid place instead of by mesh, their Hessians share a pattern: it holds the
 couplings of both diagonals of every cell, and one rotation for a cell's diagonal, whichever way
-it runs.
+it runs. A wider one couples neighbouring triangles, too.
 """
 
 from functools import cached_property

@@ -60,7 +60,7 @@ class Potential:
         self._row[self._free] = np.arange(len(self._free))
         self.size = len(self._free)
         self._stencils = [self._rows(energy.dofs) for energy in energies]
-        self._framed = _framed_energy(energies, len(free))
+        self._framed = framed_energy(energies, free)
         self._here = _Here(np.empty(0), np.empty(0), self._usual_pattern)
         self._force_scale = force_scale[self._free]
         self.length_scale = length_scale[self._free]
@@ -214,15 +214,33 @@ class _Here:
     levers: np.ndarray | None = None
 
 
-def _framed_energy(energies: Sequence[Energy], unknowns: int) -> FramedEnergy | None:
-    """The energy whose frames are used: the only one that depends on the rotations in them."""
+def framed_energy(energies: Sequence[Energy], free: np.ndarray) -> FramedEnergy | None:
+    """The one of the ``energies`` whose frames can be used; None where there is none.
+
+    No other energy may depend on the rotations in its frames. These must be free, and what is
+    beyond its clamped edges held. A law that has changed the plate's Hessian must have changed
+    both forms of it.
+
+    Args:
+        energies: of one cloth.
+        free: (Q,) bool, see :class:`Terms`.
+    """
     for energy in energies:
-        if isinstance(energy, FramedEnergy):
-            rotates = np.zeros(unknowns + 1, dtype=bool)  # one more, for dofs of -1
-            rotates[energy.frames.rotations] = True
-            others = (other.dofs for other in energies if other is not energy)
-            return None if any(rotates[dofs].any() for dofs in others) else energy
+        if not isinstance(energy, FramedEnergy):
+            continue
+        frames = energy.frames
+        rotates = np.zeros(len(free) + 1, dtype=bool)  # one more, for dofs of -1
+        rotates[frames.rotations] = True
+        alone = not any(rotates[other.dofs].any() for other in energies if other is not energy)
+        fits = free[frames.rotations].all() and not free[frames.clamped].any()
+        own = _origin(energy, "hessian") is _origin(energy, "framed_hessian")
+        return energy if alone and fits and own and len(frames.rotations) else None
     return None
+
+
+def _origin(energy: Energy, method: str) -> type:
+    """The class that defines a method of an energy."""
+    return next(kind for kind in type(energy).__mro__ if method in vars(kind))
 
 
 @numba.njit(cache=True)

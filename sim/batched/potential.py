@@ -10,11 +10,11 @@ from sim.batched.energies import BatchedEnergy, batch_energies
 from sim.batched.energies.edge_frames import BatchedEdgeFrames
 from sim.batched.energies.fold_limit import BatchedFoldLimit
 from sim.batched.hessians import CachedHessians, Layout
-from sim.energies.base import FramedEnergy
+from sim.energies.edge_frames import EdgeFrames
 from sim.errors import InputError
 from sim.grid_unknowns import GridUnknowns
 from sim.mesh import Mesh
-from sim.potential import Terms
+from sim.potential import Terms, framed_energy
 
 
 class BatchedPotential:
@@ -60,10 +60,7 @@ class BatchedPotential:
         )
         self._stencils = [self._stencil(energy.dofs.mT) for energy in self._energies]
         self._slots = [self._places(energy, self._usual) for energy in self._energies]
-        self._frames = BatchedEdgeFrames.stack([
-            next(e.frames for stage in terms.stages for e in stage if isinstance(e, FramedEnergy))
-            for terms in samples
-        ], device)
+        self._frames = BatchedEdgeFrames.stack([_frames(terms) for terms in samples], device)
         self._frame_corners = self._stencil(self._frames.entries)  # (B, 12, M)
         self._frame_rotations = self._stencil(self._frames.rotations)  # (B, M)
 
@@ -146,6 +143,8 @@ class BatchedPotential:
             if blocks is not None:
                 if layout.wide:
                     slots = self._places(energy, layout)
+                if slots is None:  # felt by rounding alone
+                    continue
                 count = blocks.shape[-1]
                 upper = torch.triu_indices(count, count, device=q.device)
                 values = blocks.permute(0, 2, 3, 1)[:, upper[0], upper[1]]  # (B, P, N)
@@ -206,6 +205,16 @@ class BatchedPotential:
                 raise InputError("an energy reaches further than the grid's pattern")
             found.append(torch.where(absent, entries, slots))
         return torch.stack(found)
+
+
+def _frames(terms: Terms) -> EdgeFrames:
+    """The frames of one sample; the batched energies know no Hessians without."""
+    energies = [energy for stage in terms.stages for energy in stage]
+    energy = framed_energy(energies, terms.free)
+    if energy is None:
+        raise InputError("these laws cannot be evaluated in a batch: they need the Hessian by the "
+                         "edges' rotations; make such drapes one by one (together=False)")
+    return energy.frames
 
 
 def _stacked(arrays: Sequence[np.ndarray], device: torch.device | str) -> torch.Tensor:

@@ -54,8 +54,8 @@ class FramedEnergy(Energy, Protocol):
     def framed_hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
         """(N, M, M) blocks by moves in the frames at ``q``; ``convexity`` as for :meth:`hessian`.
 
-        Their sum is the Hessian of the whole energy; one alone is not that of its element. What is
-        held is not in it.
+        Their sum is the Hessian of the whole energy, where what the frames ask for is held; one
+        alone is not that of its element.
         """
 
 

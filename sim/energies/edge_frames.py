@@ -31,10 +31,12 @@ class EdgeFrames:
         dofs: (M, 12) coordinates of the corners of the hinge about each edge, in the order of
             :mod:`sim.energies.dihedral`; the first triangle has zeta in phi_1 = theta/2 + zeta.
         rotations: (M,) the edges' rotations among the unknowns.
+        clamped: (C,) coordinates of the triangles beyond clamped edges, which have to be held.
     """
 
     dofs: np.ndarray
     rotations: np.ndarray
+    clamped: np.ndarray
 
     def levers(self, q: np.ndarray) -> np.ndarray:
         """(M, 12) derivatives of zeta by the coordinates where xi is kept, 1/m, at ``q`` (Q,)."""

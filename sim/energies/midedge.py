@@ -58,12 +58,21 @@ class MidEdgeBending:
         )
         self.framed_dofs = np.concatenate([self.dofs[:, :9], self.dofs[:, 18:]], axis=1)
         self._edges = edges
-        t, i = np.nonzero((self.share == 0.5) & (self.sign > 0))
-        rows = np.array([_first_rows(k) for k in range(3)])[i, :, None] + np.arange(3)
-        self.frames = EdgeFrames(self.dofs[t[:, None], rows.reshape(-1, 12)], rotation[t, i])
+        inner = np.nonzero((self.share == 0.5) & (self.sign > 0))
+        beyond = self._hinge_dofs(*np.nonzero(self.share == 1.0))
+        self.frames = EdgeFrames(
+            dofs=self._hinge_dofs(*inner),
+            rotations=rotation[inner],
+            clamped=np.delete(beyond, [6, 7, 8], axis=1).ravel(),
+        )
         self.areas = bending_areas(mesh, active, self.share)
         self.maps = curvature_maps(mesh)[active]
         self.law = plate_law.constants(fabric)
+
+    def _hinge_dofs(self, triangle: np.ndarray, edge: np.ndarray) -> np.ndarray:
+        """(M, 12) coordinates of the corners of hinges, from (M,) triangles and their edges."""
+        first = np.array([_first_rows(k) for k in range(3)])[edge]  # (M, 4)
+        return self.dofs[triangle[:, None], (first[:, :, None] + np.arange(3)).reshape(-1, 12)]
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
         """The same energy of another fabric, for a fraction of the price of a new one.

@@ -108,7 +108,9 @@ def analyse(
             arrays.append(group.ones)
             arrays += [array for flow in group.flows for array in (flow.take, flow.put)]
     indices = {id(array): torch.from_numpy(array).to(device) for array in arrays}
-    return Analysis(fronts, len(pattern.indices), torch.device(device), indices)
+    # As tensors say it: a device "cuda" is not equal to theirs, "cuda:0".
+    device = torch.empty(0, device=device).device
+    return Analysis(fronts, len(pattern.indices), device, indices)
 
 
 class BatchedCholesky:

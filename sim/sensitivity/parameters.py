@@ -71,21 +71,18 @@ def force_derivatives(
         potential: of the cloth's energies and others, in the order of
             :func:`sim.equilibrium.cloth_terms`; ``fabric`` and ``laws`` those it was made of.
     """
-    own, others = potential.energies[:3], potential.energies[3 : 3 + len(laws.others)]
-    membrane, bending, fold_limit = own
+    membrane, bending, fold_limit = own = potential.energies[:3]
+    others = list(zip(laws.others, potential.energies[3:], strict=False))
 
     def made(law: Law, energy: Energy, fabric: Fabric) -> Energy:
-        # Not one that is inherited: a law of its own may have more that depends on the fabric.
-        if "with_fabric" in vars(type(energy)):
+        # Only where the law is the energy's class: others may make more of the fabric.
+        if law is type(energy) and hasattr(energy, "with_fabric"):
             return energy.with_fabric(fabric)
         return law(scene.mesh, scene.active, fabric=fabric)
 
-    def by_moduli(
-        laws: Sequence[Law], energies: Sequence[Energy], row: int, step: float
-    ) -> np.ndarray:
+    def by_moduli(pairs: Sequence[tuple[Law, Energy]], row: int, step: float) -> np.ndarray:
         ahead, behind = (
-            forces([made(law, energy, _changed(fabric, row, s))
-                    for law, energy in zip(laws, energies, strict=True)], q)
+            forces([made(law, energy, _changed(fabric, row, s)) for law, energy in pairs], q)
             for s in (step, -step)
         )
         return (ahead - behind) / (2 * step)
@@ -95,10 +92,9 @@ def force_derivatives(
     result[_DENSITY] = forces(potential.energies, q) - forces(own, q)
     for k in range(3):
         for row, step in ((k, _LOG_STEP), (3 + k, _RATIO_STEP)):
-            result[row] = by_moduli(
-                [laws.bending_law, *laws.others], [bending, *others], row, step)
+            result[row] = by_moduli([(laws.bending_law, bending), *others], row, step)
     if laws.others:
-        result[_DENSITY] -= sum(by_moduli(laws.others, others, k, _LOG_STEP) for k in range(3))
+        result[_DENSITY] -= sum(by_moduli(others, k, _LOG_STEP) for k in range(3))
     result[fabric.alpha.argmin()] += forces([fold_limit], q)  # its stiffness is that alpha
     return result
 

@@ -64,7 +64,6 @@ class Tangent:
         self.scene, self.fabric, self.laws = scene, fabric, laws or Laws()
         _require_energy(self.laws)
         self._potential = build_potential(scene, fabric, state, laws=self.laws, extra=extra)
-        self._pattern: SparsePattern | None = None
         self.q = state.unknowns
         self.softest = 0.0
         self.ok, self.message = self._approach()
@@ -134,12 +133,13 @@ class Tangent:
         """Take the last Newton steps and factorise; ``ok`` and ``message``."""
         potential = self._potential
         y = potential.free_part(self.q)
+        before: SparsePattern | None = None
         for _ in range(_STEPS):
             pattern, data = potential.hessian(y, 0.0)
             if not np.isfinite(data).all():
                 return False, "the energy is not a finite number"
-            if pattern is not self._pattern:
-                self._pattern, self._solver = pattern, make_solver(pattern)
+            if pattern is not before:
+                before, self._solver = pattern, make_solver(pattern)
             if not self._solver.factorise(data):
                 return False, "the Hessian is not positive definite: no minimum, or a fold"
             gradient = potential.gradient(y)

@@ -220,6 +220,17 @@ def test_residual_on_drape_hessians(drapes, solver):
         np.testing.assert_allclose(x[rows], other.solve(b[rows]), atol=1e-9 * np.abs(x).max())
 
 
+def test_a_device_may_be_named_as_no_tensor_names_it():
+    """As "cuda", whose tensors say "cuda:0"; on any machine, "cpu:0", whose say "cpu"."""
+    unknowns = GridUnknowns((4, 4), np.ones((4, 4), dtype=bool))
+    solver = BatchedCholesky(analyse(unknowns.pattern, unknowns.places, device="cpu:0"))
+    values = torch.zeros(1, len(unknowns.pattern.indices), dtype=torch.float64, device="cpu:0")
+    values[:, unknowns.pattern.diagonal] = 4.0
+    assert solver.factorise(values).all()
+    assert torch.equal(solver.solve(torch.ones(1, unknowns.size).double()),
+                       torch.full((1, unknowns.size), 0.25).double())
+
+
 @pytest.mark.parametrize("fault", ["indefinite", "nan", "infinite"])
 def test_a_bad_matrix_spoils_its_own_sample_only(drapes, solver, fault):
     unknowns, cases = drapes

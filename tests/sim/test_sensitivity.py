@@ -9,6 +9,7 @@ import torch
 from sim.batched.energies import batch_energies
 from sim.cantilever.elastica import elastica
 from sim.drape import DrapeResult, drape
+from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
 from sim.errors import InputError
@@ -309,9 +310,16 @@ def test_other_laws_have_derivatives_too():
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
-def test_what_a_law_makes_of_the_moduli_itself_counts():
-    """Natural curvature is a torque in proportion to the plate's constants, beside its own law."""
-    laws = Laws(bending=NaturallyCurved((20.0, 0.0, 0.0)))
+def averaged(mesh, active, *, fabric):
+    """The plate of an isotropic fabric with the mean moduli."""
+    return MidEdgeBending(mesh, active, fabric=Fabric(np.full(3, fabric.alpha.mean()),
+                                                      np.full(3, fabric.beta.mean())))
+
+
+@pytest.mark.parametrize("bending", [NaturallyCurved((20.0, 0.0, 0.0)), averaged])
+def test_what_a_law_makes_of_the_moduli_itself_counts(bending):
+    """As the torque of a natural curvature, or moduli that are means of the fabric's."""
+    laws = Laws(bending=bending)
     fabric = Fabric([80e-6, 40e-6, 50e-6], [-80e-9, -40e-9, -50e-9])
     result = drape(fabric, resolution=13, laws=laws, options=TIGHT)
     moves = sensitivities(result, laws=laws, parameters=("log_alpha",))

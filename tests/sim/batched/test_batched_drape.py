@@ -9,8 +9,10 @@ from sim.batched import drape as batched
 from sim.batched.drape import drape_batch
 from sim.batched.equilibrium import analyse_grid, find_equilibria
 from sim.batched.potential import BatchedPotential
+from sim.batched.solvers import FrontalSolver
 from sim.drape import drape, start_positions
-from sim.equilibrium import build_potential, cloth_terms
+from sim.energies.midedge import MidEdgeBending
+from sim.equilibrium import build_potential, cloth_terms, find_equilibrium
 from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
@@ -177,6 +179,32 @@ def test_both_linear_solvers_find_the_same():
     assert [r.iterations for r in first[1]] == [r.iterations for r in second[1]]
 
 
+def test_crumpled_and_smooth_cloth_together_go_the_way_of_single_ones():
+    """Some steps from where one of two feels the limit of folds: in two patterns at once."""
+    scenes, fabrics, starts, analysed, _ = problem([STIFF, SOFTENING], 12)
+    crumpled = starts[1].positions.copy()
+    noise = np.random.default_rng(0).normal(0.0, 0.012, crumpled.shape)
+    crumpled[~scenes[1].held] += noise[~scenes[1].held]
+    starts = [starts[0], State.at(scenes[1].mesh, crumpled)]
+    options = NewtonOptions(max_iterations=4, linear_solver="superlu")
+    patterns = []
+
+    def make(pattern):
+        patterns.append(pattern)
+        return FrontalSolver(analysed.analysis(pattern))
+
+    states, results = find_equilibria(scenes, fabrics, starts, analysed, options=options,
+                                      make_solver=make)
+    assert patterns == [analysed.unknowns.pattern, analysed.unknowns.wide_pattern]
+    for scene, fabric, start, state, result in zip(scenes, fabrics, starts, states, results,
+                                                   strict=True):
+        expected, single = find_equilibrium(scene, fabric, start, options=options)
+        assert result.iterations == single.iterations == 4
+        assert result.factorisations == single.factorisations
+        assert np.abs(state.positions - expected.positions).max() < 1e-8
+        assert np.abs(state.rotations - expected.rotations).max() < 1e-5
+
+
 def test_coarse_to_fine_and_resolutions_of_their_own():
     """Two resolutions in one call, one of them by way of a coarser mesh."""
     fabrics = [STIFF, SOFTENING]
@@ -242,6 +270,8 @@ def test_no_fabrics_no_drapes():
     ({"device": "abacus"}, "unknown device"),
     ({"device": "meta"}, "choose cpu or cuda"),
     ({"laws": Laws(bending="hinge"), "resolution": 16, "together": True}, "together=False"),
+    ({"laws": Laws(others=(MidEdgeBending,)), "resolution": 16, "together": True},
+     "together=False"),
     ({"starts": "crumpled"}, "unknown start"),
     ({"seeds": [0, -1]}, "negative"),
     ({"resolution": [16, 12.7]}, "whole number"),
