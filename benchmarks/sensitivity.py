@@ -237,7 +237,7 @@ def draw(rows: list[dict], path: Path) -> None:
     left.set_xticks(range(6), [name.replace("log_alpha", "log α").replace("beta_over_alpha", "β/α")
                                .replace("_", "\n") for name in THETA_NAMES], fontsize=7)
     left.set_title("off the central difference, relative", fontsize=9)
-    left.legend(fontsize=7, frameon=False)
+    left.legend(fontsize=7, frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.9))
     seconds = np.array([[row["seconds"]["drape"], row["seconds"]["backward"]]
                         for row in rows]).reshape(-1, 2)
     right.plot(seconds[:, 0], seconds[:, 1], ".")
