@@ -10,6 +10,8 @@ from typing import Protocol
 import numba
 import numpy as np
 
+from sim.energies.remember import Remembered
+
 
 class Obstacle(Protocol):
     """A convex solid."""
@@ -99,6 +101,7 @@ class ObstacleContact:
         self.share = 1.0 / vertices.shape[1]
         self.scale = areas * pressure / depth**2
         self.obstacle = obstacle
+        self._touching = Remembered()
 
     def value(self, q: np.ndarray) -> float:
         touching, _, depth = self._contacts(q)
@@ -127,6 +130,9 @@ class ObstacleContact:
 
     def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
+        return self._touching.at(q, self._find_contacts)
+
+    def _find_contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
         points = self.share * sum(corners[:, k] for k in range(corners.shape[1]))
         depth = self.obstacle.depths(points)

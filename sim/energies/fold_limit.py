@@ -3,6 +3,7 @@
 import numpy as np
 
 from sim.energies.hinge_stencils import chain_gradient, chain_hessian, find_hinges, hinge_angles
+from sim.energies.remember import Remembered
 from sim.mesh import Mesh
 
 LIMIT_START = 2.4  # rad; the angle at which the resistance begins
@@ -29,11 +30,12 @@ class FoldLimit:
     def __init__(self, mesh: Mesh, active: np.ndarray, *, stiffness: float) -> None:
         hinges = find_hinges(mesh, active)
         self.dofs = hinges.dofs
+        self._angles = Remembered()
         self.scale = stiffness * (hinges.vectors**2).sum(axis=1) / hinges.areas.sum(axis=1)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N,) dihedral angles, rad."""
-        return hinge_angles(q, self.dofs)
+        return self._angles.at(q, lambda q: hinge_angles(q, self.dofs))
 
     def value(self, q: np.ndarray) -> float:
         angle = np.abs(self.angles(q))

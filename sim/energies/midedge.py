@@ -20,6 +20,7 @@ import numpy as np
 from sim.energies import dihedral, plate_law
 from sim.energies.clamp import bending_areas
 from sim.energies.edge_frames import EdgeFrames
+from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
 
@@ -68,6 +69,7 @@ class MidEdgeBending:
         self.areas = bending_areas(mesh, active, self.share)
         self.maps = curvature_maps(mesh)[active]
         self.law = plate_law.constants(fabric)
+        self._curvatures = Remembered()
 
     def _hinge_dofs(self, triangle: np.ndarray, edge: np.ndarray) -> np.ndarray:
         """(M, 12) coordinates of the corners of hinges, from (M,) triangles and their edges."""
@@ -102,7 +104,9 @@ class MidEdgeBending:
 
     def curvatures(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
-        return _curvatures(q, self.dofs, self.share, self.sign, self.maps)
+        return self._curvatures.at(
+            q, lambda q: _curvatures(q, self.dofs, self.share, self.sign, self.maps)
+        )
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
         """(N,) energies, J/m², of the shape operators (N, 3)."""
