@@ -201,10 +201,14 @@ class BatchedPotential:
             key = low * self._size + high
             slots = torch.searchsorted(layout.keys, key).clamp(max=entries - 1)
             absent = high == self._size
-            if not ((layout.keys[slots] == key) | absent).all():
-                raise InputError("an energy reaches further than the grid's pattern")
+            _require_places((layout.keys[slots] == key) | absent)
             found.append(torch.where(absent, entries, slots))
         return torch.stack(found)
+
+
+def _require_places(found: torch.Tensor) -> None:
+    if not found.all():
+        raise InputError("an energy reaches further than the grid's pattern")
 
 
 def _frames(terms: Terms) -> EdgeFrames:
