@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing import connection, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
@@ -26,6 +26,9 @@ WORKER_ENVIRONMENT = {
     # Memory in large pages: 2 to 3 % less time at 41 x 41.
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
+
+IDLE_SECONDS = 60.0
+"""For which worker processes that nobody uses stay."""
 
 
 class _Worker(SpawnProcess):
@@ -94,10 +97,99 @@ def worker_pool(
         try:
             yield pool
         except BrokenProcessPool:
-            raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
-                             "run the same command again, with fewer workers") from None
+            raise _ended_from_outside() from None
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def pool_for(workers: int, *things: object) -> Iterator[ProcessPoolExecutor]:
+    """A pool of ``workers`` processes that can be sent ``things``, kept for who comes next.
+
+    Processes take a second to start, as long as a drape. Those of the last pool stay for a minute,
+    unless something went wrong in it, or it needed the main script, which may change.
+
+    Raises:
+        InputError: a worker was ended from outside while it was at work.
+    """
+    if defined_in_main(*things):
+        with worker_pool(workers) as pool:
+            yield pool
+        return
+    pool = _kept.take(workers)
+    with ExitStack() as undo:
+        undo.callback(pool.shutdown, cancel_futures=True)
+        try:
+            with _worker_environment():  # processes start when they are first needed
+                yield pool
+        except BrokenProcessPool:
+            raise _ended_from_outside() from None
+        undo.pop_all()
+    _kept.give(workers, pool)
+
+
+class _Kept:
+    """At most one pool that is not in use."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._pool: tuple[int, ProcessPoolExecutor] | None = None
+        self._end: threading.Timer | None = None
+
+    def take(self, workers: int) -> ProcessPoolExecutor:
+        """The kept pool if it has so many processes and they are alive; else a new one."""
+        kept = self._exchange(None)
+        if kept is not None:
+            if kept[0] == workers and _is_alive(kept[1]):
+                return kept[1]
+            kept[1].shutdown(wait=False)
+        return ProcessPoolExecutor(
+            workers, mp_context=_WorkerContextWithoutMain(), initializer=_start,
+            initargs=(None, ()))
+
+    def give(self, workers: int, pool: ProcessPoolExecutor) -> None:
+        """Keep a pool for some time, in place of another one."""
+        other = self._exchange((workers, pool))
+        if other is not None:
+            other[1].shutdown(wait=False)
+
+    def _exchange(
+        self, pool: tuple[int, ProcessPoolExecutor] | None
+    ) -> tuple[int, ProcessPoolExecutor] | None:
+        with self._lock:
+            if self._end is not None:
+                self._end.cancel()
+                self._end = None
+            before, self._pool = self._pool, pool
+            if pool is not None:
+                self._end = threading.Timer(IDLE_SECONDS, self._let_go, pool)
+                self._end.daemon = True
+                self._end.start()
+        return before
+
+    def _let_go(self, workers: int, pool: ProcessPoolExecutor) -> None:
+        with self._lock:
+            if self._pool is None or self._pool[1] is not pool:
+                return  # it was taken at the last moment
+            self._pool = self._end = None
+        pool.shutdown(wait=False)
+
+
+def _is_alive(pool: ProcessPoolExecutor) -> bool:
+    """Whether a pool still works: its processes may have been ended meanwhile."""
+    try:
+        with _worker_environment():
+            return pool.submit(os.getpid).result() > 0
+    except BrokenProcessPool:
+        return False
+
+
+def _ended_from_outside() -> InputError:
+    return InputError("a worker process was ended from outside, perhaps for lack of memory; "
+                      "run the same command again, with fewer workers")
+
+
+_kept = _Kept()
 
 
 def _start(initializer: Callable[..., None] | None, arguments: tuple) -> None:

@@ -40,7 +40,7 @@ from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 from sim.specimens import make_specimen, rim_radius
-from sim.workers import defined_in_main, worker_pool
+from sim.workers import pool_for
 
 MESHES = ("structured", "perturbed")
 """Triangulations of a grid, which drapes that are made together must have."""
@@ -96,8 +96,8 @@ def drape_batch(
         together: whether drapes of one resolution share their minimisation; None: not on a CPU.
         at_a_time: so many at most, which limits the memory.
         workers: processes that make drapes each on its own, or free those made together that
-            intersect themselves; they take a second to start. None for one a core. With
-            1, as for a single drape, this process does it itself.
+            intersect themselves; they take a second to start, and stay for a minute. None for one
+            a core. With 1, as for a single drape, this process does it itself.
             Otherwise a script that defines laws of its own must keep what it runs under ``if
             __name__ == "__main__"``, for the processes import it.
 
@@ -196,7 +196,7 @@ def _one_by_one(
     if workers <= 1:
         return [drape(**vars(request), **shared) for request in requests]
     longest = sorted(range(len(requests)), key=lambda k: -_expected_work(requests[k]))
-    with worker_pool(workers, main=defined_in_main(shared)) as pool:
+    with pool_for(workers, shared) as pool:
         made = {k: pool.submit(drape, **vars(requests[k]), **shared) for k in longest}
         return [made[k].result() for k in range(len(requests))]
 
@@ -295,7 +295,7 @@ def _freed(
     if workers <= 1:
         made = [_free(*task) for task in tasks]
     else:
-        with worker_pool(workers, main=defined_in_main(tasks[0])) as pool:
+        with pool_for(workers, tasks[0]) as pool:
             made = list(pool.map(_free, *zip(*tasks, strict=True)))
     states = list(states)
     for k, (state, _, _) in zip(tangled, made, strict=True):

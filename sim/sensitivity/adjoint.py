@@ -18,7 +18,7 @@ from sim.sensitivity.follow import follow
 from sim.sensitivity.parameters import combinations
 from sim.sensitivity.rest_shape import pull_on_rest
 from sim.sensitivity.tangent import Tangent
-from sim.workers import defined_in_main, worker_pool
+from sim.workers import pool_for
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def equilibria(
                        torch.as_tensor(here), torch.as_tensor(flat)])
         tasks.append(_task(start, *(_array(v) for v in inputs[-1]), made))
     if workers > 1 and count > 1:
-        with worker_pool(min(workers, count), main=defined_in_main(tasks[0])) as pool:
+        with pool_for(min(workers, count), tasks[0]) as pool:
             futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
                        for start, fabric, laws in tasks]
             results = [future.result() for future in futures]
