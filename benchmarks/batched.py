@@ -1,9 +1,10 @@
 """Many drapes at once: ``python -m benchmarks.batched [key=value ...]``.
 
 First, drapes a second by worker processes that make each on its own and are there (they stay
-between calls), against one core that makes one after the other, on the fabrics of ``benchmarks.speed``; in turn, several times, and the
-shortest of each reported. Then drapes minimised together, on a CPU or a GPU: time a drape against
-batch size and resolution, where it goes, memory, and whether the same drapes come out.
+between calls), against one core that makes one after the other, on the fabrics of
+``benchmarks.speed``; in turn, several times, and the shortest of each reported. Then drapes
+minimised together, on a CPU or a GPU: time a drape against batch size and resolution, where it
+goes, memory, and whether the same drapes come out.
 
 Keys (``key=value``):
 
