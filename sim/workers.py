@@ -190,6 +190,9 @@ def _ended_from_outside() -> InputError:
 
 
 _kept = _Kept()
+if hasattr(os, "register_at_fork"):
+    # A copy of this process has no way to the processes of the original.
+    os.register_at_fork(after_in_child=_kept.__init__)
 
 
 def _start(initializer: Callable[..., None] | None, arguments: tuple) -> None:

@@ -1,5 +1,6 @@
 """Worker processes that stay for the next call, and those that do not."""
 
+import multiprocessing
 import os
 import signal
 import time
@@ -82,3 +83,22 @@ def test_processes_that_know_the_main_script_do_not_stay(monkeypatch):
     with pool_for(1, "ours") as pool:
         process = process_of(pool)
     assert ended(process)
+
+
+def test_a_copy_of_the_process_starts_its_own():
+    def in_the_copy(connection) -> None:
+        with pool_for(1, 1.0) as pool:
+            connection.send(process_of(pool))
+        workers._kept.take(1).shutdown()
+
+    with pool_for(1, 1.0) as pool:
+        first = process_of(pool)
+    fork = multiprocessing.get_context("fork")
+    here, there = fork.Pipe()
+    copy = fork.Process(target=in_the_copy, args=(there,))
+    copy.start()
+    assert here.poll(60) and here.recv() != first
+    copy.join(60)
+    assert copy.exitcode == 0
+    with pool_for(1, 1.0) as pool:
+        assert process_of(pool) == first
