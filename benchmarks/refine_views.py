@@ -33,6 +33,7 @@ from benchmarks.common import (
     parse_settings,
     run_cases,
     table,
+    tick_short_scales,
     usual_size,
     write_figure,
     write_report,
@@ -186,6 +187,7 @@ def picture(views: dict[str, dict], path: Path) -> None:
                       color=colour, ms=4, label=f"{name}, {('warp', 'bias', 'weft')[k]}")
     axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]",
              title="from four noisy views")
+    tick_short_scales(axis.xaxis, axis.yaxis)
     ends = np.array(axis.get_xlim())
     axis.plot(ends, ends, color="k", lw=0.8)
     axis.legend(fontsize=7, frameon=False)
