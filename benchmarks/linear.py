@@ -35,7 +35,14 @@ import torch  # noqa: E402
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report  # noqa: E402
+from benchmarks.common import (  # noqa: E402
+    REPORTS,
+    parse_settings,
+    table,
+    tick_short_scales,
+    write_figure,
+    write_report,
+)
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
@@ -293,6 +300,7 @@ def picture(unknowns: GridUnknowns, rows: list[dict], path: Path) -> None:
         right.axhline(least, color="0.5", linestyle=":",
                       label=f"{vertices} × {vertices}, one by one")
     right.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
+    tick_short_scales(right.xaxis, right.yaxis)
     right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
     figure.tight_layout()
     write_figure(path, figure)
