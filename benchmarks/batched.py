@@ -69,7 +69,7 @@ def throughput(
         alone = [drape(fabric, resolution=resolution, seed=seed)
                  for seed, fabric in enumerate(fabrics)]
         single.append((time.perf_counter() - began, time.process_time() - busy))
-        drape_batch([fabrics[0]] * workers, resolution=16, workers=workers)  # processes are there
+        start_seconds(fabrics[0], workers)  # processes are there
         began = time.perf_counter()
         made = drape_batch(fabrics, resolution=resolution, workers=workers)
         several.append(time.perf_counter() - began)

@@ -59,7 +59,7 @@ from sim.linear.nested_dissection import dissect  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
 from sim.potential import Potential  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
-from sim.sensitivity.parameters import gathered  # noqa: E402
+from sim.sensitivity.parameters import hessian_product  # noqa: E402
 from sim.specimens import make_specimen  # noqa: E402
 
 DEFAULTS = {
@@ -99,15 +99,10 @@ class Sample:
         The Hessian is summed from the energies' own blocks by unknowns, which know of no frames.
         """
         q = self.potential.full(self.y)
-        move = np.zeros(len(q) + 1)  # the zero at the end for dofs of -1
+        move = np.zeros(len(q))
         move[self.potential.free_part(np.arange(len(q)))] = self.potential.out_of_frames(
             self.y, inside)
-        product = np.zeros(len(q))
-        for energy in self.potential.energies:
-            blocks = energy.hessian(q, convexity)
-            if blocks is not None:
-                parts = np.einsum("nij,nj->ni", blocks, move[energy.dofs])
-                product += gathered(energy, parts, len(q))
+        product = hessian_product(self.potential.energies, q, move, convexity=convexity)
         error = self.potential.free_part(product) - rhs
         return float(np.linalg.norm(error) / np.linalg.norm(rhs))
 

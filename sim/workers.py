@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from multiprocessing import connection, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
@@ -73,40 +73,30 @@ def defined_in_main(*things: object) -> bool:
 
 @contextmanager
 def worker_pool(
-    workers: int,
-    initializer: Callable[..., None] | None = None,
-    *arguments: object,
-    main: bool = True,
+    workers: int, initializer: Callable[..., None] | None = None, *arguments: object
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of ``workers`` fresh processes; what is not done when it is left is cancelled.
 
-    Every process first calls ``initializer(*arguments)``; all this, and the work, is sent by name,
-    so it must be importable. Without ``main`` the processes do not import the main script, which
-    saves them seconds where it imports large libraries (:func:`defined_in_main`).
+    Every process imports the main script and calls ``initializer(*arguments)``; all this, and the
+    work, is sent by name, so it must be importable.
 
     Raises:
         InputError: a worker was ended from outside.
     """
-    with _worker_environment():
-        pool = ProcessPoolExecutor(
-            workers,
-            mp_context=_WorkerContext() if main else _WorkerContextWithoutMain(),
-            initializer=_start,
-            initargs=(initializer, arguments),
-        )
-        try:
+    pool = _new_pool(workers, _WorkerContext(), initializer, arguments)
+    try:
+        with _at_work():
             yield pool
-        except BrokenProcessPool:
-            raise _ended_from_outside() from None
-        finally:
-            pool.shutdown(cancel_futures=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
 def pool_for(workers: int, *things: object) -> Iterator[ProcessPoolExecutor]:
     """A pool of ``workers`` processes that can be sent ``things``, kept for who comes next.
 
-    Processes take a second to start, as long as a drape. Those of the last pool stay for a minute,
+    Processes take a second to start, as long as a drape, and some more where they import a main
+    script with large libraries (:func:`defined_in_main`). Those of the last pool stay for a minute,
     unless something went wrong in it, or it needed the main script, which may change.
 
     Raises:
@@ -117,15 +107,36 @@ def pool_for(workers: int, *things: object) -> Iterator[ProcessPoolExecutor]:
             yield pool
         return
     pool = _kept.take(workers)
-    with ExitStack() as undo:
-        undo.callback(pool.shutdown, cancel_futures=True)
-        try:
-            with _worker_environment():  # processes start when they are first needed
-                yield pool
-        except BrokenProcessPool:
-            raise _ended_from_outside() from None
-        undo.pop_all()
+    try:
+        with _at_work():
+            yield pool
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
     _kept.give(workers, pool)
+
+
+def _new_pool(
+    workers: int,
+    context: SpawnContext,
+    initializer: Callable[..., None] | None = None,
+    arguments: tuple = (),
+) -> ProcessPoolExecutor:
+    """A pool; its processes start when they are first needed, within :func:`_at_work`."""
+    return ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_start, initargs=(initializer, arguments)
+    )
+
+
+@contextmanager
+def _at_work() -> Iterator[None]:
+    """What surrounds all work of a pool."""
+    with _worker_environment():
+        try:
+            yield
+        except BrokenProcessPool:
+            raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
+                             "run the same command again, with fewer workers") from None
 
 
 class _Kept:
@@ -143,9 +154,7 @@ class _Kept:
             if kept[0] == workers and _is_alive(kept[1]):
                 return kept[1]
             kept[1].shutdown(wait=False)
-        return ProcessPoolExecutor(
-            workers, mp_context=_WorkerContextWithoutMain(), initializer=_start,
-            initargs=(None, ()))
+        return _new_pool(workers, _WorkerContextWithoutMain())
 
     def give(self, workers: int, pool: ProcessPoolExecutor) -> None:
         """Keep a pool for some time, in place of another one."""
@@ -178,15 +187,10 @@ class _Kept:
 def _is_alive(pool: ProcessPoolExecutor) -> bool:
     """Whether a pool still works: its processes may have been ended meanwhile."""
     try:
-        with _worker_environment():
+        with _at_work():
             return pool.submit(os.getpid).result() > 0
-    except BrokenProcessPool:
+    except InputError:
         return False
-
-
-def _ended_from_outside() -> InputError:
-    return InputError("a worker process was ended from outside, perhaps for lack of memory; "
-                      "run the same command again, with fewer workers")
 
 
 _kept = _Kept()

@@ -35,7 +35,7 @@ class Layout:
 
     @classmethod
     def of(
-        cls, pattern: SparsePattern, device: torch.device | str, *, wide: bool = False
+        cls, pattern: SparsePattern, device: torch.device | str, *, wide: bool
     ) -> "Layout":
         return cls(
             pattern=pattern,
@@ -92,7 +92,8 @@ class CachedHessians:
                 if not needed.any():
                     continue
                 if layout.wide:
-                    part = self._assembled(stage, end, index, layout)
+                    part = torch.cat([self._assembled(stage, end, some, layout)
+                                      for some in self._portions(index)])
                 else:
                     part = self._end(stage, end, index[needed])[on_device(index, self._q)]
                 if not (weight == 1.0).all():
@@ -110,9 +111,9 @@ class CachedHessians:
             self._data[key] = self._q.new_zeros(len(self._q), len(layout.keys))
             self._known[key] = np.zeros(len(self._q), dtype=bool)
         missing = index[~self._known[key][index]]
-        if len(missing):
-            self._data[key][on_device(missing, self._q)] = self._assembled(
-                stage, convexity, missing, layout)
+        for some in self._portions(missing):
+            self._data[key][on_device(some, self._q)] = self._assembled(
+                stage, convexity, some, layout)
         self._known[key][missing] = True
         return self._data[key]
 
@@ -120,11 +121,12 @@ class CachedHessians:
         self, stage: int, convexity: float, index: np.ndarray, layout: Layout
     ) -> torch.Tensor:
         """(b, nnz) one stage, exact (0) or convex (1), of the samples ``index`` (b,)."""
+        return self._part(index).assemble(self._at(index), stage, convexity, layout)
+
+    def _portions(self, index: np.ndarray) -> list[np.ndarray]:
+        """Samples whose element blocks have room in memory together."""
         many = _AT_A_TIME[self._q.device.type]
-        return torch.cat([
-            self._part(some).assemble(self._at(some), stage, convexity, layout)
-            for some in np.split(index, range(many, len(index), many))
-        ])
+        return [index[first : first + many] for first in range(0, len(index), many)]
 
     def _part(self, index: np.ndarray) -> "BatchedPotential":
         return part_of(self._potential, index, self._q)

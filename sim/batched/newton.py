@@ -181,12 +181,11 @@ class _Run:
         """Whether the Hessians of the samples ``index`` (b,) are definite, and solutions (b, n)."""
         self.factorisations[index] += 1
         found, solution = np.zeros(len(index), dtype=bool), torch.empty_like(rhs)
-        systems = hessians.systems(index, np.take(CONVEXITY, level), np.take(SHIFTS, shift))
-        while True:
-            with self._timed("assemble"):
-                which, pattern, data = next(systems, (None, None, None))
-            if which is None:
-                return found, solution
+        with self._timed("assemble"):
+            systems = list(
+                hessians.systems(index, np.take(CONVEXITY, level), np.take(SHIFTS, shift))
+            )
+        for which, pattern, data in systems:
             if pattern not in self.solvers:
                 with self._timed("analyse"):
                     self.solvers[pattern] = self.make_solver(pattern)
@@ -196,6 +195,7 @@ class _Run:
                 definite, move = self.solvers[pattern].solve(data, force)
                 found[which] = on_host(definite)
                 solution[at] = hessians.out_of_frames(some, move)
+        return found, solution
 
     def _nudge(self, index: np.ndarray) -> None:
         """Small moves out of saddles: random, smoothed by the convex Hessian."""

@@ -46,7 +46,7 @@ class BatchedPotential:
             [[energy for stage in terms.stages for energy in stage] for terms in samples], device
         )
         self._unknowns, self._size = unknowns, unknowns.size
-        self._usual = Layout.of(unknowns.pattern, device)
+        self._layouts: dict[bool, Layout] = {}  # shared with the parts of this one
         row = np.stack([
             unknowns.rows(mesh, terms.free) for terms, mesh in zip(samples, meshes, strict=True)
         ])
@@ -59,7 +59,7 @@ class BatchedPotential:
             self._absent > 0, 0.0, self._force_scale / self._length_scale
         )
         self._stencils = [self._stencil(energy.dofs.mT) for energy in self._energies]
-        self._slots = [self._places(energy, self._usual) for energy in self._energies]
+        self._slots = [self._places(energy, self.layout(wide=False)) for energy in self._energies]
         self._frames = BatchedEdgeFrames.stack([_frames(terms) for terms in samples], device)
         self._frame_corners = self._stencil(self._frames.entries)  # (B, 12, M)
         self._frame_rotations = self._stencil(self._frames.rotations)  # (B, M)
@@ -128,9 +128,10 @@ class BatchedPotential:
 
     def layout(self, *, wide: bool) -> Layout:
         """The pattern with, or without, places for all energies."""
-        if not wide:
-            return self._usual
-        return Layout.of(self._unknowns.wide_pattern, self._rows.device, wide=True)
+        if wide not in self._layouts:
+            pattern = self._unknowns.wide_pattern if wide else self._unknowns.pattern
+            self._layouts[wide] = Layout.of(pattern, self._rows.device, wide=wide)
+        return self._layouts[wide]
 
     def assemble(
         self, q: torch.Tensor, stage: int, convexity: float, layout: Layout

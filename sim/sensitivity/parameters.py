@@ -112,6 +112,23 @@ def forces(energies: Sequence[Energy], q: np.ndarray) -> np.ndarray:
     return sum(gathered(energy, energy.gradient(q), len(q)) for energy in energies)
 
 
+def hessian_product(
+    energies: Sequence[Energy], q: np.ndarray, move: np.ndarray, *, convexity: float = 0.0
+) -> np.ndarray:
+    """(Q,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (Q,).
+
+    By the energies' own blocks, which know of no frames; ``convexity`` as for
+    :meth:`sim.energies.base.Energy.hessian`.
+    """
+    total = np.zeros_like(q)
+    for energy in energies:
+        blocks = energy.hessian(q, convexity)
+        if blocks is not None:
+            local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
+            total += gathered(energy, np.einsum("nij,nj->ni", blocks, local), len(total))
+    return total
+
+
 def gathered(energy: Energy, parts: np.ndarray, size: int) -> np.ndarray:
     """(size,) sums of what the elements of an energy have for their unknowns, parts (N, K)."""
     return np.bincount(energy.dofs.ravel() + 1, parts.ravel(), minlength=size + 1)[1:]

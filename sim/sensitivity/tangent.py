@@ -17,7 +17,7 @@ from sim.mesh import Mesh
 from sim.potential import Potential
 from sim.scene import Scene, State
 from sim.self_contact import contact_near
-from sim.sensitivity.parameters import force_derivatives, forces, gathered
+from sim.sensitivity.parameters import force_derivatives, forces, hessian_product
 
 STEP, RESIDUAL = 1e-5, 1e-6
 """mm and weights of a vertex: Newton's next step and largest force at the state that is
@@ -117,13 +117,7 @@ class Tangent:
 
     def force_of(self, move: np.ndarray) -> np.ndarray:
         """(Q,) change of the energy's gradient when the unknowns move by ``move`` (Q,)."""
-        total = np.zeros_like(self.q)
-        for energy in self._potential.energies:
-            blocks = energy.hessian(self.q, 0.0)
-            if blocks is not None:
-                local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
-                total += gathered(energy, np.einsum("nij,nj->ni", blocks, local), len(total))
-        return total
+        return hessian_product(self._potential.energies, self.q, move)
 
     def force_derivatives(self) -> np.ndarray:
         """See :func:`sim.sensitivity.parameters.force_derivatives`."""

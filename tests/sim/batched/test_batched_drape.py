@@ -90,6 +90,14 @@ def problem(fabrics, n, **settings):
     return scenes, fabrics, starts, analyse_grid(free), terms
 
 
+def potential_of(fabrics):
+    """Scenes, starts, terms, shared unknowns, the batch's potential and its rows at the starts."""
+    scenes, _, starts, analysed, terms = problem(fabrics, 12)
+    potential = BatchedPotential(terms, [scene.mesh for scene in scenes], analysed.unknowns)
+    y = potential.start([sample.template for sample in terms])
+    return scenes, starts, terms, analysed.unknowns, potential, y
+
+
 def only(systems):
     """The one group of systems there is, its data as an array."""
     (which, pattern, data), = systems
@@ -99,10 +107,7 @@ def only(systems):
 def test_potential_is_that_of_the_samples():
     """Value, gradient, Hessian at every convexity, scales and limits, on shared unknowns."""
     fabrics = [STIFF, SOFTENING, SOFT]
-    scenes, _, starts, analysed, terms = problem(fabrics, 12)
-    unknowns = analysed.unknowns
-    potential = BatchedPotential(terms, [scene.mesh for scene in scenes], unknowns)
-    y = potential.start([sample.template for sample in terms])
+    scenes, starts, terms, unknowns, potential, y = potential_of(fabrics)
     y += 1e-3 * torch.from_numpy(np.random.default_rng(0).standard_normal(y.shape))
     index, shift = np.array([2, 0, 2, 1]), np.array([0.0, 0.5, 2.0, 0.0])
     levels = np.array([0.1, 0.0, 1.0, 0.5])
@@ -149,10 +154,7 @@ def test_potential_is_that_of_the_samples():
 def test_who_feels_the_limit_of_folds_has_another_pattern():
     """Two of three samples, one of them crumpled: its matrix is that of the single potential."""
     fabrics = [STIFF, SOFTENING, SOFT]
-    scenes, _, starts, analysed, terms = problem(fabrics, 12)
-    unknowns = analysed.unknowns
-    potential = BatchedPotential(terms, [scene.mesh for scene in scenes], unknowns)
-    y = potential.start([sample.template for sample in terms])
+    scenes, starts, terms, unknowns, potential, y = potential_of(fabrics)
     y[1] += 0.03 * torch.from_numpy(np.random.default_rng(0).standard_normal(y[1].shape))
     hessians = potential.hessians(y)
     systems = list(hessians.systems(np.array([0, 1]), np.array([0.0, 0.1]), np.zeros(2)))
