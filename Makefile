@@ -71,7 +71,7 @@ bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the sa
 	$(BIN)/python -m benchmarks.report
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
-	for name in elastica strips testers membranes meshes convergence; do \
+	for name in elastica strips testers membranes meshes default_mesh convergence; do \
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 example: $(STAMP)  ## make the bundled capture again

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import batched, common, information, meshes, refine_views, report
+from benchmarks import (
+    batched,
+    common,
+    default_mesh,
+    information,
+    meshes,
+    refine_views,
+    report,
+)
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from sim.errors import InputError
@@ -126,6 +134,26 @@ def test_batched_drapes_are_timed_and_compared(tmp_path):
     assert row["batch"] == 2 and row["resolution"] == 16 and row["peak_memory_GiB"] > 0.1
     assert sum(row["share_by_activity"].values()) == pytest.approx(1.0, abs=0.05)
     assert found["agreement"]["same_shape"] == 1
+
+
+def test_cloth_put_down_on_the_fine_mesh_itself_stays():
+    found = default_mesh.one_fabric(0, 77, [31, 46], fine=46)
+    assert found["fine_converged"] and found["resolution"] == 41
+    apart = {row["mesh"]: row["apart_mm"] for row in found["meshes"]}
+    assert list(apart) == ["default, as draped", "default", "31", "46"]
+    assert apart["46"] < 1e-3 < 0.1 < apart["default"] < apart["31"]
+
+
+def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
+    def row(apart: float, cost: float, *, folds: bool = True, converged: bool = True) -> dict:
+        return {"mesh": "51", "apart_mm": apart, "same_folds": folds, "converged": converged,
+                "cpu_seconds": cost}
+
+    rows = row(0.6, 1.0), row(1.0, 2.0), row(9.0, 3.0, folds=False), row(8.0, 6.0, converged=False)
+    (found,) = default_mesh.summarise([{"meshes": [one]} for one in rows])
+    assert found["same_folds"] == 2 and found["within_limit"] == 1
+    assert found["mean_mm"] == pytest.approx(0.8) and found["largest_mm"] == 1.0
+    assert found["mean_cpu_seconds"] == pytest.approx(3.0)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
