@@ -19,8 +19,8 @@ from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.output import require_output, write_estimate, write_report
 from drapenet.table import format_table
 from sim.cli import parse_overrides, run_command
+from sim.ctrl_c import deferred
 from sim.errors import InputError
-from sim.interrupt import deferred
 
 
 def infer(

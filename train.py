@@ -7,7 +7,7 @@ Run the same command again after an interruption: it goes on from the last finis
 ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.
 """
 
-import sim.interrupt
+import sim.interrupt  # noqa: F401
 
 # isort: split
 import math
@@ -15,11 +15,13 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
+from sim.ctrl_c import deferred
+
 # Threads that wait for each other sleep: on a busy processor, and the workers that make views keep
 # it busy, waiting in a loop makes a step up to 17 times as long. Read when torch is loaded.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-with sim.interrupt.deferred():
+with deferred():
     import torch
 from omegaconf import OmegaConf
 from torch.utils.tensorboard import SummaryWriter

@@ -10,13 +10,15 @@ in units of the training set's standard deviation, beside those of always predic
 set's mean.
 """
 
-import sim.interrupt
+import sim.interrupt  # noqa: F401
 
 # isort: split
 from pathlib import Path
 from typing import NoReturn
 
-with sim.interrupt.deferred():
+from sim.ctrl_c import deferred
+
+with deferred():
     import torch
 from tqdm import tqdm
 

@@ -13,6 +13,7 @@ from multiprocessing import connection, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 
+from sim.ctrl_c import deferred
 from sim.errors import InputError
 from sim.memory import keep_freed_memory
 
@@ -88,7 +89,8 @@ def worker_pool(
         with _at_work():
             yield pool
     finally:
-        pool.shutdown(cancel_futures=True)
+        with deferred():
+            pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
@@ -111,7 +113,8 @@ def pool_for(workers: int, *things: object) -> Iterator[ProcessPoolExecutor]:
         with _at_work():
             yield pool
     except BaseException:
-        pool.shutdown(cancel_futures=True)
+        with deferred():
+            pool.shutdown(cancel_futures=True)
         raise
     _kept.give(workers, pool)
 

@@ -16,8 +16,8 @@ import pytest
 import sim
 from sim.__main__ import main
 from sim.cli import parse_overrides
+from sim.ctrl_c import deferred
 from sim.errors import InputError
-from sim.interrupt import deferred
 from sim.workers import worker_pool
 
 
@@ -108,6 +108,49 @@ def test_ctrl_c_during_the_imports_is_one_line():
     done = subprocess.run([sys.executable, "-c", "import sim.interrupt; 1 / 0"],
                           capture_output=True, text=True)
     assert "Traceback" in done.stderr and done.returncode == 1
+
+
+COMPILED = """
+import sim.interrupt
+import os, signal, threading, time
+import numpy as np
+from sim.linear import SparsePattern
+
+stencil = np.arange(3000).reshape(-1, 6)
+SparsePattern([stencil], 3000)
+met = 0
+for _ in range(4):
+    threading.Timer(0.6, os.kill, [os.getpid(), signal.SIGINT]).start()
+    try:
+        end = time.monotonic() + 20
+        while time.monotonic() < end:
+            SparsePattern([stencil], 3000)
+    except KeyboardInterrupt:
+        met += 1
+print(met)
+"""
+
+
+def test_ctrl_c_in_a_compiled_function_is_ctrl_c():
+    done = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("4\n", "")
+
+
+def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path):
+    command = [sys.executable, "-m", "data.generate", f"out={tmp_path / 'set'}", "drapes=80",
+               "resolution=21", "dataset.drapes_per_shard=4", "dataset.orientations=2", "workers=2"]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                           start_new_session=True)
+    time.sleep(4.0)
+    os.killpg(run.pid, signal.SIGINT)
+    time.sleep(0.001)
+    os.killpg(run.pid, signal.SIGINT)
+    try:
+        _, said = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert run.returncode in (130, -signal.SIGINT) and "Traceback" not in said
+    assert said.splitlines()[-1] == "interrupted"
 
 
 def in_a_thread() -> str:

@@ -1,0 +1,52 @@
+"""What Ctrl-C meets, and when; nothing changes by importing this (see :mod:`sim.interrupt`)."""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+ONE_PRESS = 0.5
+"""Seconds within which interruptions count as one: `timeout` and some shells send two."""
+_LATER = 1e-3  # s
+_last = -float("inf")
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """A handler in place of Python's own: KeyboardInterrupt, but once, and at a good moment."""
+    global _last
+    if frame is not None and frame.f_code.co_name == "_numba_unpickle":
+        # Raised within a compiled function, an interruption would become a SystemError.
+        again = threading.Timer(_LATER, signal.raise_signal, [number])
+        again.daemon = True
+        again.start()
+    elif time.monotonic() - _last > ONE_PRESS:
+        _last = time.monotonic()
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Ctrl-C within takes effect at the end.
+
+    Nothing changes in other threads than the main one, which never meet it, and where Ctrl-C means
+    something else, as in jobs in the background, which ignore it.
+
+    For imports of torch: at some moments of its loading an interruption ends the process with an
+    abort and C++'s own words, at others Python swallows it. And for the end of worker processes,
+    which would be waited for without end if it was cut short.
+    """
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) not in (interrupt, signal.default_int_handler)):
+        yield
+        return
+    came = []
+    # Blocking the signal would leave it to the threads that NumPy has started.
+    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
