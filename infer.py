@@ -3,8 +3,8 @@
     python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
     python infer.py scan=FILE refine=scan [out=DIR]
 
-Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. The formats of a
-capture are described in ``data/captures.py``, all keys in ``configs/infer.yaml``.
+Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. What a capture
+consists of is described in ``README.md``, "Your own fabric", all keys in ``configs/infer.yaml``.
 """
 
 import sim.interrupt  # noqa: F401

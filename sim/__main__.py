@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.cli import parse_overrides, run_command
+from sim.cli import check_density, parse_overrides, run_command
 from sim.drape import DrapeResult, drape
 from sim.drape_file import read_borrowed, write_drape
 from sim.errors import InputError
@@ -60,6 +60,7 @@ def main(argv: list[str]) -> None:
     folder = folder_named(config["out"])
     if len(config["offset"]) != 2:
         raise InputError("offset needs two values in mm: along warp, along weft")
+    check_density(config["density"])
     fabric = Fabric(
         alpha=np.array(config["alpha"]) * MICRO,
         beta=np.array(config["beta"]) * NANO,

@@ -14,6 +14,8 @@ from yaml import YAMLError
 from sim.errors import InputError
 from sim.memory import keep_freed_memory
 
+LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
+
 
 def parse_overrides(defaults: dict, argv: list[str]) -> dict:
     """Lay ``key=value`` words over ``defaults`` (nested keys with dots).
@@ -30,6 +32,9 @@ def parse_overrides(defaults: dict, argv: list[str]) -> dict:
     known = ", ".join(sorted(str(key) for key in defaults))
     for word in argv:
         key, equals, text = word.partition("=")
+        if word.startswith("--"):
+            raise InputError(f"'{word}': keys are written without dashes, as key=value; known "
+                             f"keys: {known}")
         if not equals:
             raise InputError(f"'{word}' is not of the form key=value; known keys: {known}")
         place, *names = [config, *key.split(".")]
@@ -63,6 +68,13 @@ def _convert(key: str, text: str, old: object) -> object:
     if old is None or type(value) is type(old):
         return value
     raise InputError(f"{key}: '{text}' is no {type(old).__name__}; give one like {old}")
+
+
+def check_density(density: float) -> None:
+    """InputError for a density in g/m² that is no fabric's, such as one in kg/m²."""
+    if not LIGHTEST <= density <= HEAVIEST:
+        raise InputError(f"density={density:g} is no fabric's, {LIGHTEST:g} to {HEAVIEST:g} g/m²; "
+                         "check its unit")
 
 
 def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:

@@ -41,7 +41,7 @@ from sim.cantilever.fabric import METHODS, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
 from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
-from sim.cli import parse_overrides, run_command
+from sim.cli import check_density, parse_overrides, run_command
 from sim.errors import InputError
 from sim.files import replace_file, replace_json, require_file
 from sim.material import DIRECTIONS, MICRO, NANO
@@ -50,7 +50,6 @@ from sim.scene import GRAVITY
 
 LENGTH = 0.09  # m; only gamma matters
 LARGEST_SIMULATED_GAMMA = 2000.0
-LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what is measured
 CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
 
 DEFAULTS = {
@@ -131,9 +130,7 @@ def print_estimate(config: dict) -> None:
         raise InputError(f"unknown method '{config['method']}'; choose from {', '.join(known)}")
     if not config["density"] > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
-    if not LIGHTEST <= config["density"] <= HEAVIEST:
-        raise InputError(f"density={config['density']:g} is no fabric's, {LIGHTEST:g} to "
-                         f"{HEAVIEST:g} g/m²; check its unit")
+    check_density(config["density"])
     if config["rounds"] < 0 or not 0 < config["width"] <= 500:
         raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
     if config["out"]:

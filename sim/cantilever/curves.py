@@ -47,10 +47,12 @@ def read_curve(path: str | Path) -> np.ndarray:
             rows = [(reader.line_num, row) for reader in [csv.reader(file, skipinitialspace=True)]
                     for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot read the curve {path}: {one_line(error)}") from None
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise InputError(f"cannot read the curve {path}: {reason}") from None
     header = [cell.strip() for cell in rows[0][1]] if rows else []
     if not set(COLUMNS) <= set(header):
-        raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}")
+        raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "
+                         "separated by commas")
     x, y = (header.index(name) for name in COLUMNS)
     points = []
     for line, row in rows[1:]:
