@@ -111,6 +111,14 @@ def test_ctrl_c_during_the_imports_is_one_line():
     assert "Traceback" in done.stderr and done.returncode == 1
 
 
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C as a program in the foreground has it, and those it starts, wherever tests run."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 COMPILED = """
 import sim.interrupt
 import os, subprocess, time
@@ -132,13 +140,13 @@ print(met)
 """
 
 
-def test_ctrl_c_in_a_compiled_function_is_ctrl_c():
+def test_ctrl_c_in_a_compiled_function_is_ctrl_c(ctrl_c):
     done = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("4\n", "")
 
 
-def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path):
-    command = [sys.executable, "-m", "data.generate", f"out={tmp_path / 'set'}", "drapes=80",
+def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path, ctrl_c):
+    command = [sys.executable, "-m", "data.generate", f"out={tmp_path / 'set'}", "drapes=400",
                "resolution=21", "dataset.drapes_per_shard=4", "dataset.orientations=2", "workers=2"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                            start_new_session=True)
@@ -157,14 +165,6 @@ def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path):
 def in_a_thread() -> str:
     with deferred():
         return "fine"
-
-
-@pytest.fixture
-def ctrl_c():
-    """Ctrl-C as a program in the foreground has it, wherever the tests run."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def test_ctrl_c_waits_for_the_end_of_what_it_must_not_meet(ctrl_c):
