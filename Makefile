@@ -41,7 +41,7 @@ lint: $(STAMP)  ## style
 	$(BIN)/ruff check .
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
-	$(BIN)/python -m sim
+	$(BIN)/python -m apps.drape
 
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)

@@ -7,20 +7,20 @@ Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. Wh
 consists of is described in ``README.md``, "Your own fabric", all keys in ``configs/infer.yaml``.
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 from pathlib import Path
 from typing import NoReturn
 
+from common.cli import parse_overrides, run_command
+from common.ctrl_c import deferred
+from common.errors import InputError
 from data.captures import Capture, read_capture
 from data.configs import read_config
 from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.output import require_output, write_estimate, write_report
 from drapenet.table import format_table
-from sim.cli import parse_overrides, run_command
-from sim.ctrl_c import deferred
-from sim.errors import InputError
 
 
 def infer(

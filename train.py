@@ -7,7 +7,7 @@ Run the same command again after an interruption: it goes on from the last finis
 ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 import math
@@ -15,7 +15,7 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
-from sim.ctrl_c import deferred
+from common.ctrl_c import deferred
 
 # Threads that wait for each other sleep: on a busy processor, and the workers that make views keep
 # it busy, waiting in a loop makes a step up to 17 times as long. Read when torch is loaded.
@@ -27,6 +27,9 @@ from omegaconf import OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from common.cli import run_command
+from common.errors import InputError
+from common.files import require_folder
 from data.configs import compose_config
 from drapenet.checkpoint import (
     load_model,
@@ -46,9 +49,6 @@ from drapenet.training import (
     training_batches,
     validate,
 )
-from sim.cli import run_command
-from sim.errors import InputError
-from sim.files import require_folder
 
 
 def train(config: TrainConfig) -> Path:

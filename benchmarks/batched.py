@@ -34,12 +34,12 @@ import torch
 
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from benchmarks.speed import peak_memory, prior_fabrics
+from common.cli import run_command
+from common.errors import InputError
+from common.workers import worker_pool
 from sim.batched.drape import drape_batch
-from sim.cli import run_command
 from sim.drape import DrapeResult, drape
-from sim.errors import InputError
 from sim.material import Fabric
-from sim.workers import worker_pool
 
 DEFAULTS = {
     "device": "cpu",

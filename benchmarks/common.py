@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.cli import parse_overrides
-from sim.errors import InputError
-from sim.files import replace_file, replacing, require_file, require_folder
-from sim.provenance import package_versions, processor
-from sim.workers import worker_pool
+from common.cli import parse_overrides
+from common.errors import InputError
+from common.files import replace_file, replacing, require_file, require_folder
+from common.provenance import package_versions, processor
+from common.workers import worker_pool
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -29,7 +29,7 @@ REPORTS = ROOT / "docs" / "validation"
 
 
 def parse_settings(defaults: dict, argv: list[str]) -> dict:
-    """Words ``key=value`` over ``defaults`` (:func:`sim.cli.parse_overrides`).
+    """Words ``key=value`` over ``defaults`` (:func:`common.cli.parse_overrides`).
 
     Raises:
         InputError: a wrong word; a place of results, ``out`` or a folder of unfinished work, that

@@ -30,10 +30,10 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior
 from data.sampling import STARTS, SamplingConfig, plan_drape
-from sim.cli import run_command
 from sim.drape import drape
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.self_contact import self_intersections

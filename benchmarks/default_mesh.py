@@ -34,7 +34,7 @@ from benchmarks.common import (
     write_report,
 )
 from benchmarks.speed import prior_fabrics
-from sim.cli import run_command
+from common.cli import run_command
 from sim.comparison import Draped, compare, same_folds
 from sim.drape import FINE_OPTIONS, drape, scene_on
 from sim.initial import interpolate_positions

@@ -31,12 +31,12 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from drapenet.refine.descriptor import GridSpectrum, RingSpectrum
-from sim.cli import run_command
 from sim.drape import drape
-from sim.errors import InputError
 from sim.initial import interpolate_positions
 from sim.scene import Rig
 

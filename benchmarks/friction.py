@@ -31,15 +31,15 @@ from benchmarks.common import (
     write_report,
 )
 from benchmarks.photographs import photographed, place
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from drapenet.checkpoint import BUNDLED, load_model, read_header
 from sim.cantilever.fabric import bending_length, estimate, simulate_strips
-from sim.cli import run_command
 from sim.drape import drape
 from sim.energies.bending_friction import Rubbing
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
 

@@ -36,6 +36,7 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior, sample_admissible
@@ -48,7 +49,6 @@ from drapenet.information import (
     combinations,
     depth_information,
 )
-from sim.cli import run_command
 from sim.drape import drape
 from sim.measures import fold_count
 

@@ -40,6 +40,8 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
+from common.errors import InputError
 from data.fresh import open_views
 from data.sensor import SensorNoise
 from data.splits import SplitDataset, finished_manifest
@@ -47,8 +49,6 @@ from drapenet.checkpoint import read_header
 from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
 from drapenet.evaluate import evaluate
 from drapenet.targets import to_stiff_soft
-from sim.cli import run_command
-from sim.errors import InputError
 
 DEFAULTS = {
     "data": "outputs/dataset",

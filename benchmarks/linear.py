@@ -43,14 +43,14 @@ from benchmarks.common import (  # noqa: E402
     write_figure,
     write_report,
 )
+from common.cli import run_command  # noqa: E402
+from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.cli import run_command  # noqa: E402
 from sim.drape import drape  # noqa: E402
 from sim.energies.base import SeldomEnergy  # noqa: E402
 from sim.equilibrium import build_potential  # noqa: E402
-from sim.errors import InputError  # noqa: E402
 from sim.grid_unknowns import GridUnknowns  # noqa: E402
 from sim.initial import initial_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402

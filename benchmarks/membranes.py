@@ -39,8 +39,8 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
 from data.picture import shade
-from sim.cli import run_command
 from sim.comparison import compare, same_folds
 from sim.drape import drape
 from sim.equilibrium import find_equilibrium

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.common import load_arrays
+from common.errors import InputError
 from sim.comparison import Draped
 from sim.drape import drape
-from sim.errors import InputError
 from sim.initial import borrowed_positions
 from sim.lagged import find_settled_equilibrium
 from sim.laws import Corotational, Laws

@@ -55,8 +55,8 @@ from benchmarks.mesh_cases import (
     one_drape,
     plan,
 )
+from common.cli import run_command
 from data.picture import shade
-from sim.cli import run_command
 from sim.comparison import compare, same_folds
 from sim.measures import fold_outline
 from sim.scene import Rig

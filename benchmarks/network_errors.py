@@ -28,14 +28,14 @@ import numpy as np
 
 from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
 from benchmarks.photographs import photographed, place
+from common.cli import run_command
+from common.errors import InputError
+from common.files import replace_file
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from drapenet.convention import TARGET_NAMES
 from drapenet.network_errors import NetworkErrors
-from sim.cli import run_command
 from sim.drape import DrapeResult, drape
-from sim.errors import InputError
-from sim.files import replace_file
 
 LEAST = 20
 """Fabrics for a covariance of six errors."""

@@ -2,6 +2,6 @@
 
 import os
 
-from sim.workers import WORKER_ENVIRONMENT
+from common.workers import WORKER_ENVIRONMENT
 
 os.environ.update(WORKER_ENVIRONMENT)

@@ -5,8 +5,8 @@ Isotropic ones have no Poisson effect, as the default law has none.
 
 import numpy as np
 
+from common.errors import InputError
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric, plate_constants
 from sim.membranes import Corotational

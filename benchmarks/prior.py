@@ -26,11 +26,11 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import FabricTable, from_theta, read_fabric_table
 from data.prior import MODELS, Prior, VaePrior
 from data.prior.coordinates import Coordinates, plausible_range
-from sim.cli import run_command
-from sim.errors import InputError
 from sim.material import is_admissible
 
 FITTED = 0.8  # share of the fabrics, as in the paper

@@ -36,9 +36,9 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
-from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.material import is_admissible
 

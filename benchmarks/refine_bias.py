@@ -33,14 +33,14 @@ from benchmarks.common import (
 )
 from benchmarks.photographs import place
 from benchmarks.recovery import known_drape
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.render import render_views
 from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.held import HeldCloth
 from drapenet.refine.problem import DrapeProblem
-from sim.cli import run_command
-from sim.errors import InputError
 from sim.scene import Rig
 from sim.specimens import make_specimen
 

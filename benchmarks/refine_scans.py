@@ -38,6 +38,8 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
+from common.errors import InputError
 from data.picture import shade
 from data.prior.files import load_prior
 from data.scans import Scan, read_scans
@@ -53,8 +55,6 @@ from drapenet.refine.shape_search import (
     stiffness_only,
     surface_springs,
 )
-from sim.cli import run_command
-from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO
 from sim.mesh import vertex_normals
 from sim.scene import DISC_RIG

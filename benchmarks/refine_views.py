@@ -40,10 +40,10 @@ from benchmarks.common import (
 )
 from benchmarks.photographs import photographed, place
 from benchmarks.recovery import errors, known_drape
+from common.cli import run_command
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
-from sim.cli import run_command
 from sim.comparison import same_folds
 from sim.drape import drape
 from sim.material import bias_limit, is_admissible

@@ -29,6 +29,8 @@ import torch
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
+from common.cli import run_command
+from common.errors import InputError
 from data.cameras import Camera
 from data.configs import compose_config
 from data.dataset import DrapeDataset
@@ -38,8 +40,6 @@ from data.rasterise import camera_points, camera_tensors, rasterise, rasterise_t
 from data.render import VIEWS, DepthRenderer
 from data.sensor import SensorNoise
 from data.shards import Shard
-from sim.cli import run_command
-from sim.errors import InputError
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -10,9 +10,9 @@ import json
 from pathlib import Path
 
 from benchmarks.common import REPORTS, parse_settings
-from sim.cli import run_command
-from sim.errors import InputError
-from sim.files import replace_file
+from common.cli import run_command
+from common.errors import InputError
+from common.files import replace_file
 
 NAMES = ("speed", "linear", "render", "batched", "render_gpu", "batched_gpu")
 DEFAULTS = {"folder": str(REPORTS), "out": str(REPORTS / "bench.json")}

@@ -34,12 +34,12 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
+from common.errors import InputError
 from data.picture import shade
 from data.scans import Scan, read_scans
-from sim.cli import run_command
 from sim.comparison import best_turn
 from sim.drape import drape
-from sim.errors import InputError
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline
 from sim.scene import Rig

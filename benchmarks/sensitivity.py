@@ -31,10 +31,10 @@ import torch
 from matplotlib.figure import Figure
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
+from common.cli import run_command
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
-from sim.cli import run_command
 from sim.drape import DrapeResult, drape
 from sim.newton import NewtonOptions
 from sim.sensitivity import Tangent, follow, sensitivities

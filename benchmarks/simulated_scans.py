@@ -36,6 +36,8 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -44,9 +46,7 @@ from drapenet.refine.fidelity import fidelity
 from drapenet.refine.register import register
 from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import HELD, scan_objective, search_cloth
-from sim.cli import run_command
 from sim.drape import drape
-from sim.errors import InputError
 from sim.material import MICRO, plate_constants
 from sim.mesh import vertex_normals
 from sim.scene import DISC_RIG

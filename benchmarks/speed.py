@@ -27,10 +27,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import REPORTS, parse_settings, table, write_report
+from common.cli import run_command
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
-from sim.cli import run_command
 from sim.drape import drape
 from sim.linear import available_solvers
 from sim.material import MICRO, Fabric

@@ -22,14 +22,14 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from benchmarks.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
+from common.cli import run_command
+from common.errors import InputError
 from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_modulus
 from sim.cantilever.elastica import elastica_of_torque
 from sim.cantilever.fabric import bending_length
 from sim.cantilever.tester import HungStrip
-from sim.cli import run_command
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational

@@ -26,6 +26,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
+from common.cli import run_command
+from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
@@ -39,9 +41,7 @@ from sim.cantilever.fabric import (
     estimate,
     simulate_strips,
 )
-from sim.cli import run_command
 from sim.energies import plate_law
-from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
 

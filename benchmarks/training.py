@@ -37,6 +37,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import train
 from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
 from benchmarks.render import shortest, torch_threads
+from common.cli import run_command
+from common.errors import InputError
 from data.configs import compose_config
 from data.dataset import DrapeDataset
 from data.fresh import FreshDataset
@@ -50,8 +52,6 @@ from drapenet.model import DrapeNet
 from drapenet.preprocess import InputFormat, prepare
 from drapenet.targets import TargetScale
 from drapenet.training import CachedSet, DrapeSet
-from sim.cli import run_command
-from sim.errors import InputError
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

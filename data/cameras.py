@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from common.errors import InputError, one_line
 from data.configs import read_option
-from sim.errors import InputError, one_line
 
 DEFAULT_RIG = "square300_cylinder100"
 

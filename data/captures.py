@@ -24,10 +24,10 @@ import yaml
 from PIL import Image
 from scipy import ndimage
 
+from common.errors import InputError, one_line
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
 from data.reading import finite_number, read_mapping, read_text, read_views, shown
 from data.render import VIEWS
-from sim.errors import InputError, one_line
 
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong

@@ -10,9 +10,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from common.errors import InputError, one_line
 from data.configs import CONFIG_DIR, compose_config
 from data.options import Options, config_from_options
-from sim.errors import InputError, one_line
 
 MULTIRUN = frozenset({"-m", "--multirun"})
 """The words that ask for many jobs, as everywhere in Hydra."""

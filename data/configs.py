@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from sim.errors import InputError, one_line
-from sim.files import folder_named
+from common.errors import InputError, one_line
+from common.files import folder_named
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from common.errors import InputError
 from data.shards import Shard
 from data.splits import SplitDataset
 from data.view_order import ORDERS, reorder_axis, reorder_views
-from sim.errors import InputError
 
 OPEN_SHARDS = 32  # files that one process keeps open
 

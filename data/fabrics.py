@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.errors import InputError, one_line
+from common.errors import InputError, one_line
 from sim.material import REFERENCE_DENSITY, Fabric
 
 THETA_NAMES = (

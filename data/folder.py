@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from common.errors import InputError
+from common.files import remove_partial
+from common.provenance import environment
 from data.prior import prior_content
 from data.progress import over_shards
 from data.records import DatasetConfig, Record
@@ -27,9 +30,6 @@ from data.shards import (
     write_manifest,
     write_shard,
 )
-from sim.errors import InputError
-from sim.files import remove_partial
-from sim.provenance import environment
 
 
 @dataclass(frozen=True)

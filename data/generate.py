@@ -7,21 +7,21 @@ any number of machines, write the same files, and an interrupted dataset is comp
 had happened.
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 import sys
 from pathlib import Path
 from typing import NoReturn
 
+from common.cli import run_command
+from common.errors import InputError, one_line
 from data.effort import describe_effort
 from data.folder import DatasetFolder
 from data.options import Options, config_from_options
 from data.progress import over_shards, progress_bar
 from data.records import DatasetConfig, Renderer, Solver
 from data.workers import make_shards
-from sim.cli import run_command
-from sim.errors import InputError, one_line
 
 
 def generate_dataset(

@@ -23,9 +23,9 @@ from collections.abc import Sequence
 
 import torch
 
+from common.errors import InputError
 from data.cameras import Camera
 from data.rasterise_cpu import LEAST_HEIGHT, rasterise_arrays
-from sim.errors import InputError
 
 CHUNK = 512  # pictures worked on at a time: about 1 GB at 240x180
 

@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 from PIL import Image, UnidentifiedImageError
 
+from common.errors import InputError, one_line
 from data.render import VIEWS
-from sim.errors import InputError, one_line
 
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)

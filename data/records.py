@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from common.errors import InputError
+from common.provenance import release
 from data.cameras import DEFAULT_RIG, CameraRig
 from data.effort import Effort
 from data.fabrics import fabric_from_theta
@@ -20,10 +22,8 @@ from data.sampling import (
     stream,
 )
 from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
-from sim.errors import InputError
 from sim.material import Fabric
 from sim.mesh import check_resolution
-from sim.provenance import release
 from sim.scene import Rig
 
 Solver = Callable[..., object]

@@ -11,8 +11,8 @@ from types import ModuleType
 
 import numpy as np
 
+from common.errors import InputError, one_line
 from data.cameras import Camera
-from sim.errors import InputError, one_line
 
 VIEWS = 4
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"

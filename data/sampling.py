@@ -11,9 +11,9 @@ from enum import IntEnum
 
 import numpy as np
 
+from common.errors import InputError
 from data.prior import Prior, sample_admissible
 from data.render import VIEWS
-from sim.errors import InputError
 
 STARTS = ("sine", "fold")
 """Initial states that need no other drape."""

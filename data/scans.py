@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.drape_file import read_arrays
-from sim.errors import InputError
+from common.errors import InputError
+from data.drape_file import read_arrays
 from sim.mesh import Mesh
 from sim.scene import Rig
 

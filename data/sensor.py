@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 
 import torch
 
+from common.errors import InputError
 from data.configs import read_option
-from sim.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from common.errors import InputError, one_line
+from common.files import replace_shared_file
 from data.progress import over_shards
 from data.render import VIEWS
-from sim.errors import InputError, one_line
-from sim.files import replace_shared_file
 from sim.mesh import grid_faces
 
 SCHEMA_VERSION = 3

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
+from common.errors import InputError
 from data.shards import ANEW, MANIFEST, Shard, json_digest, read_manifest, require_unchanged
-from sim.errors import InputError
 
 log = logging.getLogger(__name__)
 

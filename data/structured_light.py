@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import torch
 
+from common.errors import InputError
 from data.remap import remap_depth
 from data.sensor import SensorNoise, normal, uniform
-from sim.errors import InputError
 
 EIGHTHS_OF_DISPARITY = 351.3  # m, K above
 EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import torch
 from torch.nn.functional import pad
 
+from common.errors import InputError
 from data.remap import EDGE_STEP
 from data.sensor import SensorNoise, normal, uniform
-from sim.errors import InputError
 
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
 LEAST_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import get_context
 
+from common.workers import worker_pool
 from data.effort import Effort
 from data.folder import DatasetFolder
 from data.records import Renderer, Solver, load_solver, make_record
-from sim.workers import worker_pool
 
 REFRESH = 0.3  # s between two looks at what the workers have done
 

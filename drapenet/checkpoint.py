@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from common.errors import InputError
+from common.files import replace_file
 from drapenet.convention import TARGET_NAMES
-from sim.errors import InputError
-from sim.files import replace_file
 
 if TYPE_CHECKING:
     import torch

@@ -3,8 +3,8 @@
 import math
 from dataclasses import asdict, dataclass, field
 
+from common.errors import InputError
 from drapenet.preprocess import InputFormat
-from sim.errors import InputError
 
 VIEW_SOURCES = ("stored", "cached", "fresh")
 

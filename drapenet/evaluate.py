@@ -10,18 +10,21 @@ in units of the training set's standard deviation, beside those of always predic
 set's mean.
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 from pathlib import Path
 from typing import NoReturn
 
-from sim.ctrl_c import deferred
+from common.ctrl_c import deferred
 
 with deferred():
     import torch
 from tqdm import tqdm
 
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import folder_named, replace_json, require_folder
 from data.configs import compose_config, read_config
 from data.fresh import open_views
 from data.generate import generate_dataset
@@ -32,9 +35,6 @@ from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.metrics import regression_metrics
 from drapenet.predict import average_orders
 from drapenet.targets import direction_vectors, to_stiff_soft
-from sim.cli import parse_overrides, run_command
-from sim.errors import InputError
-from sim.files import folder_named, replace_json, require_folder
 
 
 def evaluate(header: Header, drapes: SplitDataset) -> dict:

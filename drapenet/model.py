@@ -3,9 +3,9 @@
 import torch
 import torchvision
 
+from common.errors import InputError
 from data.render import VIEWS
 from drapenet.losses import OUTPUTS
-from sim.errors import InputError
 
 BACKBONES = {"resnet18": torchvision.models.resnet18}
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from data.prior.base import check_covariances, read_array, read_count
 from drapenet.convention import LINEAR
-from sim.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sim.files import remove_file, replace_file, replace_json, require_file, require_folder
+from common.files import remove_file, replace_file, replace_json, require_file, require_folder
 
 ESTIMATE, REPORT = "estimate.json", "report.png"
 

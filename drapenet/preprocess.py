@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import torch
 import torch.nn.functional as functional
 
-from sim.errors import InputError
+from common.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from torch.utils.data import DataLoader, Dataset
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from common.errors import InputError
+from common.provenance import release
 from data.dataset import DrapeDataset
 from data.fresh import FreshDataset, open_views
 from data.sensor import SensorNoise
@@ -25,9 +27,7 @@ from drapenet.convention import TARGET_NAMES, TARGET_UNITS
 from drapenet.metrics import regression_metrics
 from drapenet.preprocess import InputFormat, prepare
 from drapenet.targets import TargetScale, direction_vectors, to_stiff_soft
-from sim.errors import InputError
 from sim.material import REFERENCE_DENSITY
-from sim.provenance import release
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """Views (N, 4, h, w), standardised targets (N, 6), stiff axes (N, 2)."""

@@ -14,16 +14,16 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import folder_named, replace_file, require_folder
 from data.cameras import CameraRig
 from data.captures import checked_density, write_capture
 from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
 from data.sensor import SensorNoise
 from data.structured_light import StructuredLight
-from sim.cli import parse_overrides, run_command
 from sim.drape import drape
-from sim.errors import InputError
-from sim.files import folder_named, replace_file, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import Rig
 

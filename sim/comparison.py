@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.initial import interpolate_positions
 from sim.measures import fold_angles
 from sim.mesh import Mesh

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.initial import (
     borrowed_positions,
     check_start,

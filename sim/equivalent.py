@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, gamma_of_aspect_ratio
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh

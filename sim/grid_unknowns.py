@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.linear import SparsePattern
 from sim.mesh import Mesh
 

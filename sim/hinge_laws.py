@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from common.errors import InputError
 from sim.anisotropy import edge_directions, modulus_of_bending
 from sim.energies.base import Energy
 from sim.energies.hinge_stencils import find_hinges
 from sim.energies.hinges import DihedralBending, QuadraticBending
-from sim.errors import InputError
 from sim.material import Fabric
 from sim.mesh import Mesh
 

@@ -5,9 +5,9 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.optimize import brentq
 from scipy.spatial import ConvexHull, QhullError
 
-from sim.errors import InputError
+from common.errors import InputError
+from common.threads import one_blas_thread
 from sim.scene import Rig
-from sim.threads import one_blas_thread
 
 STARTS = ("sine", "fold")
 """Starts made at random; a drape can also be borrowed, see :func:`borrowed_positions`."""

@@ -5,10 +5,10 @@ from typing import Protocol
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.base import Energy
 from sim.energies.fold_limit import FoldLimit
 from sim.energies.midedge import MidEdgeBending
-from sim.errors import InputError
 from sim.hinge_laws import HINGE_LAWS
 from sim.material import Fabric
 from sim.membranes import Corotational, Membrane

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.errors import InputError
+from common.errors import InputError
 
 WARP, BIAS, WEFT = 0, 1, 2
 DIRECTIONS = ("warp", "bias", "weft")

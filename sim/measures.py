@@ -8,11 +8,11 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from common.threads import one_blas_thread
 from sim.energies.contact import Obstacle
 from sim.energies.membrane import CorotationalMembrane
 from sim.mesh import Mesh
 from sim.scene import Rig
-from sim.threads import one_blas_thread
 
 _PIXEL = 5e-4  # m, of the top view that is measured
 _LEAST_FOLD = 3e-3  # m, depth of the shallowest fold that is counted

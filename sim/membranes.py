@@ -8,13 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.base import Energy
 from sim.energies.locking import Band, ComponentGuard, PrincipalGuard
 from sim.energies.membrane import CorotationalMembrane
 from sim.energies.strain import StrainLaw, StrainMembrane
 from sim.energies.stress_curves import DiagonalLaw, StressCurve
 from sim.energies.stvk import OrthotropicLaw
-from sim.errors import InputError
 from sim.mesh import Mesh
 
 

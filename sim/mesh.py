@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from sim.errors import InputError
+from common.errors import InputError
 
 DIAGONALS = ("random", "alternating", "equal")
 RESOLUTIONS = (8, 401)

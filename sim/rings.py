@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import Delaunay
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.mesh import Mesh, check_resolution
 
 

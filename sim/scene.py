@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.contact import Cylinder, Obstacle
-from sim.errors import InputError
 from sim.mesh import Mesh
 
 GRAVITY = 9.81  # m/s²

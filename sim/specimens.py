@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.contact import Ramp
-from sim.errors import InputError
 from sim.mesh import (
     Mesh,
     check_resolution,

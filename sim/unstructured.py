@@ -8,9 +8,9 @@ where they are, and the triangulation follows both. All specimens are convex.
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from sim.errors import InputError
+from common.errors import InputError
+from common.threads import one_blas_thread
 from sim.mesh import Mesh
-from sim.threads import one_blas_thread
 
 _ROUNDS = 40
 _CORRECTIONS = (10, 17, 24)  # rounds after which points are taken away and added

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.prior import Split, compare, coverage, distance, main, mean_and_error, split_rows
+from common.errors import InputError
 from data.fabrics import FabricTable, from_theta
 from data.prior import load_prior
 from data.prior.coordinates import Coordinates
-from sim.errors import InputError
 
 
 @pytest.fixture(scope="module")

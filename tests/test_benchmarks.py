@@ -18,7 +18,7 @@ from benchmarks import (
 )
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
-from sim.errors import InputError
+from common.errors import InputError
 
 
 def count_calls(log: str, value: float) -> dict:

@@ -15,11 +15,11 @@ from blobs import blob_views
 from PIL import Image
 
 import infer
+from common.cli import run_command
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
-from sim.cli import run_command
-from sim.errors import InputError
 from sim.material import DIRECTIONS, MICRO, is_admissible
 
 THETA = np.array([-10.0, -10.5, -11.0, -0.002, -0.002, -0.002])

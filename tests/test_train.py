@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 
 import drapenet.model
 import train
+from common.errors import InputError
 from data.configs import compose_config
 from data.sensor import SensorNoise
 from data.view_order import ORDERS, reorder_views
@@ -19,7 +20,6 @@ from drapenet.checkpoint import load_model, read_header
 from drapenet.config import OptimConfig, TrainConfig, learning_rate
 from drapenet.preprocess import prepare
 from drapenet.training import open_splits, training_batches
-from sim.errors import InputError
 
 SMALL = ["model.input_width=32", "model.input_height=24", "optim.batch_size=16", "threads=1",
          "workers=0", "device=cpu", "optim.learning_rate=0.001", "seed=3"]

@@ -3,12 +3,12 @@
 import json
 from pathlib import Path
 
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import folder_named, replace_file, require_folder
 from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots, views_report
-from sim.cli import parse_overrides, run_command
-from sim.errors import InputError
-from sim.files import folder_named, replace_file, require_folder
 
 DEFAULTS = {"out": "outputs/inspect", "intersections": 500, "sheet": 48}
 

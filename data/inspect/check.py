@@ -3,10 +3,10 @@
 from collections import Counter
 from pathlib import Path
 
+from common.errors import InputError, one_line
 from data.progress import over_shards
 from data.shards import MANIFEST, SHARDS, Shard, require_unchanged, some
 from data.splits import finished_manifest, require_digest
-from sim.errors import InputError, one_line
 
 
 def check_dataset(root: str | Path) -> dict:

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import require_file
 from data.fabrics import read_fabric_table
 from data.prior import MODELS, sample_admissible, save_prior
-from sim.cli import parse_overrides, run_command
-from sim.errors import InputError
-from sim.files import require_file
 
 SAMPLES = 1000  # of which the printed description is made
 

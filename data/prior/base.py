@@ -4,7 +4,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from sim.errors import InputError
+from common.errors import InputError
 
 ROUNDING = 1e-14  # of the largest variance, below which another one is rounding
 

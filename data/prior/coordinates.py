@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from data.fabrics import THETA_NAMES
 from data.prior.base import read_array
-from sim.errors import InputError
 
 BEND = 2e-3
 """beta/alpha, m, at which arcsinh turns from a straight line into a logarithm."""

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import InputError
+from common.files import replace_file
 from data.fabrics import THETA_NAMES, from_theta
 from data.prior.base import Prior
 from data.prior.gaussian import GaussianPrior
 from data.prior.mixture import MixturePrior
 from data.prior.vae import ARCHITECTURES, VaePrior
-from sim.errors import InputError
-from sim.files import replace_file
 from sim.material import is_admissible
 
 SCHEMA_VERSION = 1

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import logsumexp
 
+from common.errors import InputError
 from data.prior.base import check_covariances, check_fabrics, read_array, read_count
 from data.prior.coordinates import Coordinates
-from sim.errors import InputError
 
 ITERATIONS = 200  # of expectation and maximisation, as in the paper
 FIRST_GUESSES = 5

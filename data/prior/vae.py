@@ -17,9 +17,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from scipy.special import logsumexp
 
+from common.errors import InputError
 from data.prior.base import check_fabrics, read_array, read_count
 from data.prior.coordinates import Coordinates
-from sim.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import Delaunay
 
+from common.errors import InputError
+from common.threads import one_blas_thread
 from drapenet.refine.objective import Linearised
-from sim.errors import InputError
 from sim.scene import Rig
-from sim.threads import one_blas_thread
 
 _SMALLEST = 1e-9  # m²: powers below have no root to speak of (0.03 mm), and a smooth one
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from common.errors import InputError
 from drapenet.refine.objective import Linearised, Objective, huber
-from sim.errors import InputError
 from sim.mesh import edges_of, vertex_normals
 
 NEIGHBOURS = 20  # that a raw point's normal is taken from

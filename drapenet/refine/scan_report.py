@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from common.errors import InputError
 from data.prior.files import load_prior
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.output import require_output, write_estimate, write_report
@@ -18,7 +19,6 @@ from drapenet.refine.register import SLID, edge_strain, laid_anew, register
 from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
-from sim.errors import InputError
 from sim.material import DIRECTIONS
 from sim.scene import Rig
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from common.errors import InputError
+from common.workers import pool_for
 from sim.batched.equilibrium import analyse_grid, find_equilibria
 from sim.drape import (
     COARSE_MEMBRANE,
@@ -31,7 +33,6 @@ from sim.drape import (
     scene_on,
     start_positions,
 )
-from sim.errors import InputError
 from sim.initial import check_start
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -40,7 +41,6 @@ from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 from sim.specimens import make_specimen, rim_radius
-from sim.workers import pool_for
 
 MESHES = ("structured", "perturbed")
 """Triangulations of a grid, which drapes that are made together must have."""

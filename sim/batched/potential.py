@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from common.errors import InputError
 from sim.batched.energies import BatchedEnergy, batch_energies
 from sim.batched.energies.edge_frames import BatchedEdgeFrames
 from sim.batched.energies.fold_limit import BatchedFoldLimit
 from sim.batched.hessians import CachedHessians, Layout
 from sim.energies.edge_frames import EdgeFrames
-from sim.errors import InputError
 from sim.grid_unknowns import GridUnknowns
 from sim.mesh import Mesh
 from sim.potential import Terms, framed_energy

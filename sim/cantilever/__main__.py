@@ -24,7 +24,7 @@ Keys of estimate:
     out                JSON file with the result
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 import argparse
@@ -35,15 +35,15 @@ from typing import NoReturn
 
 import numpy as np
 
+from common.cli import check_density, parse_overrides, run_command
+from common.errors import InputError
+from common.files import replace_file, replace_json, require_file
 from sim.cantilever.curves import read_curve
 from sim.cantilever.elastica import aspect_ratio, elastica
 from sim.cantilever.fabric import METHODS, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
 from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
-from sim.cli import check_density, parse_overrides, run_command
-from sim.errors import InputError
-from sim.files import replace_file, replace_json, require_file
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
 from sim.scene import GRAVITY

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import comb
 
-from sim.errors import InputError, one_line
+from common.errors import InputError, one_line
 
 COLUMNS = ("x_mm", "y_mm")
 FEWEST_POINTS = 12

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid, solve_bvp
 from scipy.optimize import brentq
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.material import SOFTENING_LIMIT
 
 LARGEST_GAMMA = 1e4

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from common.errors import InputError
 from sim.cantilever.curves import fit_bezier
 from sim.cantilever.regression import Estimate, regress
 from sim.cantilever.table import match
 from sim.cantilever.tester import hang
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import DIRECTIONS, Fabric, is_admissible
 from sim.newton import Status

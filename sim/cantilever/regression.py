@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from common.errors import InputError
 from sim.cantilever.curves import fit_bezier
-from sim.errors import InputError
 from sim.material import torque
 
 SAMPLES = 256

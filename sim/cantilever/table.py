@@ -13,10 +13,10 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
+from common.errors import InputError
 from sim.cantilever.curves import fit_bezier
 from sim.cantilever.elastica import LARGEST_GAMMA, elastica, heavy_elastica
 from sim.cantilever.regression import NO_STRIP, RATIO_RANGE, Estimate
-from sim.errors import InputError
 
 POINTS = 41
 """At equal distances along each curve."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from sim.cantilever.guide import GuidedSides
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh, strip

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq, least_squares
 
+from common.errors import InputError
 from sim.cantilever.curves import fit_bezier
 from sim.cantilever.regression import NO_STRIP, torque_and_curvature
 from sim.cantilever.table import distance_across
-from sim.errors import InputError
 
 KNOTS = 4
 POINTS = 41  # of each curve that are compared

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.midedge import MidEdgeBending
-from sim.errors import InputError
 from sim.material import Fabric, plate_constants
 from sim.mesh import Mesh
 

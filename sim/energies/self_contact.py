@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 from scipy import sparse
 
-from sim.errors import InputError, one_line
+from common.errors import InputError, one_line
 from sim.mesh import Mesh
 
 _HALF_WAY = 3.0 * np.log(4.0) + 4.5

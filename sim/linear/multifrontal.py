@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.linear.front_layout import CORNER, REST, ROWS, VALUES, Group
 from sim.linear.fronts import Fronts, plan_fronts
 from sim.linear.nested_dissection import EliminationTree, dissect

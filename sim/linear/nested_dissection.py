@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from sim.errors import InputError
+from common.errors import InputError
 
 _QUANTILES = (0.4, 0.45, 0.5, 0.55, 0.6)  # where cuts are tried, as shares of a region
 _LARGEST_SHARE = 0.7  # of a region that a cut may leave on one side

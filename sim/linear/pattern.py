@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from sim.errors import InputError
+from common.errors import InputError
 
 
 class SparsePattern:

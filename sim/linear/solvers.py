@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.linear.pardiso import PardisoSolver, find_mkl
 from sim.linear.pattern import SparsePattern
 

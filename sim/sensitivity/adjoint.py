@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from common.errors import InputError
+from common.workers import pool_for
 from sim.drape import DrapeResult
-from sim.errors import InputError
 from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
@@ -18,7 +19,6 @@ from sim.sensitivity.follow import follow
 from sim.sensitivity.parameters import combinations
 from sim.sensitivity.rest_shape import pull_on_rest
 from sim.sensitivity.tangent import Tangent
-from sim.workers import pool_for
 
 
 @dataclass(frozen=True)

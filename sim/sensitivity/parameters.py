@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from common.errors import InputError
 from sim.energies.base import Energy
-from sim.errors import InputError
 from sim.laws import Law, Laws
 from sim.material import DIRECTIONS, Fabric
 from sim.potential import Potential

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from common.errors import InputError
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import build_potential, cloth_terms
-from sim.errors import InputError
 from sim.hinge_laws import HingeLaw
 from sim.laws import Laws
 from sim.linear import SparsePattern, make_solver

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from data.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
 from data.captures import read_capture
-from sim.errors import InputError
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 

@@ -12,10 +12,10 @@ import yaml
 from PIL import Image
 from scipy import ndimage
 
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture, read_capture, to_camera, write_capture
 from data.render import DepthRenderer
-from sim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from common.errors import InputError
 from data.generate import main
-from sim.errors import InputError
 
 SMALL = ["drapes=4", "resolution=9", "dataset=fresh", "dataset.drapes_per_shard=1", "workers=1"]
 

@@ -2,9 +2,9 @@
 
 import pytest
 
+from common.errors import InputError
 from data.configs import compose_config, group_options, read_config, read_option
 from data.options import Options, config_from_options
-from sim.errors import InputError
 
 
 def test_groups_and_values_are_overridden():

@@ -6,12 +6,12 @@ import pytest
 import torch
 from test_generate import generate, small_config
 
+from common.errors import InputError
 from data.dataset import DrapeDataset
 from data.sampling import plan_drape
 from data.shards import read_manifest, write_manifest
 from data.splits import FRACTIONS, split_by_fabric, thin_out
 from data.view_order import ORDERS, reorder_axis, reorder_views
-from sim.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from common.errors import InputError
 from data.cameras import Camera, CameraRig, Jitter
 from data.dataset import DrapeDataset
 from data.fabrics import fabric_from_theta
@@ -17,7 +18,6 @@ from data.sensor import SensorNoise
 from data.shards import Shard
 from data.view_order import reorder_axis, reorder_views
 from sim.drape import default_resolution
-from sim.errors import InputError
 from sim.scene import Rig
 
 RIG = CameraRig.load()

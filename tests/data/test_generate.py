@@ -11,6 +11,7 @@ import fake_drapes
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
 from data.folder import DatasetFolder
@@ -19,7 +20,6 @@ from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig, plan_drape
 from data.shards import LENGTH_UNIT, Shard, unpack_diagonals
-from sim.errors import InputError
 from sim.linear import SparsePattern, available_solvers, make_solver, pardiso
 from sim.scene import Rig
 

@@ -15,6 +15,7 @@ import pytest
 from test_generate import generate, small_config
 
 import data.progress
+from common.errors import InputError
 from data.fabrics import fabric_from_theta, from_theta
 from data.inspect.__main__ import describe, main
 from data.inspect.check import check_dataset
@@ -22,7 +23,6 @@ from data.inspect.figures import prior_samples, read_drapes, report, spread
 from data.inspect.pictures import contact_sheet, mosaic, take_shots, views_report
 from data.sampling import plan_drape
 from data.shards import Shard, json_digest, read_manifest, verified_digest, write_manifest
-from sim.errors import InputError
 from sim.measures import maximum_stretch
 from sim.specimens import make_specimen
 

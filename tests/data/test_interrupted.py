@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 from test_generate import ROOT, files, generate, small_config
 
+from common.errors import InputError
 from data.records import make_record
 from data.sampling import BORROWED, STARTS, choose_lender
 from data.shards import LENGTH_UNIT, Shard
-from sim.errors import InputError
 
 SCRIPT = """
 import sys
 sys.path.insert(0, {tests!r})
 if __name__ == "__main__":
     import fake_drapes, test_interrupted
-    from sim.cli import run_command
+    from common.cli import run_command
     run_command(lambda words: test_interrupted.make(
         words[0], shards=int(words[1]), workers=2, solver=fake_drapes.slow_lending_cone))
 """

@@ -6,8 +6,8 @@ import pytest
 from test_generate import generate, shards, small_config
 
 import data.folder
+from common.provenance import environment, release
 from data.shards import json_digest, read_manifest
-from sim.provenance import environment, release
 
 
 def elsewhere():

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from common.errors import InputError
 from data.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
 from data.prior import GaussianPrior, files, load_prior, sample_admissible, save_prior
 from data.prior.__main__ import main
-from sim.errors import InputError
 from sim.material import is_admissible
 
 TABLE = Path(__file__).parents[2] / ".." / "shared" / "fabrics" / "feng2022_train.csv"

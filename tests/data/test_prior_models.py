@@ -13,6 +13,7 @@ from safetensors.numpy import load, save
 from scipy.stats import multivariate_normal
 from sklearn.mixture import GaussianMixture
 
+from common.errors import InputError
 from data.fabrics import from_theta, read_fabric_table
 from data.prior import (
     BUNDLED,
@@ -28,7 +29,6 @@ from data.prior import (
 from data.prior.coordinates import Coordinates, plausible_range
 from data.prior.mixture import LEAST_VARIANCE
 from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
-from sim.errors import InputError
 from sim.material import plate_constants, torque
 
 TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"

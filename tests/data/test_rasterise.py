@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.rasterise import (
     camera_points,
@@ -16,7 +17,6 @@ from data.rasterise import (
 )
 from data.rasterise_cpu import rasterise_arrays
 from data.render import DepthRenderer
-from sim.errors import InputError
 from sim.mesh import draped_square, grid_faces
 
 HEIGHT, WIDTH = 90, 120

@@ -2,8 +2,8 @@
 
 import pytest
 
+from common.errors import InputError
 from data.reading import finite_number, read_mapping
-from sim.errors import InputError
 
 HOSTILE = {
     "huge number": "density: " + "9" * 400,

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from data.cameras import Camera, CameraRig
 from data.render import DepthRenderer, render_views
-from sim.errors import InputError
 
 
 def camera_at_origin(**changes: float) -> Camera:

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from data.prior import load_prior
 from data.sampling import SamplingConfig, choose_lender, plan_drape
-from sim.errors import InputError
 
 PRIOR = load_prior("gaussian")
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.errors import InputError
+from data.drape_file import read_borrowed
 from data.scans import read_scan, read_scans
-from sim.drape_file import read_borrowed
-from sim.errors import InputError
 from sim.measures import projected_area
 from sim.mesh import grid_faces
 from sim.scene import Rig

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import InputError
 from data.configs import group_options
 from data.sensor import SensorNoise, cloth_window
 from data.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight
-from sim.errors import InputError
 
 STILL = StructuredLight(
     shift_px=0, affine_scale_percent=0, affine_turn_deg=0, affine_shift_px=0,

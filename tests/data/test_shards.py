@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from data.shards import (
     SCHEMA_VERSION,
     SEAL_SIZE,
@@ -22,7 +23,6 @@ from data.shards import (
     write_manifest,
     write_shard,
 )
-from sim.errors import InputError
 from sim.mesh import grid_faces
 
 LAYOUT, RESOLUTION = Layout(orientations=3, height=6, width=8), 9

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from common.errors import InputError
 from data.sensor import SensorNoise
 from data.time_of_flight import TimeOfFlight, correlated_normal
-from sim.errors import InputError
 
 NOTHING = TimeOfFlight(
     axial_mm=0, bias_mm=0, scale_percent=0, edge_invalid_least=0, edge_invalid_most=0,

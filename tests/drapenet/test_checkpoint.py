@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import InputError
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
 from drapenet.model import DrapeNet
-from sim.errors import InputError
 
 ERRORS = {"mean": [0.0] * 6, "slope": [0.0] * 6, "level": -11.0, "covariance": np.eye(6).tolist(),
           "fabrics": 9}

@@ -5,11 +5,11 @@ import pytest
 from blobs import write_dataset
 
 import drapenet.evaluate
+from common.errors import InputError
 from data.dataset import DrapeDataset
 from data.prior import load_prior, prior_content
 from drapenet.checkpoint import read_header
 from drapenet.evaluate import evaluate
-from sim.errors import InputError
 
 
 def test_the_mean_scores_one_on_its_own_distribution(

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from common.errors import InputError
 from drapenet.model import DrapeNet
-from sim.errors import InputError
 
 
 @pytest.mark.parametrize("size", [(60, 80), (90, 120)])

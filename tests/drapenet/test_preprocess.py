@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from common.errors import InputError
 from drapenet.preprocess import InputFormat, prepare
-from sim.errors import InputError
 
 FORM = InputFormat(width=40, height=30, centre=0.5, scale=0.1, background=2.0)
 

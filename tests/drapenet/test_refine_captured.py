@@ -13,6 +13,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import cKDTree
 
 from benchmarks.simulated_scans import simulated_scan
+from common.errors import InputError
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior import load_prior
 from drapenet.refine import shape_search
@@ -34,7 +35,6 @@ from drapenet.refine.scan import Cloud, border_edges
 from drapenet.refine.scan_report import format_scan, read_cloud, read_shape
 from drapenet.refine.shape_search import scan_objective, search_cloth
 from sim.drape import DrapeResult, drape
-from sim.errors import InputError
 from sim.mesh import vertex_normals
 from sim.newton import NewtonOptions
 from sim.scene import DISC_RIG

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from drapenet.refine.descriptor import GridSpectrum, PhaseFree, RingSpectrum, interpolation
 from drapenet.refine.scan import Chamfer, Cloud, Hem, Outline, Placed, border_edges, outline
-from sim.errors import InputError
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
 from sim.specimens import Specimen, make_specimen
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from common.errors import InputError
 from sim.energies.bending_friction import Rubbing
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import strip

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,
     elastica,
@@ -16,7 +17,6 @@ from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_mod
 from sim.cantilever.elastica import curvature_of_torque, elastica_of_torque
 from sim.cantilever.guide import GuidedSides
 from sim.energies import plate_law
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import SOFTENING_LIMIT, Fabric, torque
 from sim.membranes import Corotational

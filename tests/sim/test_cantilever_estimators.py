@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cantilever import elastica, heavy_elastica
 from sim.cantilever.__main__ import main
 from sim.cantilever.curves import Bezier, fit_bezier, oriented_curve, read_curve
 from sim.cantilever.fabric import bending_length, correct, estimate, fabric_of, simulate_strips
 from sim.cantilever.regression import fit_law, moment_beyond, regress, torque_and_curvature
 from sim.cantilever.table import match
-from sim.errors import InputError
 from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
 from sim.scene import GRAVITY
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.comparison import best_turn, compare, mean_curvature, same_folds
-from sim.errors import InputError
 from sim.measures import fold_outline
 from sim.mesh import Mesh, draped_square, grid_faces, grid_points
 from sim.scene import Rig

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.drape import coarse_to_fine, default_resolution, drape
 from sim.energies.gravity import Gravity
 from sim.equilibrium import build_potential
-from sim.errors import InputError
 from sim.laws import Corotational, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.measures import maximum_stretch

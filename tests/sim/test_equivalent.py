@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.equivalent import equivalent_modulus, hang_mesh
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import Corotational

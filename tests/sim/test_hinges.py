@@ -11,9 +11,9 @@ from test_energies import (
     scattered,
 )
 
+from common.errors import InputError
 from sim.energies.hinge_stencils import find_hinges
 from sim.energies.hinges import DihedralBending, QuadraticBending, work_of_bending
-from sim.errors import InputError
 from sim.hinge_laws import HINGE_LAWS, HingeLaw
 from sim.laws import BENDING, Laws
 from sim.material import SOFTENING_LIMIT, Fabric, torque

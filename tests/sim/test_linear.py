@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.linear import SparsePattern, available_solvers, make_solver
 
 

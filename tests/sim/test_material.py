@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigvalsh
 
+from common.errors import InputError
 from sim.energies import plate_law
-from sim.errors import InputError
 from sim.material import (
     SOFTENING_LIMIT,
     Fabric,

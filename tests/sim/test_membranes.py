@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_energies import STEPS, assert_error_falls_with_square, crumpled_strip, scattered
 
+from common.errors import InputError
 from sim.drape import drape
 from sim.energies.locking import Band
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import Corotational, Guarded, NonlinearCurves, OrthotropicStVK

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.mesh import Mesh, draped_square, grid_faces, strip
 
 RADIUS = 0.05

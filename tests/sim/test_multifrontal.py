@@ -3,9 +3,9 @@ import pytest
 import torch
 from scipy import sparse
 
+from common.errors import InputError
 from sim.drape import drape
 from sim.equilibrium import build_potential
-from sim.errors import InputError
 from sim.grid_unknowns import GridUnknowns
 from sim.initial import initial_positions
 from sim.linear import SparsePattern, make_solver

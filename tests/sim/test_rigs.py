@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cantilever import elastica
 from sim.drape import drape
 from sim.energies.contact import Cylinder, Ramp
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.material import Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count
 from sim.rings import draped_disc

@@ -5,9 +5,9 @@ import sys
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.energies.self_contact import SelfContact, import_ipctk
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.material import Fabric
 from sim.mesh import Mesh, draped_square, strip
 from sim.newton import NewtonOptions, Status

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from common.errors import InputError
 from sim.batched.energies import batch_energies
 from sim.cantilever.elastica import elastica
 from sim.drape import DrapeResult, drape
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational

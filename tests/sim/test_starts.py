@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
+from data.drape_file import read_borrowed, write_drape
 from sim.drape import coarse_to_fine, drape
-from sim.drape_file import read_borrowed, write_drape
-from sim.errors import InputError
 from sim.initial import borrowed_positions, initial_positions, interpolate_positions
 from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cantilever.elastica import elastica, elastica_of_torque
 from sim.cantilever.torque_curve import fit_torque_curve
-from sim.errors import InputError
 
 WEIGHT = 0.3 * 9.81
 

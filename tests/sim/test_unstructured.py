@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.errors import InputError
+from common.errors import InputError
 from sim.mesh import Mesh
 from sim.unstructured import unstructured_disc, unstructured_square, unstructured_strip
 

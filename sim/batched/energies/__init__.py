@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
+from common.errors import InputError
 from sim.batched.energies.base import BatchedEnergy
 from sim.batched.energies.contact import BatchedContact
 from sim.batched.energies.fold_limit import BatchedFoldLimit
@@ -16,7 +17,6 @@ from sim.energies.fold_limit import FoldLimit
 from sim.energies.gravity import Gravity
 from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending
-from sim.errors import InputError
 
 __all__ = ["BatchedEnergy", "batch_energies"]
 

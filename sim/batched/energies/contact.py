@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from common.errors import InputError
 from sim.batched.energies.base import ElementBatch, stack_elements, stack_numbers, stack_places
 from sim.energies.contact import Cylinder, ObstacleContact
-from sim.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from sparse_batches import SparseSolver
 
+from common.errors import InputError
 from sim.batched import drape as batched
 from sim.batched.drape import drape_batch
 from sim.batched.equilibrium import analyse_grid, find_equilibria
@@ -13,7 +14,6 @@ from sim.batched.solvers import FrontalSolver
 from sim.drape import drape, start_positions
 from sim.energies.midedge import MidEdgeBending
 from sim.equilibrium import build_potential, cloth_terms, find_equilibrium
-from sim.errors import InputError
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
 from sim.membranes import Corotational

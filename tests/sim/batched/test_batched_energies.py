@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
+from common.errors import InputError
 from sim.batched.energies import batch_energies, midedge
 from sim.batched.energies.contact import BatchedContact
 from sim.batched.energies.edge_frames import BatchedEdgeFrames
@@ -14,7 +15,6 @@ from sim.drape import drape
 from sim.energies.contact import Cylinder, ObstacleContact, Ramp
 from sim.energies.fold_limit import LIMIT_START
 from sim.equilibrium import cloth_terms
-from sim.errors import InputError
 from sim.initial import initial_positions
 from sim.laws import Laws
 from sim.material import MICRO, Fabric

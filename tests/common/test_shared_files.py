@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from sim.errors import InputError
-from sim.files import remove_partial, replace_shared_file
+from common.errors import InputError
+from common.files import remove_partial, replace_shared_file
 
 
 def test_whoever_loses_its_temporary_file_writes_it_again(tmp_path, monkeypatch):

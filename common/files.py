@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sim.errors import InputError, one_line
+from common.errors import InputError, one_line
 
 PARTIAL_SUFFIX = ".part"
 """Ends the name of a file while it is being written."""

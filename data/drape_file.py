@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import InputError
+from common.files import replace_file
 from sim.drape import DrapeResult
-from sim.errors import InputError
-from sim.files import replace_file
 
 
 def write_drape(path: Path, result: DrapeResult) -> None:

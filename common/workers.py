@@ -13,9 +13,9 @@ from multiprocessing import connection, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 
-from sim.ctrl_c import deferred
-from sim.errors import InputError
-from sim.memory import keep_freed_memory
+from common.ctrl_c import deferred
+from common.errors import InputError
+from common.memory import keep_freed_memory
 
 WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",

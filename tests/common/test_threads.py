@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from threadpoolctl import ThreadpoolController
 
-from sim.threads import one_blas_thread
+from common.threads import one_blas_thread
 
 openblas = ThreadpoolController().select(internal_api="openblas")
 needs_openblas = pytest.mark.skipif(not openblas.info(), reason="NumPy has another BLAS")

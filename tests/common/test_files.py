@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim import kernel_cache
-from sim.errors import InputError, one_line
-from sim.files import replace_file, replace_json, replacing, require_file, require_folder
+from common.errors import InputError, one_line
+from common.files import replace_file, replace_json, replacing, require_file, require_folder
 
 
 def test_a_file_is_made_with_its_folder_and_replaced(tmp_path):
@@ -107,21 +106,3 @@ def test_errors_become_one_line():
     assert one_line(ValueError("two\n  lines")) == "two lines"
     assert one_line(KeyError()) == "KeyError"
     assert len(one_line(ValueError("x" * 1000))) == 200
-
-
-def test_kernels_have_a_private_place_where_numba_has_none(tmp_path, monkeypatch):
-    closed = tmp_path / "file"
-    closed.touch()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    for places, shared, given in (((closed, tmp_path), False, False), ((closed,), False, True),
-                                  ((closed,), True, False)):
-        monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-        monkeypatch.setattr(kernel_cache, "PLACES", places)
-        if shared:  # so that others could put code there
-            next(tmp_path.glob("sim_kernels_*")).chmod(0o777)
-        kernel_cache.ensure_kernel_cache()
-        assert ("NUMBA_CACHE_DIR" in os.environ) == given
-        if given:
-            folder = Path(os.environ["NUMBA_CACHE_DIR"])
-            assert folder.parent == tmp_path and folder.stat().st_mode & 0o777 == 0o700

@@ -1,4 +1,4 @@
-"""``python -m sim``: files, figures, and one line for a mistake."""
+"""``python -m apps.drape``: files, figures, and one line for a mistake."""
 
 import ast
 import json
@@ -13,16 +13,17 @@ from pathlib import Path
 
 import pytest
 
-import sim
-from sim.__main__ import main
-from sim.cli import parse_overrides
-from sim.ctrl_c import deferred
-from sim.errors import InputError
-from sim.workers import worker_pool
+import apps
+from apps.drape import main
+from common.cli import parse_overrides
+from common.ctrl_c import deferred
+from common.errors import InputError
+from common.workers import worker_pool
 
 
 def run(*words: str) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-m", "sim", *words], capture_output=True, text=True)
+    command = [sys.executable, "-m", "apps.drape", *words]
+    return subprocess.run(command, capture_output=True, text=True)
 
 
 def test_writes_mesh_picture_and_figures(tmp_path):
@@ -58,7 +59,7 @@ def test_mistakes_end_with_one_line_and_code_2(tmp_path, words):
 @pytest.mark.parametrize("out", ["/proc/drape", "FILE", "FILE/below", ""])
 def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, monkeypatch, out):
     (tmp_path / "file").write_text("mine")
-    monkeypatch.setattr("sim.__main__.drape", None)
+    monkeypatch.setattr("apps.drape.drape", None)
     with pytest.raises(InputError, match="folder"):
         main([f"out={out.replace('FILE', str(tmp_path / 'file'))}"])
 
@@ -103,10 +104,10 @@ def test_words_of_the_wrong_type_are_refused(word, said):
 
 
 def test_ctrl_c_during_the_imports_is_one_line():
-    done = subprocess.run([sys.executable, "-c", "import sim.interrupt; raise KeyboardInterrupt"],
-                          capture_output=True, text=True)
+    script = "import common.interrupt; raise KeyboardInterrupt"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stderr == "interrupted\n" and done.returncode == -signal.SIGINT  # 130 in a shell
-    done = subprocess.run([sys.executable, "-c", "import sim.interrupt; 1 / 0"],
+    done = subprocess.run([sys.executable, "-c", "import common.interrupt; 1 / 0"],
                           capture_output=True, text=True)
     assert "Traceback" in done.stderr and done.returncode == 1
 
@@ -120,7 +121,7 @@ def ctrl_c():
 
 
 COMPILED = """
-import sim.interrupt
+import common.interrupt
 import os, subprocess, time
 import numpy as np
 from sim.linear import SparsePattern
@@ -191,11 +192,11 @@ def test_ctrl_c_that_is_ignored_or_in_another_thread_stays_so(ctrl_c):
 
 
 @pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
-                                     "sim/__main__.py", "sim/cantilever/__main__.py"])
+                                     "apps/drape.py", "sim/cantilever/__main__.py"])
 def test_commands_see_to_ctrl_c_before_other_imports(command):
-    tree = ast.parse((Path(sim.__file__).parents[1] / command).read_text(encoding="utf-8"))
+    tree = ast.parse((Path(apps.__file__).parents[1] / command).read_text(encoding="utf-8"))
     first = next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))
-    assert ast.unparse(first) == "import sim.interrupt"
+    assert ast.unparse(first) == "import common.interrupt"
 
 
 def test_workers_are_born_deaf_to_ctrl_c_and_the_main_process_is_not():
@@ -235,7 +236,7 @@ def test_workers_import_the_main_script_only_for_what_it_defines(tmp_path, other
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(others=others), encoding="utf-8")
     ran = subprocess.run([sys.executable, script], capture_output=True, text=True,
-                         env=os.environ | {"PYTHONPATH": str(Path(sim.__file__).parents[1])})
+                         env=os.environ | {"PYTHONPATH": str(Path(apps.__file__).parents[1])})
     assert ran.stdout.splitlines()[-1] == "['converged', 'converged']", ran.stderr
     assert ran.stdout.count("imported") == imports
 
@@ -246,7 +247,7 @@ def test_commands_keep_the_memory_of_large_arrays():
         script = f"""
 import resource
 import numpy as np
-from sim.memory import keep_freed_memory
+from common.memory import keep_freed_memory
 {prepare}
 np.ones(8_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -5,7 +5,7 @@ class InputError(ValueError):
     """Bad input: the message is one line that says what is wrong and how to mend it.
 
     Command lines turn it into that line on standard error and exit code 2
-    (:func:`sim.cli.run_command`); nobody should see a traceback for it.
+    (:func:`common.cli.run_command`); nobody should see a traceback for it.
     """
 
 

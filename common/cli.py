@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from sim.errors import InputError
-from sim.memory import keep_freed_memory
+from common.errors import InputError
+from common.memory import keep_freed_memory
 
 LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
 

@@ -1,4 +1,4 @@
-"""Drape one fabric: ``python -m sim alpha=20,20,20 beta=0,0,0 out=outputs/a``.
+"""Drape one fabric: ``python -m apps.drape alpha=20,20,20 beta=0,0,0 out=outputs/a``.
 
 Keys (``key=value``):
 
@@ -16,10 +16,10 @@ Keys (``key=value``):
                  length
     offset       specimen's centre off the plate's axis along warp,weft in mm
     out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
-                 rest, positions, faces, held; see sim/drape_file.py)
+                 rest, positions, faces, held; see data/drape_file.py)
 """
 
-import sim.interrupt  # noqa: F401
+import common.interrupt  # noqa: F401
 
 # isort: split
 import sys
@@ -27,11 +27,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.cli import check_density, parse_overrides, run_command
+from common.cli import check_density, parse_overrides, run_command
+from common.errors import InputError
+from common.files import folder_named, replace_file, replace_json, require_folder
+from data.drape_file import read_borrowed, write_drape
 from sim.drape import DrapeResult, drape
-from sim.drape_file import read_borrowed, write_drape
-from sim.errors import InputError
-from sim.files import folder_named, replace_file, replace_json, require_folder
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig

@@ -1,4 +1,4 @@
-"""What Ctrl-C meets, and when; nothing changes by importing this (see :mod:`sim.interrupt`)."""
+"""What Ctrl-C meets, and when; nothing changes by importing this (see :mod:`common.interrupt`)."""
 
 import signal
 import threading

@@ -1,6 +1,6 @@
 """Import this before everything else of a command: it sees to what Ctrl-C does.
 
-During the other imports, which take seconds, it is one line, before :func:`sim.cli.run_command`
+During the other imports, which take seconds, it is one line, before :func:`common.cli.run_command`
 can see to it. The exit code is that of a process ended by Ctrl-C, 130 in a shell.
 """
 
@@ -9,7 +9,7 @@ import sys
 import threading
 from types import TracebackType
 
-from sim.ctrl_c import interrupt
+from common.ctrl_c import interrupt
 
 _others = sys.excepthook
 

@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from sim import workers
-from sim.errors import InputError
-from sim.workers import pool_for
+from common import workers
+from common.errors import InputError
+from common.workers import pool_for
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_what_went_wrong_is_not_kept():
 
 
 def test_processes_that_know_the_main_script_do_not_stay(monkeypatch):
-    monkeypatch.setattr("sim.workers.defined_in_main", lambda *things: things == ("ours",))
+    monkeypatch.setattr("common.workers.defined_in_main", lambda *things: things == ("ours",))
     with pool_for(1, "ours") as pool:
         process = process_of(pool)
     assert ended(process)

@@ -3,7 +3,7 @@ import subprocess
 
 import pytest
 
-from sim import provenance
+from common import provenance
 
 
 def git(folder, *words):

@@ -1,0 +1,1 @@
+"""Shared conduct of commands: errors, files, words of the command line, worker processes."""
