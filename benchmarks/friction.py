@@ -39,7 +39,7 @@ from data.sampling import Stream, stream
 from drapenet.checkpoint import BUNDLED, load_model, read_header
 from sim.cantilever.fabric import bending_length, estimate, simulate_strips
 from sim.drape import drape
-from sim.energies.bending_friction import Rubbing
+from sim.energies.bending_friction import BendingFriction
 from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
 
@@ -60,7 +60,7 @@ def estimates(theta: list[float], number: int, friction: list[float], sensor: st
     fabric = fabric_from_theta(np.array(theta))
     rows = [{"converged": False} for _ in friction]
     for torque, row in zip(friction, rows, strict=True):
-        laws = Laws(bending=Rubbing(MICRO * torque))
+        laws = Laws(bending=BendingFriction(MICRO * torque))
         result = drape(fabric, seed=number, laws=laws)
         if result.converged:
             row |= {"converged": True, "drape": captured_alpha(result, number, sensor)}

@@ -2,56 +2,59 @@
 
 import time
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from common.errors import InputError
-from sim.equilibrium import find_equilibrium
+from sim.energies.base import Energy
+from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.initial import (
     borrowed_positions,
     check_start,
     initial_positions,
     interpolate_positions,
 )
-from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import check_resolution
-from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene, State
-from sim.self_contact import find_free_equilibrium, self_intersections
-from sim.specimens import Specimen, make_specimen
+from sim.mesh import (
+    TOPOLOGIES,
+    Mesh,
+    Specimen,
+    check_edge,
+    coarse_to_fine,
+    default_edge,
+    make_specimen,
+)
+from sim.newton import NewtonOptions, Status
+from sim.scene import CONTACT_PRESSURE, Rig, Scene
+from sim.self_contact import self_intersections
+from sim.state import State
 
-COARSEST = 16  # fewest vertices a side that a drape is started on
-BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to survive
 COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth would end in the cylinder."""
-LENGTHS_PER_SPACING = 0.6
-"""Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
-_CHOSEN = (41, 101)  # vertices a side: fewest, for folds and rim; most, for the time
 COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DrapeResult:
-    """A draped specimen, or how far it came.
+    """A draped specimen, or how far it came, with what made it.
 
     Attributes:
         fabric, rig: what was asked for.
-        positions: (V, 3) m; origin and axes as :class:`sim.scene.Rig` says, z up.
-        rotations: (E,) rad, edge rotations of the bending law.
-        rest: (V, 2) m, warp along +x, weft along +y, origin on the plate's axis, without a
-            plate at the specimen's centre.
-        faces: (F, 3) int64, counter-clockwise seen from above at rest.
-        diagonals: (n-1, n-1) bool; ``faces == sim.mesh.grid_faces(diagonals)``; None where the
-            mesh is no grid.
+        mesh: of the specimen; origin on the plate's axis, without a plate at the specimen's centre.
         held: (V,) bool, vertices that the rig holds.
-        resolution: vertices a side, or across a disc.
+        state: positions (V, 3), m, origin and axes as :class:`sim.scene.Rig` says, z up, and
+            normals of the edges.
+        laws: of bending and membrane with which it is in balance.
+        extra: more energies that it is in balance with.
+        touches: whether contact of the cloth with itself is among them.
+        edge: length of the mesh's edges at the rim, m.
         status, message: how it ended, in one word and in a sentence.
         residual: largest force residual, in units of a vertex's weight.
         step: last Newton step, mm.
@@ -59,18 +62,22 @@ class DrapeResult:
         self_intersections: places where an edge passes through a triangle; 0 when converged.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
-        time_spent: seconds of all minimisations by activity (see :class:`NewtonResult`).
+        time_spent: seconds of all minimisations by activity (see
+            :class:`sim.newton.NewtonResult`).
+        coarse: statuses of the minimisations on coarser meshes, coarsest first.
+        equilibrium: the last minimisation with its energies and factor, where it was asked for;
+            it does not travel between processes.
     """
 
     fabric: Fabric
     rig: Rig
-    positions: np.ndarray
-    rotations: np.ndarray
-    rest: np.ndarray
-    faces: np.ndarray
-    diagonals: np.ndarray | None
+    mesh: Mesh
     held: np.ndarray
-    resolution: int
+    state: State
+    laws: Laws
+    extra: tuple[Energy, ...]
+    touches: bool
+    edge: float
     status: Status
     message: str
     residual: float
@@ -80,25 +87,61 @@ class DrapeResult:
     iterations: int
     seconds: float
     time_spent: dict[str, float]
+    coarse: tuple[Status, ...] = ()
+    equilibrium: Equilibrium | None = None
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(V, 3) m."""
+        return self.state.positions
+
+    @property
+    def rest(self) -> np.ndarray:
+        """(V, 2) m, warp along +x, weft along +y."""
+        return self.mesh.rest
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(F, 3) int64, counter-clockwise seen from above at rest."""
+        return self.mesh.faces
 
     @property
     def converged(self) -> bool:
         """Whether this is a proven equilibrium."""
         return self.status is Status.CONVERGED
 
+    @property
+    def simulated(self) -> Fabric:
+        """The fabric at the reference density, at which drapes are simulated."""
+        return self.fabric.at_density(REFERENCE_DENSITY)
+
+    @property
+    def scene(self) -> Scene:
+        """The specimen on its rig."""
+        return scene_on(Specimen(self.mesh, self.held), self.rig)
+
+    def at(self, positions: np.ndarray, mesh: Mesh | None = None) -> "DrapeResult":
+        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``.
+
+        Where it is held follows the positions.
+        """
+        there = replace(self, mesh=mesh or self.mesh, equilibrium=None,
+                        status=Status.MAX_ITERATIONS, message="not settled")
+        return replace(there, state=there.scene.state(positions))
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"equilibrium": None}
+
 
 def drape(
     fabric: Fabric,
     *,
     rig: Rig | None = None,
-    resolution: int | None = None,
+    edge: float | None = None,
     start: str = "sine",
     borrowed: tuple[np.ndarray, np.ndarray] | None = None,
     seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0),
-    mesh: str = "perturbed",
-    jitter: float = 0.15,
-    diagonals: str | None = None,
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
 ) -> DrapeResult:
@@ -109,14 +152,15 @@ def drape(
 
     Args:
         rig: what holds the specimen; None for the square on its cylinder.
-        resolution: vertices a side, or across a disc, of the final mesh, within
-            :data:`sim.mesh.RESOLUTIONS`; None chooses it, see :func:`default_resolution`.
+        edge: length of the edges at the plate's rim, m, of the final mesh
+            (:func:`sim.mesh.make_specimen`); None chooses it by the fabric
+            (:func:`sim.mesh.default_edge`).
         start: initial shape, see :data:`sim.initial.STARTS`.
         borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
             to start from, in place of ``start``; on a mesh fine enough for its folds.
-        seed: of the initial shape and of the triangulation.
+        seed: of the initial shape; ``seed`` modulo :data:`sim.mesh.TOPOLOGIES` is the
+            triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        mesh, jitter, diagonals: kind of triangulation, see :func:`sim.specimens.make_specimen`.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
 
@@ -128,30 +172,19 @@ def drape(
     """
     rig, laws = rig or Rig(), laws or Laws()
     check_setting(rig, laws)
-    resolution = resolution or default_resolution(fabric, rig)
-    check_resolution(resolution)
+    edge = default_edge(fabric, rig) if edge is None else edge
+    check_edge(edge)
     check_start(start)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
     check_seed(seed)
-    if not 0 <= jitter <= 0.3:
-        raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
-    levels = coarse_to_fine(resolution, COARSEST if borrowed is None else BORROWED_COARSEST)
-    iterations, coarse, time_spent = 0, None, Counter()
-    for level in levels:
-        last = level == resolution
+    coarse, statuses, iterations, seconds = None, [], 0, Counter()
+    for level in coarse_to_fine(edge, borrowed=borrowed is not None):
+        last = level == edge
         try:
-            specimen = make_specimen(
-                rig,
-                mesh=mesh,
-                resolution=level,
-                offset=offset,
-                jitter=jitter,
-                diagonals=diagonals,
-                seed=seed,
-            )
+            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
         except InputError:
             # A narrow overhang may be too narrow for a coarse mesh alone.
             if last:
@@ -160,27 +193,23 @@ def drape(
         positions = start_positions(
             specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
         )
-        state, result, _ = find_settled_equilibrium(
-            scene_on(specimen, rig, last=last),
+        scene = scene_on(specimen, rig, soft=not last)
+        found = find_equilibrium(
+            scene,
             simulated,
-            State.at(specimen.mesh, positions),
+            scene.state(positions),
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
-            find=find_free_equilibrium if last else find_equilibrium,
+            self_contact=last,
         )
-        iterations += result.iterations
-        time_spent.update(result.seconds)
-        coarse = (specimen.mesh.rest, state.positions)
+        coarse = (specimen.mesh.rest, found.state.positions)
+        statuses.append(found.status)
+        iterations += found.newton.iterations
+        seconds.update(found.newton.seconds)
     return drape_result(
-        fabric,
-        rig,
-        specimen,
-        state,
-        result,
-        resolution=resolution,
-        iterations=iterations,
-        seconds=time.perf_counter() - began,
-        time_spent=dict(time_spent),
+        fabric, rig, laws, found, edge=edge, iterations=iterations,
+        seconds=time.perf_counter() - began, time_spent=dict(seconds),
+        coarse=tuple(statuses[:-1]),
     )
 
 
@@ -227,68 +256,51 @@ def start_positions(
     return positions
 
 
-def scene_on(specimen: Specimen, rig: Rig, *, last: bool) -> Scene:
-    """A specimen on ``rig``, on the last mesh or on a coarser one, where obstacles are soft."""
+def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
+    """A specimen on ``rig``; with ``soft`` obstacles, as on the coarser meshes."""
     return Scene(
         mesh=specimen.mesh,
         held=specimen.held,
         obstacles=rig.obstacles,
-        contact_pressure=CONTACT_PRESSURE * (1.0 if last else COARSE_CONTACT),
+        contact_pressure=CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0),
     )
 
 
 def drape_result(
     fabric: Fabric,
     rig: Rig,
-    specimen: Specimen,
-    state: State,
-    result: NewtonResult,
+    laws: Laws,
+    found: Equilibrium,
     *,
-    resolution: int,
+    edge: float,
+    extra: Sequence[Energy] = (),
     iterations: int,
     seconds: float,
     time_spent: dict[str, float],
+    coarse: tuple[Status, ...] = (),
+    keep: bool = False,
 ) -> DrapeResult:
-    """The drape whose last minimisation ended with ``state`` and ``result``."""
+    """The drape whose last minimisation ended with ``found``; ``keep``: with its factor."""
+    scene, newton = found.cloth.scene, found.newton
     return DrapeResult(
         fabric=fabric,
         rig=rig,
-        positions=state.positions,
-        rotations=state.rotations,
-        rest=specimen.mesh.rest,
-        faces=specimen.mesh.faces,
-        diagonals=specimen.diagonals,
-        held=specimen.held,
-        resolution=resolution,
-        status=result.status,
-        message=result.message,
-        residual=result.residual,
-        step=result.step,
-        positive_definite=result.positive_definite,
-        self_intersections=len(self_intersections(state.positions, specimen.mesh.faces)),
+        mesh=scene.mesh,
+        held=scene.held,
+        state=found.state,
+        laws=laws,
+        extra=tuple(extra),
+        touches=found.contact is not None,
+        edge=edge,
+        status=found.status,
+        message=found.message,
+        residual=newton.residual,
+        step=newton.step,
+        positive_definite=newton.positive_definite,
+        self_intersections=len(self_intersections(found.state.positions, scene.mesh.faces)),
         iterations=iterations,
         seconds=seconds,
         time_spent=time_spent,
+        coarse=coarse,
+        equilibrium=found if keep else None,
     )
-
-
-def default_resolution(fabric: Fabric, rig: Rig) -> int:
-    """Vertices a side so that the spacing follows the fabric's bending length (alpha/rho g)^⅓.
-
-    Softer cloth makes narrower folds. ``LENGTHS_PER_SPACING`` of the softest direction's bending
-    length, within ``_CHOSEN``.
-    """
-    length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
-    cells = rig.specimen_size / (LENGTHS_PER_SPACING * length)
-    return int(np.clip(np.ceil(cells) + 1, *_CHOSEN))
-
-
-def coarse_to_fine(resolution: int, coarsest: int = COARSEST) -> list[int]:
-    """Vertices a side of the meshes a drape is solved on; the spacing halves each time.
-
-    None but the last has fewer than ``coarsest``.
-    """
-    levels = [resolution]
-    while (levels[0] - 1) // 2 + 1 >= coarsest:
-        levels.insert(0, (levels[0] - 1) // 2 + 1)
-    return levels

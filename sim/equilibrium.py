@@ -1,100 +1,76 @@
-"""Static equilibrium of a cloth in a scene: which energies, which unknowns, which scales."""
+"""Static equilibrium of a cloth in a scene: the one way to find it, whatever acts on the cloth."""
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import numpy as np
-
+from sim.cloth import Cloth
 from sim.energies.base import Energy
-from sim.energies.contact import Obstacle, ObstacleContact
-from sim.energies.gravity import Gravity
+from sim.energies.self_contact import SelfContact
+from sim.lagged import settled
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.newton import NewtonOptions, NewtonResult, minimise
-from sim.potential import Potential, Terms
-from sim.scene import Scene, State
+from sim.newton import NewtonOptions, NewtonResult, Status, minimise
+from sim.scene import Scene
+from sim.self_contact import contact_near, self_intersections, untangled
+from sim.state import State
 
-STEP_UNIT = 1e-3  # m: steps are reported in mm
-
-
-def build_potential(
-    scene: Scene,
-    fabric: Fabric,
-    state: State,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-) -> Potential:
-    """Energy of ``fabric`` in ``scene`` around ``state``; arguments as for :func:`cloth_terms`."""
-    return Potential(**vars(cloth_terms(scene, fabric, state, laws=laws, extra=extra)))
+_ROUND = 25  # Newton steps after which the places of self-contact are chosen anew
 
 
-def cloth_terms(
-    scene: Scene,
-    fabric: Fabric,
-    state: State,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-) -> Terms:
-    """What the potential of ``fabric`` in ``scene`` consists of.
+@dataclass(eq=False)
+class Equilibrium:
+    """Where a cloth came to rest, or how far it came, with what made it.
 
-    Held vertices stay where they are in ``state``. Unknowns: coordinates of the free vertices and
-    the rotations that an energy depends on.
-    Residuals are in units of the mean weight of a vertex (for rotations: times the mean edge
-    length), steps in mm (for rotations: mm per mean edge length).
-
-    Args:
-        laws: of bending and membrane.
-        extra: energies beside those of the cloth, its weight and the scene's obstacles.
+    Attributes:
+        cloth: its energies, contact of cloth with itself among the ``extra`` ones.
+        state: positions and edge normals.
+        newton: the last minimisation, with the work of all.
+        contact: of the cloth with itself, where it acts.
+        rounds, change: of a law that follows the direction of bending, see :mod:`sim.lagged`.
     """
-    mesh = scene.mesh
-    weight_per_area = fabric.density * scene.gravity
-    membrane, *others = (laws or Laws()).energies(mesh, scene.active, fabric)
-    energies = [
-        *others,
-        Gravity(mesh, density=fabric.density, gravity=scene.gravity),
-        *extra,
-    ]
-    for obstacle in scene.obstacles:
-        energies += _contact(scene, obstacle, scene.contact_pressure * weight_per_area)
-    coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
-    used = np.zeros(coordinates + edges, dtype=bool)
-    for energy in (membrane, *energies):
-        used[energy.dofs[energy.dofs >= 0]] = True
-    used[:coordinates] &= np.repeat(~scene.held, 3)
 
-    ends = mesh.rest[mesh.edges]
-    edge_length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()
-    weight = weight_per_area * mesh.vertex_areas.mean()
-    # A convex membrane alone nearly always makes the whole Hessian positive definite.
-    return Terms(
-        stages=[[membrane], energies],
-        template=state.unknowns,
-        free=used,
-        force_scale=np.repeat([weight, weight * edge_length], [coordinates, edges]),
-        length_scale=np.repeat([STEP_UNIT, STEP_UNIT / edge_length], [coordinates, edges]),
-    )
+    cloth: Cloth
+    state: State
+    newton: NewtonResult
+    contact: SelfContact | None = None
+    rounds: int = 1
+    change: float = 0.0
 
+    @staticmethod
+    def at(cloth: Cloth, state: State) -> "Equilibrium":
+        """A state that is taken for an equilibrium of ``cloth``, without a minimisation."""
+        return Equilibrium(cloth, state, NewtonResult(state.q, Status.MAX_ITERATIONS, "not sought"))
 
-def _contact(scene: Scene, obstacle: Obstacle, pressure: float) -> list[ObstacleContact]:
-    """Contact at the free vertices and at the middles of the edges.
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return self.newton.status
 
-    Edges between touching vertices cut through a convex obstacle; with points twice as dense,
-    a quarter as deep. Areas are shared out as on the mesh refined by these points.
-    """
-    mesh = scene.mesh
-    free = ~scene.held
-    around = np.bincount(
-        mesh.face_edges.ravel(), np.repeat(mesh.areas, 3), minlength=len(mesh.edges)
-    )
-    points = [
-        (np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
-        (mesh.edges, around, free[mesh.edges].any(axis=1)),
-    ]
-    return [
-        ObstacleContact(vertices[moves], areas[moves] / 4, obstacle=obstacle, pressure=pressure)
-        for vertices, areas, moves in points
-    ]
+    @property
+    def message(self) -> str:
+        """The same in a sentence."""
+        return self.newton.message
+
+    @property
+    def converged(self) -> bool:
+        """Whether this is a proven equilibrium."""
+        return self.status is Status.CONVERGED
+
+    def ended(self, status: Status, message: str) -> "Equilibrium":
+        """The same with another outcome."""
+        return replace(self, newton=replace(self.newton, status=status, message=message))
+
+    def after(self, earlier: NewtonResult) -> "Equilibrium":
+        """The same with the work of an earlier minimisation added."""
+        newton = self.newton
+        seconds = dict(Counter(earlier.seconds) + Counter(newton.seconds))
+        return replace(self, newton=replace(
+            newton,
+            iterations=earlier.iterations + newton.iterations,
+            factorisations=earlier.factorisations + newton.factorisations,
+            seconds=seconds,
+        ))
 
 
 def find_equilibrium(
@@ -105,14 +81,95 @@ def find_equilibrium(
     laws: Laws | None = None,
     extra: Sequence[Energy] = (),
     options: NewtonOptions | None = None,
-) -> tuple[State, NewtonResult]:
-    """Equilibrium of ``fabric`` in ``scene`` next to ``start``; see the result's status.
+    self_contact: bool = False,
+    touching: bool = False,
+) -> Equilibrium:
+    """Equilibrium of ``fabric`` in ``scene`` next to ``start``; look at its ``status``.
 
-    ``laws`` and ``extra`` as for :func:`build_potential`.
+    Held vertices stay where they are in ``start``. A numerical failure raises nothing.
+
+    Args:
+        laws: of bending and membrane. Where bending follows the direction of curvature, equilibria
+            are found until the directions settle (:func:`sim.lagged.settled`).
+        extra: energies beside those of the cloth, its weight and the scene's obstacles.
+        options: of the minimisation.
+        self_contact: whether the cloth may not intersect itself. First the equilibrium without
+            contact between its parts is found, which is all for most drapes. Where it intersects
+            itself, it is untangled and found again with contact
+            (:class:`sim.energies.self_contact.SelfContact`), through which no step leads. Status
+            SELF_CONTACT: it could not be untangled, or is tangled again.
+        touching: with ``self_contact``, whether the cloth touches itself at the start already, so
+            that contact acts from the first step.
     """
-    potential = build_potential(scene, fabric, start, laws=laws, extra=extra)
-    q = start.unknowns
-    result = minimise(potential, potential.free_part(q), options)
-    q = potential.full(result.y)
-    vertices = len(scene.mesh.rest)
-    return State(q[: 3 * vertices].reshape(-1, 3), q[3 * vertices :]), result
+    laws = laws or Laws()
+
+    def once(start: State, laws: Laws) -> Equilibrium:
+        if self_contact and touching:
+            contact = contact_near(scene, start.positions, density=fabric.density)
+            found = _minimised(scene, fabric, start, laws, extra, options, contact)
+            if found.converged and contact.is_complete(found.state.q):
+                return found
+        found = _minimised(scene, fabric, start, laws, extra, options)
+        if not (self_contact and found.converged):
+            return found
+        return _untouched(found, extra, options)
+
+    return settled(once, scene, start, laws)
+
+
+def _minimised(
+    scene: Scene,
+    fabric: Fabric,
+    start: State,
+    laws: Laws,
+    extra: Sequence[Energy],
+    options: NewtonOptions | None,
+    contact: SelfContact | None = None,
+) -> Equilibrium:
+    cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
+    newton = minimise(cloth.potential, start.q, options)
+    return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
+
+
+def _untouched(
+    found: Equilibrium, extra: Sequence[Energy], options: NewtonOptions | None
+) -> Equilibrium:
+    """The equilibrium that ``found`` is if it does not intersect itself, or one that does not."""
+    scene = found.cloth.scene
+    count = len(self_intersections(found.state.positions, scene.mesh.faces))
+    if count == 0:
+        return found
+    positions = untangled(scene.mesh, scene.held, found.state.positions)
+    if positions is None:
+        return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
+                                                "not be untangled")
+    freed = _with_contact(found, scene.state(positions), extra, options).after(found.newton)
+    count = len(self_intersections(freed.state.positions, scene.mesh.faces))
+    if count:
+        return freed.ended(Status.SELF_CONTACT,
+                           f"intersects itself in {count} places ({freed.message})")
+    return freed
+
+
+def _with_contact(
+    tangled: Equilibrium, state: State, extra: Sequence[Energy], options: NewtonOptions | None
+) -> Equilibrium:
+    """Equilibrium with self-contact from a ``state`` without intersections."""
+    cloth, options = tangled.cloth, options or NewtonOptions()
+    iterations, found = 0, None
+    while True:
+        contact = contact_near(cloth.scene, state.positions, density=cloth.fabric.density)
+        steps = min(_ROUND, options.max_iterations - iterations)
+        part = _minimised(cloth.scene, cloth.fabric, state, cloth.laws, extra,
+                          replace(options, max_iterations=steps), contact)
+        iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
+        found = part if found is None else part.after(found.newton)
+        state = found.state
+        exact = contact.is_complete(state.q)
+        ended = found.status is not Status.MAX_ITERATIONS and exact
+        if ended or iterations >= options.max_iterations:
+            break
+    status = found.status
+    if found.converged and not exact:
+        status = Status.MAX_ITERATIONS  # a minimum only of an approximate Hessian
+    return found.ended(status, f"{found.message}; self-contact took {iterations} iterations")

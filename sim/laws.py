@@ -7,7 +7,6 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.energies.fold_limit import FoldLimit
 from sim.energies.midedge import MidEdgeBending
 from sim.hinge_laws import HINGE_LAWS
 from sim.material import Fabric
@@ -68,18 +67,6 @@ class Laws:
     def bending_law(self) -> Law:
         """The bending law that ``bending`` names or is."""
         return BENDING[self.bending] if isinstance(self.bending, str) else self.bending
-
-    def energies(self, mesh: Mesh, active: np.ndarray, fabric: Fabric) -> list[Energy]:
-        """Energies of the triangles ``active`` (F,) bool of a cloth of ``fabric``.
-
-        The membrane, the bending energy, the limit of folds, then those of ``others``.
-        """
-        return [
-            self.membrane.energy(mesh, active),
-            self.bending_law(mesh, active, fabric=fabric),
-            FoldLimit(mesh, active, stiffness=float(fabric.alpha.min())),
-            *(law(mesh, active, fabric=fabric) for law in self.others),
-        ]
 
     def softened(self, factor: float) -> "Laws":
         """The same laws with ``factor`` times the membrane's stiffness."""

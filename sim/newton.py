@@ -30,27 +30,28 @@ class Status(str, Enum):
 
 
 class Objective(Protocol):
-    """What is minimised; :class:`sim.potential.Potential` is one.
+    """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
 
-    ``hessian`` returns a pattern and the CSR data in it, of the Hessian in coordinates of the
-    objective's choice at ``y``: ``into_frames`` takes a gradient there, ``out_of_frames`` brings a
-    step back.
-    ``regularisation`` (size,) is added to the diagonal, in multiples, where even the convex
-    Hessian is singular; its entries have the units of the Hessian's diagonal.
+    A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
+    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
+    ``pattern``. ``regularisation`` (size,) is added to the diagonal, in multiples, where even the
+    convex Hessian is singular; its entries have the units of the Hessian's diagonal.
+    ``energy_scale`` is the size of differences in energy; those below :data:`NOISE` of it are
+    rounding.
     """
 
     size: int
+    pattern: SparsePattern
     regularisation: np.ndarray
+    energy_scale: float
 
-    def value(self, y: np.ndarray) -> float: ...
+    def value(self, q: np.ndarray) -> float: ...
 
-    def gradient(self, y: np.ndarray) -> np.ndarray: ...
+    def gradient(self, q: np.ndarray) -> np.ndarray: ...
 
-    def hessian(self, y: np.ndarray, convexity: float) -> tuple[SparsePattern, np.ndarray]: ...
+    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray: ...
 
-    def into_frames(self, y: np.ndarray, gradient: np.ndarray) -> np.ndarray: ...
-
-    def out_of_frames(self, y: np.ndarray, move: np.ndarray) -> np.ndarray: ...
+    def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
 
@@ -81,30 +82,32 @@ class NewtonResult:
     """Where a minimisation ended and what it took.
 
     Attributes:
-        y: (n,) last unknowns; use them only if ``status`` is CONVERGED.
+        q: last state; use it only if ``status`` is CONVERGED.
         residual, step: scaled figures of the last iteration.
-        positive_definite: whether the exact Hessian at ``y`` has a Cholesky factor.
+        positive_definite: whether the exact Hessian at ``q`` has a Cholesky factor.
+        factor: the solver that holds this factor; None without one.
         factorisations: all of them, also those that failed.
         seconds: CPU time by activity: analyse, assemble, factorise, search, total.
     """
 
-    y: np.ndarray
+    q: np.ndarray
     status: Status
     message: str
     iterations: int = 0
     residual: float = np.inf
     step: float = np.inf
     positive_definite: bool = False
+    factor: CholeskySolver | None = None
     factorisations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-# The algorithm's numbers; sim.batched.newton follows the same.
+# The algorithm's numbers.
 CONVEXITY = (0.0, 0.1, 0.5, 1.0)  # what is tried, from the exact Hessian on
 SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 SMALLEST_STEP = 2.0**-30
-NOISE = 1e-14  # of an energy, relative: smaller differences are rounding
+NOISE = 1e-14  # of the energy scale: smaller differences are rounding
 NUDGES = 5
 NUDGE = 0.1  # size of the first nudge, in units of the step length
 NUDGE_GROWTH = 3.0  # of every other one: a short one may lead back to a flat saddle
@@ -127,7 +130,7 @@ def ending(status: Status, residual: float, iterations: int) -> str:
 def minimise(
     objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
 ) -> NewtonResult:
-    """Find a local minimum near ``start`` (n,). Never raises for a numerical failure."""
+    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
     run = _Run(objective, np.array(start, dtype=np.float64), options or NewtonOptions())
     began = time.thread_time()
     with np.errstate(all="ignore"):
@@ -139,19 +142,19 @@ def minimise(
 class _Run:
     """State of one minimisation."""
 
-    def __init__(self, objective: Objective, y: np.ndarray, options: NewtonOptions) -> None:
+    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
         self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
         self.rest = False
-        self.result = NewtonResult(y=y, status=Status.MAX_ITERATIONS, message="")
+        self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
         self.rng = np.random.default_rng(0)
-        self.solvers: dict[SparsePattern, CholeskySolver] = {}
+        self.solver: CholeskySolver | None = None
 
     def iterate(self) -> None:
         result, options = self.result, self.options
-        value = self.objective.value(result.y)
-        gradient = self.objective.gradient(result.y)
+        value = self.objective.value(result.q)
+        gradient = self.objective.gradient(result.q)
         nudges = 0
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
@@ -164,13 +167,14 @@ class _Run:
                     step = self._solve(-gradient)
                     result.step = self.objective.step_length(step)
                     if result.step < options.step:
+                        result.factor = self.solver
                         return self._end(Status.CONVERGED)
                     self.convexity, self.rest = 0.0, False
                 elif nudges < NUDGES:
-                    result.y = result.y + self._nudge(nudges)
+                    result.q = self._nudge(nudges)
                     nudges += 1
-                    value = self.objective.value(result.y)
-                    gradient = self.objective.gradient(result.y)
+                    value = self.objective.value(result.q)
+                    gradient = self.objective.gradient(result.q)
                     self.convexity = 1.0
                     result.iterations += 1
                     continue
@@ -194,7 +198,7 @@ class _Run:
                 result.iterations += 1
                 continue
             self.shift = 0
-            length, result.y, value, gradient = found
+            length, result.q, value, gradient = found
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
         result.residual = self.objective.residual(gradient)
@@ -209,23 +213,21 @@ class _Run:
         return _Timer(self.result.seconds, activity)
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
+        objective = self.objective
         with self._timed("assemble"):
-            pattern, data = self.objective.hessian(self.result.y, convexity)
+            data = objective.hessian(self.result.q, convexity)
             if shift:
-                data[pattern.diagonal] += shift * self.objective.regularisation
-        if pattern not in self.solvers:
+                data[objective.pattern.diagonal] += shift * objective.regularisation
+        if self.solver is None:
             with self._timed("analyse"):
-                self.solvers[pattern] = make_solver(pattern, self.options.linear_solver)
-        self.solver = self.solvers[pattern]
+                self.solver = make_solver(objective.pattern, self.options.linear_solver)
         with self._timed("factorise"):
             self.result.factorisations += 1
             return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        objective, y = self.objective, self.result.y
         with self._timed("factorise"):
-            rhs = objective.into_frames(y, rhs)
-            return objective.out_of_frames(y, self.solver.solve(rhs, rough=rough))
+            return self.solver.solve(rhs, rough=rough)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
@@ -249,15 +251,15 @@ class _Run:
         self, value: float, gradient: np.ndarray, step: np.ndarray
     ) -> tuple[float, np.ndarray, float, np.ndarray] | None:
         """Step length by backtracking from 1, doubling while the energy keeps falling."""
-        objective, y = self.objective, self.result.y
+        objective, q = self.objective, self.result.q
         slope = float(gradient @ step)
         if not slope < 0:
             return None
-        noise = NOISE * abs(value)
+        noise = NOISE * objective.energy_scale
         length, best = 1.0, None
         while length > SMALLEST_STEP:
-            trial = y + length * step
-            if objective.allows(y, trial):
+            trial = objective.moved(q, length * step)
+            if objective.allows(q, trial):
                 trial_value = objective.value(trial)
                 if trial_value <= value + SUFFICIENT * length * slope:
                     best = (length, trial, trial_value)
@@ -272,8 +274,8 @@ class _Run:
             return None
         while best[0] >= 1.0:
             length = 2 * best[0]
-            trial = y + length * step
-            if not objective.allows(y, trial):
+            trial = objective.moved(q, length * step)
+            if not objective.allows(q, trial):
                 break
             trial_value = objective.value(trial)
             if not trial_value < min(best[2], value + SUFFICIENT * length * slope):
@@ -282,17 +284,19 @@ class _Run:
         return *best, objective.gradient(best[1])
 
     def _nudge(self, nudges: int) -> np.ndarray:
-        """A small move out of a saddle after some ``nudges``: random, smoothed by the convex
+        """A state near a saddle after some ``nudges``: moved at random, smoothed by the convex
         Hessian."""
+        objective, q = self.objective, self.result.q
         if not self._factorise(1.0, SHIFTS[1]):
-            return np.zeros(self.objective.size)
-        move = self._solve(self.rng.standard_normal(self.objective.size))
-        move *= NUDGE * NUDGE_GROWTH**nudges / self.objective.step_length(move)
+            return q
+        move = self._solve(self.rng.standard_normal(objective.size))
+        move *= NUDGE * NUDGE_GROWTH**nudges / objective.step_length(move)
         for _ in range(NUDGE_HALVINGS):
-            if self.objective.allows(self.result.y, self.result.y + move):
-                return move
+            there = objective.moved(q, move)
+            if objective.allows(q, there):
+                return there
             move /= 2
-        return np.zeros(self.objective.size)
+        return q
 
 
 class _Timer:

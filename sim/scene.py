@@ -1,6 +1,6 @@
-"""Rigs, scenes (what does not change during a simulation) and states (what does), in SI units."""
+"""Rigs and scenes: what does not change during a simulation, in SI units."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.contact import Cylinder, Obstacle
 from sim.mesh import Mesh
+from sim.state import State
 
 GRAVITY = 9.81  # m/s²
 CONTACT_PRESSURE = 120.0
@@ -16,14 +17,13 @@ CONTACT_PRESSURE = 120.0
 
 @dataclass(frozen=True)
 class Rig:
-    """A specimen and what holds it, named after both.
+    """A specimen and what holds it.
 
     Either a round plate holds the middle of the specimen (paper, section 3.1): the world's origin
     is then the centre of the plate's top face, z points up. Or two neighbouring corners of a
     square hang at the height z = 0, at the same distance from the origin (section 7.4.2).
 
     Attributes:
-        name: identifier stored in datasets and checkpoints.
         specimen_size: side of a square specimen or diameter of a disc, m.
         plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
         specimen: "square" or "disc".
@@ -33,7 +33,6 @@ class Rig:
         InputError: a specimen that such a rig cannot hold.
     """
 
-    name: str = "square300_cylinder100"
     specimen_size: float = 0.300
     plate_diameter: float = 0.100
     specimen: str = "square"
@@ -52,6 +51,16 @@ class Rig:
         if not (self.corners_apart and 0 < self.corners_apart < self.specimen_size):
             raise InputError(f"corners_apart={self.corners_apart}: without a plate give a distance "
                              f"above 0 and below {self.specimen_size:g} m, the specimen's size")
+
+    @property
+    def name(self) -> str:
+        """Identifier in datasets and checkpoints: the specimen and what holds it, in mm."""
+        if not self.has_plate:
+            holder, size = "corners", self.corners_apart
+        else:
+            holder = "support" if self.specimen == "disc" else "cylinder"
+            size = self.plate_diameter
+        return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}"
 
     @property
     def plate_radius(self) -> float:
@@ -82,9 +91,8 @@ class Rig:
         return np.column_stack([across, np.zeros((len(rest), 2))])
 
     def as_dict(self) -> dict:
-        """What a dataset's description says of the rig; the name stands for the rest."""
-        return {"name": self.name, "specimen_size": self.specimen_size,
-                "plate_diameter": self.plate_diameter}
+        """The rig in JSON's types, as a dataset's description has it."""
+        return {"name": self.name, **asdict(self)}
 
     @staticmethod
     def from_name(name: str) -> "Rig":
@@ -98,16 +106,16 @@ class Rig:
         return RIGS[name]
 
 
-DISC_RIG = Rig("disc300_support180", 0.300, 0.180, specimen="disc")
+DISC_RIG = Rig(0.300, 0.180, specimen="disc")
 """The drape tester of textile laboratories: ISO 9073-9, BS 5058."""
 
-HUNG_SQUARE = Rig("square600_corners500", 0.600, 0.0, corners_apart=0.500)
+HUNG_SQUARE = Rig(0.600, 0.0, corners_apart=0.500)
 """The hanging test of section 7.4.2."""
 
 RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG, HUNG_SQUARE)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A specimen, what holds it and what it may touch.
 
@@ -130,26 +138,13 @@ class Scene:
         """(F,) bool, triangles with a free vertex."""
         return ~self.held[self.mesh.faces].all(axis=1)
 
+    @cached_property
+    def held_edges(self) -> np.ndarray:
+        """(E,) bool, edges of held triangles, whose normals do not move."""
+        held = np.zeros(len(self.mesh.edges), dtype=bool)
+        held[self.mesh.face_edges[~self.active]] = True
+        return held
 
-@dataclass
-class State:
-    """Where the cloth is.
-
-    Attributes:
-        positions: (V, 3) m.
-        rotations: (E,) rad, how each edge splits its dihedral angle between its triangles
-            (:mod:`sim.energies.midedge`).
-    """
-
-    positions: np.ndarray
-    rotations: np.ndarray
-
-    @property
-    def unknowns(self) -> np.ndarray:
-        """(3 V + E,) all of them in the order of the energies: x, y, z by vertex, rotations."""
-        return np.concatenate([self.positions.ravel(), self.rotations])
-
-    @staticmethod
-    def at(mesh: Mesh, positions: np.ndarray) -> "State":
-        """State with positions (V, 3) and all dihedral angles split evenly."""
-        return State(positions=positions.copy(), rotations=np.zeros(len(mesh.edges)))
+    def state(self, positions: np.ndarray) -> State:
+        """The state with positions (V, 3), m, whose edges' normals halve their dihedral angles."""
+        return State.at(self.mesh, positions, self.active)

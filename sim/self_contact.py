@@ -1,19 +1,10 @@
-"""Cloth that meets itself: where it intersects itself, and equilibria in which it does not."""
-
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+"""Cloth that meets itself: where it intersects itself, how it is untangled, its contact."""
 
 import numpy as np
 
-from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, import_ipctk
-from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
-from sim.material import Fabric
 from sim.mesh import Mesh, adjacency, smooth
-from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import Scene, State
+from sim.scene import Scene
 
 DISTANCE = 1e-3
 """m between two sheets of cloth at which they begin to feel each other, about two thicknesses."""
@@ -21,7 +12,6 @@ PRESSURE = 20.0
 """Between two sheets half that distance apart, as a multiple of the cloth's weight."""
 _SHARE_OF_HEIGHT = 0.5  # on fine meshes the distance is at most this share of a triangle's height
 _REACH = 3.0  # pairs within this multiple of the distance get a place in the Hessian
-_ROUND = 25  # Newton steps after which these places are chosen anew
 _UNTANGLING_ROUNDS = 60
 
 
@@ -47,47 +37,6 @@ def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     crossing = np.array([ipctk.is_edge_intersecting_triangle(*five) for five in corners], bool)
     found = np.column_stack([edges[edge], face])[crossing]
     return found[np.lexsort(found.T)]
-
-
-def find_free_equilibrium(
-    scene: Scene,
-    fabric: Fabric,
-    start: State,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    options: NewtonOptions | None = None,
-) -> tuple[State, NewtonResult]:
-    """An equilibrium in which the cloth does not intersect itself; arguments as find_equilibrium.
-
-    First without contact between parts of the cloth, which is all for most drapes: where that
-    equilibrium is free of intersections it is returned as it is. Otherwise it is untangled and
-    Newton's method goes on from there with contact (:class:`SelfContact`), through which no step
-    leads. The result counts the work of both.
-
-    Status SELF_CONTACT says that the cloth could not be untangled, or is tangled again.
-    """
-    state, plain = find_equilibrium(scene, fabric, start, laws=laws, extra=extra, options=options)
-    count = len(self_intersections(state.positions, scene.mesh.faces))
-    if count == 0 or plain.status is not Status.CONVERGED:
-        return state, plain
-    positions = untangled(scene.mesh, scene.held, state.positions)
-    if positions is None:
-        message = f"intersects itself in {count} places and could not be untangled"
-        return state, replace(plain, status=Status.SELF_CONTACT, message=message)
-    state, result = _continue_with_contact(
-        scene, fabric, State(positions, state.rotations), laws=laws, extra=extra, options=options
-    )
-    count = len(self_intersections(state.positions, scene.mesh.faces))
-    if count:
-        message = f"intersects itself in {count} places ({result.message})"
-        result = replace(result, status=Status.SELF_CONTACT, message=message)
-    return state, replace(
-        result,
-        iterations=plain.iterations + result.iterations,
-        factorisations=plain.factorisations + result.factorisations,
-        seconds=dict(Counter(plain.seconds) + Counter(result.seconds)),
-    )
 
 
 def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
@@ -116,50 +65,6 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
         for _ in range(2 + step // 4):
             smooth(x, moving, adjacent)
     return None
-
-
-def _continue_with_contact(
-    scene: Scene,
-    fabric: Fabric,
-    state: State,
-    *,
-    laws: Laws | None,
-    extra: Sequence[Energy],
-    options: NewtonOptions | None,
-) -> tuple[State, NewtonResult]:
-    """Equilibrium with self-contact from a ``state`` without intersections."""
-    options = options or NewtonOptions()
-    iterations, factorisations, seconds = 0, 0, Counter()
-    while True:
-        contact = contact_near(scene, state.positions, density=fabric.density)
-        steps = min(_ROUND, options.max_iterations - iterations)
-        state, result = find_equilibrium(
-            scene,
-            fabric,
-            state,
-            laws=laws,
-            extra=[*extra, contact],
-            options=replace(options, max_iterations=steps),
-        )
-        iterations += max(result.iterations, 1)  # rounds without a step must end, too
-        factorisations += result.factorisations
-        seconds.update(result.seconds)
-        exact = contact.is_complete(state.unknowns)
-        ended = result.status is not Status.MAX_ITERATIONS and exact
-        if ended or iterations >= options.max_iterations:
-            break
-    message = f"{result.message}; self-contact took {iterations} iterations"
-    status = result.status
-    if status is Status.CONVERGED and not exact:
-        status = Status.MAX_ITERATIONS  # a minimum only of an approximate Hessian
-    return state, replace(
-        result,
-        status=status,
-        message=message,
-        iterations=iterations,
-        factorisations=factorisations,
-        seconds=dict(seconds),
-    )
 
 
 def contact_near(scene: Scene, positions: np.ndarray, *, density: float) -> SelfContact:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from drapenet.refine.captured import SETTLING, CapturedShape, Cloth
 from drapenet.refine.shape_search import surface_springs
 from sim.drape import DrapeResult
-from sim.energies.bending_friction import Rubbing
+from sim.energies.bending_friction import BendingFriction
 from sim.energies.midedge import MidEdgeBending
 from sim.scene import State
 from sim.sensitivity import follow
@@ -37,5 +37,5 @@ def drapes_with_friction(
         State(held.positions, held.rotations).unknowns)
     return [held, *(
         follow(held, cloth.fabric, options=SETTLING,
-               laws=replace(cloth.laws, bending=Rubbing(torque, origin)))
+               laws=replace(cloth.laws, bending=BendingFriction(torque, origin)))
         for torque in torques)]

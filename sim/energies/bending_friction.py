@@ -27,7 +27,7 @@ _METRIC = np.array([1.0, 1.0, 2.0])  # of Sxx, Syy, Sxy
 
 
 @dataclass(frozen=True, eq=False)
-class Rubbing:
+class BendingFriction:
     """A bending law (:class:`sim.laws.Law`) with friction.
 
     Attributes:
@@ -50,18 +50,18 @@ class Rubbing:
             raise InputError(f"friction of {self.torque} N within {self.build_up} 1/m: give a "
                              "torque of 0 or more and a change of curvature above 0")
 
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "RubbingBending":
-        return RubbingBending(mesh, active, fabric=fabric, friction=self)
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "FrictionBending":
+        return FrictionBending(mesh, active, fabric=fabric, friction=self)
 
 
-class RubbingBending(MidEdgeBending):
+class FrictionBending(MidEdgeBending):
     """Plate energy of the free triangles with ``friction``.
 
     The other arguments are those of :class:`sim.energies.midedge.MidEdgeBending`.
     """
 
     def __init__(
-        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, friction: Rubbing
+        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, friction: BendingFriction
     ) -> None:
         super().__init__(mesh, active, fabric=fabric)
         self._torque, self._build_up = friction.torque, friction.build_up

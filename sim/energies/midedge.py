@@ -1,15 +1,25 @@
-"""Bending by mid-edge rotations: a constant-curvature plate element with finite angles.
+"""Bending by the normals of edges: a constant-curvature plate element with finite angles.
 
-Every edge carries a rotation zeta that splits its dihedral angle theta between its two
-triangles: phi = theta/2 + zeta on one, theta/2 - zeta on the other. A free boundary edge has
-phi = zeta alone, which makes the free edge exact; the edge between held and free cloth has
-phi = theta on its free side, which makes the clamp exact. In a triangle the shape operator is
+Every edge has a normal (:mod:`sim.state`). In a triangle, phi is the angle about an edge from the
+triangle's own normal to the edge's, positive where the edge's leans outwards; those of the two
+triangles at an edge add up to its dihedral angle. The normal of a boundary edge is free, which
+makes the free edge exact; an edge between held and free cloth has the normal of the held triangle,
+which makes the clamp exact. The triangle's shape operator is
 
     S = sum_i (2 phi_i / h_i) n_i n_i^T
 
 with h_i the rest height over edge i and n_i that edge's rest normal, and the energy is A psi(S).
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
+
+Meshes too coarse for the cloth would fold through themselves, where phi jumps. A barrier
+
+    k e/h (-(|phi| - s)² log((p - |phi|)/(p - s)))
+
+prevents that beyond s = ``LIMIT_START`` times the pole p: p is a quarter turn, which leaves half a
+turn between two triangles, and half a turn at a clamp, whose other side is fixed. k is the least
+alpha, e/h the rest length of the edge over the rest height of the triangle. A converged drape that
+feels it is not resolved by its mesh.
 """
 
 import copy
@@ -18,20 +28,23 @@ import numba
 import numpy as np
 
 from sim.energies import dihedral, plate_law
+from sim.energies.base import Energy
 from sim.energies.clamp import bending_areas
-from sim.energies.edge_frames import EdgeFrames
 from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
 
 CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+LIMIT_START = 0.76  # of the pole: 2.4 rad between two triangles
+LEAST_ROOM = 0.2  # share of the way to the pole that a step must leave
 
 
-class MidEdgeBending:
-    """Plate energy of the free triangles.
+class MidEdgeBending(Energy):
+    """Plate energy of the free triangles, with the barrier against folding through.
 
-    One element is a triangle with the 21 unknowns: its corners, the corners across its edges
-    (18 coordinates), and the rotations of its edges.
+    One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
+    the normals of the edges opposite them. Those of edges between held and free cloth have to be
+    held, too.
 
     Args:
         mesh: the specimen, material axes warp = x, weft = y.
@@ -39,74 +52,81 @@ class MidEdgeBending:
         fabric: moduli; see :mod:`sim.energies.plate_law` for the law they enter.
 
     Attributes:
-        share, sign: (N, 3), see :func:`split_of_angles`.
         maps: (N, 3, 3), 1/m, see :func:`curvature_maps`.
         areas: (N,) m², with the weights next to a clamp.
-        law: (15,) constants, see :func:`sim.energies.plate_law.constants`.
-        frames, framed_dofs: see :class:`sim.energies.base.FramedEnergy`.
+        law: see :func:`sim.energies.plate_law.constants`.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
-        corners = np.concatenate([mesh.faces, mesh.neighbours], axis=1)[active]
-        edges = mesh.face_edges[active]
-        coordinates = np.where(
-            corners[:, :, None] >= 0, 3 * corners[:, :, None] + np.arange(3), -1
-        ).reshape(-1, 18)
-        rotation = 3 * len(mesh.rest) + edges
-        self.share, self.sign = split_of_angles(mesh, active)
-        self.dofs = np.concatenate(
-            [coordinates, np.where(self.sign != 0, rotation, -1)], axis=1
-        )
-        self.framed_dofs = np.concatenate([self.dofs[:, :9], self.dofs[:, 18:]], axis=1)
-        self._edges = edges
-        inner = np.nonzero((self.share == 0.5) & (self.sign > 0))
-        beyond = self._hinge_dofs(*np.nonzero(self.share == 1.0))
-        self.frames = EdgeFrames(
-            dofs=self._hinge_dofs(*inner),
-            rotations=rotation[inner],
-            clamped=np.delete(beyond, [6, 7, 8], axis=1).ravel(),
-        )
-        self.areas = bending_areas(mesh, active, self.share)
+        faces, edges = mesh.faces[active], mesh.face_edges[active]
+        beyond = mesh.edge_faces[edges]  # (N, 3, 2)
+        boundary = beyond[..., 1] < 0
+        clamped = ~boundary & ~active[beyond].all(axis=2)
+        coordinates = 3 * len(mesh.rest)
+        self._normals = coordinates + 3 * edges
+        self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
+        self.dofs = np.concatenate([self._corners, coordinates + edges], axis=1)
+        # A rotation is counted along mesh.edges, from the smaller vertex to the larger.
+        forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
+        self._sign = np.where(forward, 1.0, -1.0)
+        self.areas = bending_areas(mesh, active, clamped)
         self.maps = curvature_maps(mesh)[active]
-        self.law = plate_law.constants(fabric)
-        self._curvatures = Remembered()
+        pole = np.where(clamped, np.pi, np.pi / 2)
+        self._pole = np.where(boundary, np.inf, pole)
+        lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1)[edges]
+        self._slenderness = lengths**2 / (2 * mesh.areas[active])[:, None]  # e/h
+        self._angles = Remembered()
+        self._take(fabric)
 
-    def _hinge_dofs(self, triangle: np.ndarray, edge: np.ndarray) -> np.ndarray:
-        """(M, 12) coordinates of the corners of hinges, from (M,) triangles and their edges."""
-        first = np.array([_first_rows(k) for k in range(3)])[edge]  # (M, 4)
-        return self.dofs[triangle[:, None], (first[:, :, None] + np.arange(3)).reshape(-1, 12)]
+    def _take(self, fabric: Fabric) -> None:
+        """Set all that depends on the fabric."""
+        self.law = plate_law.constants(fabric)
+        self._barrier = fabric.alpha.min() * self._slenderness
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
-        """The same energy of another fabric, for a fraction of the price of a new one.
-
-        Laws that build on this one may have more that depends on the fabric.
-        """
+        """The same energy of another fabric, for a fraction of the price of a new one."""
         other = copy.copy(self)
-        other.law = plate_law.constants(fabric)
+        other._take(fabric)
         return other
 
     def value(self, q: np.ndarray) -> float:
-        return _total(self.areas, self.density(self.curvatures(q)))
+        return _total(self.areas, self.density(self.curvatures(q))) + self._fold(q)[0]
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         stress, _ = self.stress(self.curvatures(q))
-        return _gradient(q, *self._geometry, stress)
+        return _gradient(q, self._corners, self._sign, self._moments(q, stress))
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _hessian(q, *self._geometry, *self._derivatives(q, convexity), convexity)
-
-    def framed_hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _framed_hessian(q, *self._geometry, self._edges,
-                               *self._derivatives(q, convexity), convexity)
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        stress, tangent = self.stress(self.curvatures(q))
+        if convex:
+            # The rotations of the edges have no other stiffness: the floor is positive.
+            law = self.law
+            _convexify(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
+        moments = None if convex else self._moments(q, stress)
+        return _hessian(q, self._corners, self._sign, self.maps, self.areas, tangent,
+                        self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
+        """False when an angle would pass its pole or take most of its way there in one step.
+
+        The second is the fraction-to-boundary rule of interior-point methods: without it, a
+        step can end so close to the pole that no later one gets away.
+        """
+        before, after = np.abs(self.angles(old)), np.abs(self.angles(new))
+        near = after > LIMIT_START * self._pole
+        if not near.any():
+            return True
+        pole = self._pole[near]
+        room = np.minimum(pole - before[near], (1 - LIMIT_START) * pole)
+        return bool((pole - after[near] >= LEAST_ROOM * room).all())
+
+    def angles(self, q: np.ndarray) -> np.ndarray:
+        """(N, 3) angles phi, rad."""
+        return self._angles.at(q, lambda q: _angles(q, self._corners, self._normals))
 
     def curvatures(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
-        return self._curvatures.at(
-            q, lambda q: _curvatures(q, self.dofs, self.share, self.sign, self.maps)
-        )
+        return _mapped(self.maps, self.angles(q))
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
         """(N,) energies, J/m², of the shape operators (N, 3)."""
@@ -116,33 +136,29 @@ class MidEdgeBending:
         """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
         return plate_law.stresses(curvatures, self.law)
 
-    def _derivatives(self, q: np.ndarray, convexity: float) -> tuple[np.ndarray, np.ndarray]:
-        """:meth:`stress` at ``q``, its tangents as convex as asked for."""
-        stress, tangent = self.stress(self.curvatures(q))
-        if convexity > 0.0:
-            # The rotations of the edges have no other stiffness: the floor is positive.
-            floor = CONVEX_FLOOR * min(self.law[0], self.law[1], 4.0 * self.law[3])
-            _convexify(tangent, floor, convexity)
-        return stress, tangent
+    def is_folded(self, q: np.ndarray) -> bool:
+        """Whether the barrier acts anywhere."""
+        return bool((np.abs(self.angles(q)) > LIMIT_START * self._pole).any())
 
-    @property
-    def _geometry(self) -> tuple[np.ndarray, ...]:
-        return self.dofs, self.share, self.sign, self.maps, self.areas
+    def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
+        """(N, 3) derivatives of the energy by the angles phi, J/rad."""
+        moments = self.areas[:, None] * np.einsum("nai,na->ni", self.maps, stress)
+        return moments + self._fold(q)[1]
 
-
-def split_of_angles(mesh: Mesh, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How the active triangles' edges share their dihedral angles.
-
-    Returns:
-        (share (N, 3), sign (N, 3)) so that phi = share * theta + sign * zeta on each edge.
-    """
-    faces = mesh.edge_faces[mesh.face_edges[active]]  # (N, 3, 2)
-    boundary = faces[..., 1] < 0
-    clamped = ~boundary & ~active[faces].all(-1)
-    share = np.where(boundary, 0.0, np.where(clamped, 1.0, 0.5))
-    first = faces[..., 0] == np.flatnonzero(active)[:, None]
-    sign = np.where(clamped, 0.0, np.where(first, 1.0, -1.0))
-    return share, sign
+    def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
+        phi = self.angles(q)
+        first, second = np.zeros(phi.shape), np.zeros(phi.shape)
+        bent = np.abs(phi) > LIMIT_START * self._pole
+        if not bent.any():
+            return 0.0, first, second
+        angle, pole, scale = np.abs(phi[bent]), self._pole[bent], self._barrier[bent]
+        over, left = angle - LIMIT_START * pole, pole - angle
+        with np.errstate(invalid="ignore"):
+            logarithm = np.log(left / ((1 - LIMIT_START) * pole))
+        first[bent] = np.sign(phi[bent]) * scale * (over**2 / left - 2.0 * over * logarithm)
+        second[bent] = scale * (4.0 * over / left + (over / left) ** 2 - 2.0 * logarithm)
+        return float(scale @ (-(over**2) * logarithm)), first, second
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
@@ -156,49 +172,41 @@ def curvature_maps(mesh: Mesh) -> np.ndarray:
     return np.stack([nx * nx * scale, ny * ny * scale, nx * ny * scale], axis=1)
 
 
-@numba.njit(cache=True)
-def _first_rows(i):
-    """Where the coordinates of the corners of the hinge on edge i begin in an element."""
-    return 3 * ((i + 1) % 3), 3 * ((i + 2) % 3), 3 * i, 9 + 3 * i
-
-
-@numba.njit(cache=True)
-def _load_hinge(q, dofs, i, x):
-    """Copy the corners of the hinge on edge i of an element to x (4, 3)."""
-    first = _first_rows(i)
-    for c in range(4):
+@numba.njit(inline="always")
+def _load(q, corners, i, x):
+    """Copy a triangle's corners to x: start and end of the edge opposite corner i, then i."""
+    for place, corner in enumerate(((i + 1) % 3, (i + 2) % 3, i)):
         for k in range(3):
-            x[c, k] = q[dofs[first[c] + k]]
+            x[place, k] = q[corners[3 * corner + k]]
 
 
 @numba.njit(cache=True)
-def _load_side(q, dofs, first, x):
-    """Copy the corners of a hinge that are an element's own to x (4, 3)."""
-    for c in range(3):
-        for k in range(3):
-            x[c, k] = q[dofs[first[c] + k]]
+def _angles(q, corners, normals):
+    phi = np.empty((len(corners), 3))
+    x = np.empty((3, 3))
+    for t in range(len(corners)):
+        for i in range(3):
+            _load(q, corners[t], i, x)
+            ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
+            ax, ay, az = x[2, 0] - x[0, 0], x[2, 1] - x[0, 1], x[2, 2] - x[0, 2]
+            nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+            # e × N points outwards and has |e| times the length of N.
+            ox, oy, oz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
+            length = np.sqrt(ex * ex + ey * ey + ez * ez)
+            at = normals[t, i]
+            out = q[at] * ox + q[at + 1] * oy + q[at + 2] * oz
+            up = q[at] * nx + q[at + 1] * ny + q[at + 2] * nz
+            phi[t, i] = np.arctan2(out, length * up)
+    return phi
 
 
 @numba.njit(cache=True)
-def _angles(q, dofs, share, sign, x, phi):
-    """Fill phi (3,) of one element; x (4, 3) is scratch."""
-    for i in range(3):
-        phi[i] = 0.0
-        if share[i] != 0.0:
-            _load_hinge(q, dofs, i, x)
-            phi[i] = share[i] * dihedral.angle(x)
-        if sign[i] != 0.0:
-            phi[i] += sign[i] * q[dofs[18 + i]]
-
-
-@numba.njit(cache=True)
-def _curvatures(q, dofs, share, sign, maps):
-    s = np.empty((len(dofs), 3))
-    x, phi = np.empty((4, 3)), np.empty(3)
-    for t in range(len(dofs)):
-        _angles(q, dofs[t], share[t], sign[t], x, phi)
+def _mapped(maps, phi):
+    s = np.empty(phi.shape)
+    for t in range(len(phi)):
         for a in range(3):
-            s[t, a] = maps[t, a, 0] * phi[0] + maps[t, a, 1] * phi[1] + maps[t, a, 2] * phi[2]
+            s[t, a] = (maps[t, a, 0] * phi[t, 0] + maps[t, a, 1] * phi[t, 1]
+                       + maps[t, a, 2] * phi[t, 2])
     return s
 
 
@@ -211,23 +219,35 @@ def _total(areas, density):
 
 
 @numba.njit(cache=True)
-def _gradient(q, dofs, share, sign, maps, areas, stress):
-    result = np.zeros((len(dofs), 21))
-    x, g, rows = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 21))
-    for t in range(len(dofs)):
-        _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
+def _angle_rows(q, corners, sign, x, g, rows):
+    """Fill rows (3, 12) with the derivatives of phi by one element's unknowns."""
+    rows[:, :] = 0.0
+    for i in range(3):
+        _load(q, corners, i, x)
+        g[:, :] = 0.0
+        dihedral.add_side_gradient(x, 2, 1.0, g)
+        rows[i, 9 + i] = sign[i]
+        for k in range(3):
+            rows[i, 3 * ((i + 1) % 3) + k] = g[0, k]
+            rows[i, 3 * ((i + 2) % 3) + k] = g[1, k]
+            rows[i, 3 * i + k] = g[2, k]
+
+
+@numba.njit(cache=True)
+def _gradient(q, corners, sign, moments):
+    result = np.zeros((len(corners), 12))
+    x, g, rows = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 12))
+    for t in range(len(corners)):
+        _angle_rows(q, corners[t], sign[t], x, g, rows)
         for i in range(3):
-            m = 0.0
-            for a in range(3):
-                m += areas[t] * maps[t, a, i] * stress[t, a]
-            for k in range(21):
-                result[t, k] += m * rows[i, k]
+            for k in range(12):
+                result[t, k] += moments[t, i] * rows[i, k]
     return result
 
 
 @numba.njit(cache=True)
-def _convexify(tangents, floor, convexity):
-    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` towards it, in place."""
+def _convexify(tangents, floor):
+    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` to it, in place."""
     for matrix in tangents:
         # Pivots of what lies above the floor: most matrices need no eigenvectors.
         first = matrix[0, 0] - floor
@@ -241,116 +261,40 @@ def _convexify(tangents, floor, convexity):
             if value[k] < floor:
                 for i in range(3):
                     for j in range(3):
-                        lift = convexity * (floor - value[k])
-                        matrix[i, j] += lift * vector[i, k] * vector[j, k]
+                        matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
 
 
 @numba.njit(cache=True)
-def _angle_rows(q, dofs, share, sign, x, g, rows):
-    """Fill rows (3, 21) with the derivatives of phi by one element's unknowns."""
-    rows[:, :] = 0.0
-    for i in range(3):
-        rows[i, 18 + i] = sign[i]
-        if share[i] != 0.0:
-            _load_hinge(q, dofs, i, x)
-            dihedral.gradient(x, g)
-            first = _first_rows(i)
-            for c in range(4):
-                for k in range(3):
-                    rows[i, first[c] + k] = share[i] * g[c, k]
-
-
-@numba.njit(cache=True)
-def _stiffness(tangent, maps, area, k):
-    """Fill k (3, 3) with area maps^T tangent maps: the tangent by the angles phi."""
-    for i in range(3):
-        for j in range(3):
-            k[i, j] = 0.0
-            for a in range(3):
-                for b in range(3):
-                    k[i, j] += area * maps[a, i] * tangent[a, b] * maps[b, j]
-
-
-@numba.njit(cache=True)
-def _dyads(rows, stiffness, moment, block):
-    """Fill block (K, K) with rows^T stiffness rows; rows (3, K), moment (3, K) is scratch."""
-    count = len(block)
-    for i in range(3):
-        for j in range(count):
-            moment[i, j] = (
-                stiffness[i, 0] * rows[0, j]
-                + stiffness[i, 1] * rows[1, j]
-                + stiffness[i, 2] * rows[2, j]
-            )
-    for i in range(count):
-        a, b, c = rows[0, i], rows[1, i], rows[2, i]
-        for j in range(i, count):
-            block[i, j] = a * moment[0, j] + b * moment[1, j] + c * moment[2, j]
-        for j in range(i):
-            block[i, j] = block[j, i]
-
-
-@numba.njit(cache=True)
-def _hessian(q, dofs, share, sign, maps, areas, stress, tangent, convexity):
+def _hessian(q, corners, sign, maps, areas, tangent, fold, moments):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
-    # turning of the hinges under their torque, indefinite and dropped in full convexity.
-    result = np.empty((len(dofs), 21, 21))
-    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
-    stiffness = np.empty((3, 3))
-    rows, moment = np.empty((3, 21)), np.empty((3, 21))
-    for t in range(len(dofs)):
+    # turning of the triangles under their moments, indefinite; the convex form is without.
+    result = np.empty((len(corners), 12, 12))
+    x, g, frame = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    stiffness, rows, pushed = np.empty((3, 3)), np.empty((3, 12)), np.empty((3, 12))
+    for t in range(len(corners)):
         block = result[t]
-        _stiffness(tangent[t], maps[t], areas[t], stiffness)
-        _angle_rows(q, dofs[t], share[t], sign[t], x, g, rows)
-        _dyads(rows, stiffness, moment, block)
-        if convexity == 1.0:
-            continue
         for i in range(3):
-            if share[t, i] == 0.0:
-                continue
-            m = 0.0
-            for a in range(3):
-                m += maps[t, a, i] * stress[t, a]
-            m *= areas[t] * share[t, i] * (1.0 - convexity)
-            _load_hinge(q, dofs[t], i, x)
-            dihedral.add_hessian(x, m, _first_rows(i), frame, block)
-    return result
-
-
-@numba.njit(cache=True)
-def _framed_hessian(q, dofs, share, sign, maps, areas, edges, stress, tangent, convexity):
-    # As in _hessian, but with the rows of phi in the edges' frames. An edge's torque is that of
-    # both triangles, and each has its own part of the angle's second derivatives.
-    result = np.empty((len(dofs), 12, 12))
-    torque = np.zeros(edges.max() + 1)
-    for t in range(len(dofs)):
+            for j in range(3):
+                stiffness[i, j] = fold[t, i] if i == j else 0.0
+                for a in range(3):
+                    for b in range(3):
+                        stiffness[i, j] += (
+                            areas[t] * maps[t, a, i] * tangent[t, a, b] * maps[t, b, j]
+                        )
+        _angle_rows(q, corners[t], sign[t], x, g, rows)
         for i in range(3):
-            for a in range(3):
-                torque[edges[t, i]] += areas[t] * share[t, i] * maps[t, a, i] * stress[t, a]
-    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
-    stiffness = np.empty((3, 3))
-    rows, moment = np.empty((3, 12)), np.empty((3, 12))
-    for t in range(len(dofs)):
-        block = result[t]
-        _stiffness(tangent[t], maps[t], areas[t], stiffness)
-        rows[:, :] = 0.0
-        for i in range(3):
-            rows[i, 9 + i] = sign[t, i]
-            if share[t, i] != 0.0:
-                first = _first_rows(i)
-                _load_side(q, dofs[t], first, x)
-                g[:, :] = 0.0
-                dihedral.add_side_gradient(x, 2, 1.0, g)
-                for c in range(3):
-                    for k in range(3):
-                        rows[i, first[c] + k] = g[c, k]
-        _dyads(rows, stiffness, moment, block)
-        if convexity == 1.0:
-            continue
-        for i in range(3):
-            if share[t, i] != 0.0:
-                first = _first_rows(i)
-                _load_side(q, dofs[t], first, x)
-                weight = torque[edges[t, i]] * (1.0 - convexity)
-                dihedral.add_side_hessian(x, 2, 1.0, weight, first, frame, block)
+            for k in range(12):
+                pushed[i, k] = (stiffness[i, 0] * rows[0, k] + stiffness[i, 1] * rows[1, k]
+                                + stiffness[i, 2] * rows[2, k])
+        for k in range(12):
+            a, b, c = rows[0, k], rows[1, k], rows[2, k]
+            for m in range(k, 12):
+                block[k, m] = a * pushed[0, m] + b * pushed[1, m] + c * pushed[2, m]
+            for m in range(k):
+                block[k, m] = block[m, k]
+        if moments is not None:
+            for i in range(3):
+                _load(q, corners[t], i, x)
+                first = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3), 3 * i
+                dihedral.add_side_hessian(x, 2, 1.0, moments[t, i], first, frame, block)
     return result

@@ -52,9 +52,13 @@ class CurvedBending(MidEdgeBending):
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray
     ) -> None:
+        self._curvature = curvature
         super().__init__(mesh, active, fabric=fabric)
+
+    def _take(self, fabric: Fabric) -> None:
+        super()._take(fabric)
         a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        xx, yy, xy = curvature
+        xx, yy, xy = self._curvature
         self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:

@@ -18,19 +18,36 @@ alpha kappa + beta kappa² (up to u_c); other directions follow smoothly. psi is
 S != 0, whatever the sign of the quadratic moduli.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants
 
-CONSTANTS = (
-    "A11", "A22", "A12", "A66", "alpha_bias", "g_w", "g_f", "g_t",
-    "base_w", "base_f", "base_b", "rho_w", "rho_f", "rho_b", "u_c",
-)  # fmt: skip
+
+class PlateConstants(NamedTuple):
+    """Constants of a fabric's law, SI units; see the head of this module and :func:`constants`."""
+
+    A11: float
+    A22: float
+    A12: float
+    A66: float
+    alpha_bias: float
+    g_w: float
+    g_f: float
+    g_t: float
+    base_w: float
+    base_f: float
+    base_b: float
+    rho_w: float
+    rho_f: float
+    rho_b: float
+    u_c: float
 
 
-def constants(fabric: Fabric) -> np.ndarray:
-    """Constants (15,) of a fabric's law, in the order of :data:`CONSTANTS`, SI units.
+def constants(fabric: Fabric) -> PlateConstants:
+    """Constants of a fabric's law.
 
     rho = -beta/alpha (m) is the softening of a direction and r = rho/sqrt(alpha) the same against
     the curvature in units of its energy, sqrt(a). Where r is alike in all directions, the first
@@ -46,11 +63,11 @@ def constants(fabric: Fabric) -> np.ndarray:
     added[BIAS] = max(-excess, 0.0)
     g = (rate + added) * alpha
     base = rho + added * root
-    return np.array([
+    return PlateConstants(*map(float, (
         *plate_constants(alpha), alpha[BIAS],
         g[WARP], g[WEFT], 2 * g[BIAS] - (g[WARP] + g[WEFT]) / 2,
         base[WARP], base[WEFT], base[BIAS], rho[WARP], rho[WEFT], rho[BIAS], SOFTENING_LIMIT,
-    ])  # fmt: skip
+    )))  # fmt: skip
 
 
 @numba.njit(inline="always")
@@ -84,34 +101,34 @@ def _returned(k, alpha, base, rho, limit):
 
 @numba.njit(cache=True)
 def energy(s, law):
-    """psi, J/m², at curvature s (3,) for the constants law (15,), see CONSTANTS."""
+    """psi, J/m², at curvature s (3,) for the constants ``law``."""
     x, y, z = s[0], s[1], s[2]
-    limit = law[14]
-    a = law[0] * x * x + law[1] * y * y + 2.0 * law[2] * x * y + 4.0 * law[3] * z * z
+    limit = law.u_c
+    a = law.A11 * x * x + law.A22 * y * y + 2.0 * law.A12 * x * y + 4.0 * law.A66 * z * z
     if a <= 0.0:
         return 0.0
-    u = (law[5] * x * x + law[6] * y * y + 2.0 * law[7] * z * z) / np.sqrt(a)
+    u = (law.g_w * x * x + law.g_f * y * y + 2.0 * law.g_t * z * z) / np.sqrt(a)
     h, _, _ = _shape(u, limit)
     total = 0.5 * a * h
-    if law[10] > law[13]:
-        total += _returned(2.0 * abs(z), law[4], law[10], law[13], limit)[0]
+    if law.base_b > law.rho_b:
+        total += _returned(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
     d = abs(x - y)
-    if law[8] > law[11] and d > 0.0:
-        warp, weft = law[0] * x * x, law[1] * y * y
-        f_w, _, _ = _returned(d, law[0], law[8], law[11], limit)
-        f_f, _, _ = _returned(d, law[1], law[9], law[12], limit)
+    if law.base_w > law.rho_w and d > 0.0:
+        warp, weft = law.A11 * x * x, law.A22 * y * y
+        f_w, _, _ = _returned(d, law.A11, law.base_w, law.rho_w, limit)
+        f_f, _, _ = _returned(d, law.A22, law.base_f, law.rho_f, limit)
         total += (warp * f_w + weft * f_f) / (warp + weft)
     return total
 
 
 @numba.njit(cache=True)
 def derivatives(s, law, g, h):
-    """Fill g (3,) and h (3, 3) with the derivatives of psi by s (3,); law (15,) as in energy."""
-    da0 = 2.0 * (law[0] * s[0] + law[2] * s[1])
-    da1 = 2.0 * (law[1] * s[1] + law[2] * s[0])
-    da2 = 8.0 * law[3] * s[2]
-    h[0, 0], h[1, 1], h[2, 2] = law[0], law[1], 4.0 * law[3]
-    h[0, 1] = h[1, 0] = law[2]
+    """Fill g (3,) and h (3, 3) with the derivatives of psi by s (3,)."""
+    da0 = 2.0 * (law.A11 * s[0] + law.A12 * s[1])
+    da1 = 2.0 * (law.A22 * s[1] + law.A12 * s[0])
+    da2 = 8.0 * law.A66 * s[2]
+    h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
+    h[0, 1] = h[1, 0] = law.A12
     h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
     a = 0.5 * (da0 * s[0] + da1 * s[1] + da2 * s[2])
     if a <= 0.0:
@@ -119,10 +136,10 @@ def derivatives(s, law, g, h):
         g[0], g[1], g[2] = 0.0, 0.0, 0.0
         return
     n = np.sqrt(a)
-    u = (law[5] * s[0] ** 2 + law[6] * s[1] ** 2 + 2.0 * law[7] * s[2] ** 2) / n
-    shape, slope, bend = _shape(u, law[14])
+    u = (law.g_w * s[0] ** 2 + law.g_f * s[1] ** 2 + 2.0 * law.g_t * s[2] ** 2) / n
+    shape, slope, bend = _shape(u, law.u_c)
     da = (da0, da1, da2)
-    weight = (2.0 * law[5], 2.0 * law[6], 4.0 * law[7])
+    weight = (2.0 * law.g_w, 2.0 * law.g_f, 4.0 * law.g_t)
     du, dn = np.empty(3), np.empty(3)
     for i in range(3):
         dn[i] = 0.5 * da[i] / n
@@ -138,11 +155,11 @@ def derivatives(s, law, g, h):
                 slope * (da[i] * du[j] + du[i] * da[j])
                 + a * (bend * du[i] * du[j] + slope * ddu)
             )
-    if law[10] > law[13]:
-        _, force, stiffness = _returned(2.0 * abs(s[2]), law[4], law[10], law[13], law[14])
+    if law.base_b > law.rho_b:
+        _, force, stiffness = _returned(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b, law.u_c)
         g[2] += 2.0 * force * np.sign(s[2])
         h[2, 2] += 4.0 * stiffness
-    if law[8] > law[11] and s[0] != s[1]:
+    if law.base_w > law.rho_w and s[0] != s[1]:
         _add_yarns(s, law, g, h)
 
 
@@ -151,17 +168,17 @@ def _add_yarns(s, law, g, h):
     """Add the derivatives of w F_w + (1 - w) F_f = F_f + w (F_w - F_f)."""
     d = abs(s[0] - s[1])
     side = np.sign(s[0] - s[1])
-    f_w, force_w, stiff_w = _returned(d, law[0], law[8], law[11], law[14])
-    f_f, force_f, stiff_f = _returned(d, law[1], law[9], law[12], law[14])
+    f_w, force_w, stiff_w = _returned(d, law.A11, law.base_w, law.rho_w, law.u_c)
+    f_f, force_f, stiff_f = _returned(d, law.A22, law.base_f, law.rho_f, law.u_c)
     more, pull = f_w - f_f, side * (force_w - force_f)
-    warp, weft = law[0] * s[0] ** 2, law[1] * s[1] ** 2
+    warp, weft = law.A11 * s[0] ** 2, law.A22 * s[1] ** 2
     n = warp + weft
     w = warp / n
-    wx = 2.0 * law[0] * s[0] * weft / n**2
-    wy = -2.0 * law[1] * s[1] * warp / n**2
-    wxx = 2.0 * law[0] * weft / n**2 * (1.0 - 4.0 * w)
-    wyy = -2.0 * law[1] * warp / n**2 * (4.0 * w - 3.0)
-    wxy = 4.0 * law[0] * law[1] * s[0] * s[1] / n**2 * (2.0 * w - 1.0)
+    wx = 2.0 * law.A11 * s[0] * weft / n**2
+    wy = -2.0 * law.A22 * s[1] * warp / n**2
+    wxx = 2.0 * law.A11 * weft / n**2 * (1.0 - 4.0 * w)
+    wyy = -2.0 * law.A22 * warp / n**2 * (4.0 * w - 3.0)
+    wxy = 4.0 * law.A11 * law.A22 * s[0] * s[1] / n**2 * (2.0 * w - 1.0)
     force = side * force_f + w * pull
     stiff = stiff_f + w * (stiff_w - stiff_f)
     g[0] += force + wx * more
@@ -175,7 +192,7 @@ def _add_yarns(s, law, g, h):
 
 @numba.njit(cache=True)
 def energies(s, law):
-    """psi (N,), J/m², at curvatures s (N, 3); law (15,) as in energy."""
+    """psi (N,), J/m², at curvatures s (N, 3)."""
     psi = np.empty(len(s))
     for t in range(len(s)):
         psi[t] = energy(s[t], law)
@@ -184,7 +201,7 @@ def energies(s, law):
 
 @numba.njit(cache=True)
 def stresses(s, law):
-    """Derivatives of psi, (N, 3) and (N, 3, 3), at curvatures s (N, 3); law (15,) as in energy."""
+    """Derivatives of psi, (N, 3) and (N, 3, 3), at curvatures s (N, 3)."""
     g, h = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
     for t in range(len(s)):
         derivatives(s[t], law, g[t], h[t])

@@ -15,6 +15,7 @@ from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
 from sim.newton import NewtonOptions
+from sim.scene import Scene
 from sim.sensitivity.follow import follow
 from sim.sensitivity.parameters import combinations
 from sim.sensitivity.rest_shape import pull_on_rest
@@ -102,16 +103,15 @@ def equilibria(
                        for start, fabric, laws in tasks]
             results = [future.result() for future in futures]
     else:
-        results = [follow(start, fabric, laws=laws, options=options)
+        results = [follow(start, fabric, laws=laws, options=options, keep=True)
                    for start, fabric, laws in tasks]
-    tangents = [Tangent.of(result, laws=laws)
-                for result, (_, _, laws) in zip(results, tasks, strict=True)]
+    tangents = [Tangent.of(result) for result in results]
     return Equilibria(
         positions=[
             _Equilibrium.apply(tangent, result.fabric, *values)
             for tangent, result, values in zip(tangents, results, inputs, strict=True)
         ],
-        results=results,
+        results=[replace(result, equilibrium=None) for result in results],
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
     )
@@ -131,12 +131,16 @@ def _task(
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
         raise InputError(f"held {held.shape} and rest {rest.shape} do not fit a mesh of "
                          f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
-    positions = start.positions.copy()
-    positions[start.held] = held
     fabric = Fabric(alpha, beta, float(density))
     stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
     laws = replace(laws, membrane=Corotational(stiffness=stiffness))
-    return replace(start, positions=positions, rest=rest), fabric, laws
+    if not np.array_equal(rest, start.rest):
+        start = replace(start, mesh=start.mesh.with_rest(rest))
+    if not np.array_equal(held, start.positions[start.held]):
+        positions = start.positions.copy()
+        positions[start.held] = held
+        start = start.at(positions)
+    return start, fabric, laws
 
 
 class _Equilibrium(torch.autograd.Function):
@@ -181,22 +185,49 @@ def pulled_back(
         By alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and rest points
         (V, 2); NaN where the tangent is not ok.
     """
-    scene = tangent.scene
+    scene = tangent.cloth.scene
     if not tangent.ok:
         held, rest = (int(scene.held.sum()), 3), scene.mesh.rest.shape
         return tuple(np.full(shape, np.nan) for shape in ((3,), (3,), (), (), held, rest))
-    along = np.zeros_like(tangent.q)
+    along = np.zeros(tangent.cloth.potential.unknowns)
     along[: tangent.coordinates] = by_positions.ravel()
     weights = tangent.response(along)
     _, rows = combinations(("alpha", "beta", "density", "membrane"), fabric)
     by_fabric = -rows @ (tangent.force_derivatives() @ weights)
     held = rest = None
     if by_held:
-        moved = tangent.force_of(weights)[: tangent.coordinates].reshape(-1, 3)
-        held = (by_positions - moved)[scene.held]
+        push = tangent.force_of(weights)
+        by_edges = _pulled_on_corners(scene, tangent.positions, push[tangent.coordinates :])
+        push = push[: tangent.coordinates].reshape(-1, 3) + by_edges
+        held = (by_positions - push)[scene.held]
     if by_rest:
         rest = -pull_on_rest(tangent, weights)
     return by_fabric[:3], by_fabric[3:6], by_fabric[6], by_fabric[7] / membrane, held, rest
+
+
+def _pulled_on_corners(scene: Scene, positions: np.ndarray, by_rotation: np.ndarray) -> np.ndarray:
+    """(V, 3) derivatives by the corners of held triangles, from those by rotations (E,).
+
+    The normals of their edges turn with them: against a frame carried along by the edge, by the
+    opposite corner's move along the triangle's normal over the height there, less the same of the
+    height's foot on the edge.
+    """
+    mesh = scene.mesh
+    face, side = np.nonzero(scene.held_edges[mesh.face_edges] & ~scene.active[:, None])
+    start, end, corner = (mesh.faces[face, (side + k) % 3] for k in (1, 2, 0))
+    edge, arm = positions[end] - positions[start], positions[corner] - positions[start]
+    normal = np.cross(edge, arm)
+    squared = (edge**2).sum(1)
+    turn = np.sqrt(squared) / (normal**2).sum(1)
+    foot = (arm * edge).sum(1) / squared
+    # An edge of two held triangles has no free triangle that would feel it.
+    sign = np.where(start < end, 1.0, -1.0)
+    pull = (sign * by_rotation[mesh.face_edges[face, side]] * turn)[:, None] * normal
+    total = np.zeros_like(positions)
+    np.add.at(total, corner, pull)
+    np.add.at(total, end, -foot[:, None] * pull)
+    np.add.at(total, start, (foot - 1)[:, None] * pull)
+    return total
 
 
 def _array(values: Tensor) -> np.ndarray:

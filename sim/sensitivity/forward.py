@@ -6,46 +6,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.drape import DrapeResult
-from sim.energies.base import Energy
-from sim.laws import Laws
 from sim.material import Fabric
 from sim.sensitivity.parameters import combinations
 from sim.sensitivity.tangent import Tangent
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensitivities:
     """Derivatives of an equilibrium by P parameters; NaN where there are none.
 
     Attributes:
         names: (P,) parameters, such as "log_alpha_warp".
-        positions: (P, V, 3) m per unit of the parameter.
-        rotations: (P, E) rad per unit.
+        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter.
+        vertices: V.
         ok: whether the derivatives exist.
         message: why not, in a sentence.
         softest: see :class:`sim.sensitivity.tangent.Tangent`.
     """
 
     names: tuple[str, ...]
-    positions: np.ndarray
-    rotations: np.ndarray
+    moves: np.ndarray
+    vertices: int
     ok: bool
     message: str
     softest: float
 
+    @property
+    def positions(self) -> np.ndarray:
+        """(P, V, 3) m per unit of the parameter."""
+        return self.moves[:, : 3 * self.vertices].reshape(len(self.names), -1, 3)
+
 
 def sensitivities(
-    result: DrapeResult,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    parameters: Sequence[str] = ("log_alpha", "ratio"),
+    result: DrapeResult, *, parameters: Sequence[str] = ("log_alpha", "ratio")
 ) -> Sensitivities:
     """Derivatives of a drape by parameters of its fabric, on the mesh it has.
 
     Args:
-        laws: with which it was made.
-        extra: more energies that it is in balance with.
         parameters: any of :data:`sim.sensitivity.parameters.PARAMETERS`, three each for warp,
             bias and weft, others constant:
 
@@ -56,13 +53,12 @@ def sensitivities(
             "membrane"   one, per unit of the logarithm of the in-plane stiffness.
 
             Moduli and density are the fabric's own. A drape is simulated at the reference density
-            with the membrane of ``laws``: the in-plane stiffness is that of cloth of that density.
+            with the membrane of its laws: the in-plane stiffness is that of cloth of that density.
 
     Raises:
         InputError: unknown parameter, or a law that has no derivative.
     """
-    return tangent_sensitivities(
-        Tangent.of(result, laws=laws, extra=extra), result.fabric, parameters)
+    return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 
 
 def tangent_sensitivities(
@@ -74,15 +70,14 @@ def tangent_sensitivities(
     for a common factor.
     """
     names, rows = combinations(parameters, fabric)
-    moves = np.full((len(names), len(tangent.q)), np.nan)
+    moves = np.full((len(names), tangent.cloth.potential.unknowns), np.nan)
     if tangent.ok:
         for move, push in zip(moves, rows @ tangent.force_derivatives(), strict=True):
             move[:] = -tangent.response(push)
-    positions, rotations = np.split(moves, [tangent.coordinates], axis=1)
     return Sensitivities(
         names=names,
-        positions=positions.reshape(len(names), -1, 3),
-        rotations=rotations,
+        moves=moves,
+        vertices=len(tangent.cloth.scene.mesh.rest),
         ok=tangent.ok,
         message=tangent.message,
         softest=tangent.softest,

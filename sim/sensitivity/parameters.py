@@ -10,11 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from common.errors import InputError
+from sim.cloth import Cloth
 from sim.energies.base import Energy
-from sim.laws import Law, Laws
 from sim.material import DIRECTIONS, Fabric
-from sim.potential import Potential
-from sim.scene import Scene
 
 PARAMETERS = ("log_alpha", "ratio", "alpha", "beta", "density", "membrane")
 """Names of (groups of) parameters: the first four stand for warp, bias and weft."""
@@ -54,10 +52,8 @@ def combinations(names: Sequence[str], fabric: Fabric) -> tuple[tuple[str, ...],
     return tuple(labels), np.array(rows).reshape(-1, BASIC)
 
 
-def force_derivatives(
-    potential: Potential, scene: Scene, fabric: Fabric, laws: Laws, q: np.ndarray
-) -> np.ndarray:
-    """(BASIC, Q) derivatives of the energy's gradient at the unknowns ``q`` (Q,).
+def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
+    """(BASIC, U) derivatives of the energy's gradient at the state ``q``.
 
     The membrane's forces are proportional to its stiffness, all that are not the cloth's own
     (weight, contact) to the density: these derivatives are the forces themselves. The energies of
@@ -66,36 +62,29 @@ def force_derivatives(
     central differences of the forces, without another equilibrium: the laws are smooth in
     them but for creases, such as the one at isotropic moduli, where this is the mean of both sides.
     The error is below 1e-9 of the bending forces.
-
-    Args:
-        potential: of the cloth's energies and others, in the order of
-            :func:`sim.equilibrium.cloth_terms`; ``fabric`` and ``laws`` those it was made of.
     """
-    membrane, bending, fold_limit = own = potential.energies[:3]
-    others = list(zip(laws.others, potential.energies[3:], strict=False))
+    scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 
-    def made(law: Law, energy: Energy, fabric: Fabric) -> Energy:
-        # Only where the law is the energy's class: others may make more of the fabric.
-        if law is type(energy) and hasattr(energy, "with_fabric"):
-            return energy.with_fabric(fabric)
-        return law(scene.mesh, scene.active, fabric=fabric)
+    def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
+        if hasattr(cloth.bending, "with_fabric"):
+            bending = cloth.bending.with_fabric(fabric)
+        else:
+            bending = laws.bending_law(scene.mesh, scene.active, fabric=fabric)
+        others = [law(scene.mesh, scene.active, fabric=fabric) for law in laws.others]
+        return [bending], others
 
-    def by_moduli(pairs: Sequence[tuple[Law, Energy]], row: int, step: float) -> np.ndarray:
-        ahead, behind = (
-            forces([made(law, energy, _changed(fabric, row, s)) for law, energy in pairs], q)
-            for s in (step, -step)
-        )
-        return (ahead - behind) / (2 * step)
-
-    result = np.zeros((BASIC, len(q)))
-    result[_MEMBRANE] = forces([membrane], q)
-    result[_DENSITY] = forces(potential.energies, q) - forces(own, q)
-    for k in range(3):
-        for row, step in ((k, _LOG_STEP), (3 + k, _RATIO_STEP)):
-            result[row] = by_moduli([(laws.bending_law, bending), *others], row, step)
-    if laws.others:
-        result[_DENSITY] -= sum(by_moduli(others, k, _LOG_STEP) for k in range(3))
-    result[fabric.alpha.argmin()] += forces([fold_limit], q)  # its stiffness is that alpha
+    result = np.zeros((BASIC, size))
+    result[_MEMBRANE] = forces([cloth.membrane], q, size)
+    result[_DENSITY] = forces([*cloth.outer, *cloth.others], q, size)
+    for row in range(6):
+        step = _LOG_STEP if row < 3 else _RATIO_STEP
+        ahead, behind = made(_changed(cloth.fabric, row, step)), made(
+            _changed(cloth.fabric, row, -step))
+        bending, others = ((forces(a, q, size) - forces(b, q, size)) / (2 * step)
+                           for a, b in zip(ahead, behind, strict=True))
+        result[row] = bending + others
+        if row < 3:
+            result[_DENSITY] -= others
     return result
 
 
@@ -107,28 +96,25 @@ def _changed(fabric: Fabric, row: int, step: float) -> Fabric:
     return Fabric(alpha, ratio * alpha, fabric.density)
 
 
-def forces(energies: Sequence[Energy], q: np.ndarray) -> np.ndarray:
-    """(Q,) derivatives of a sum of energies by all unknowns."""
-    return sum(gathered(energy, energy.gradient(q), len(q)) for energy in energies)
+def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
+    """(U,) derivatives of a sum of energies by all unknowns, of which there are ``size``."""
+    return sum((_gathered(energy, energy.gradient(q), size) for energy in energies),
+               start=np.zeros(size))
 
 
 def hessian_product(
-    energies: Sequence[Energy], q: np.ndarray, move: np.ndarray, *, convexity: float = 0.0
+    energies: Sequence[Energy], q: np.ndarray, move: np.ndarray, *, convex: bool = False
 ) -> np.ndarray:
-    """(Q,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (Q,).
-
-    By the energies' own blocks, which know of no frames; ``convexity`` as for
-    :meth:`sim.energies.base.Energy.hessian`.
-    """
-    total = np.zeros_like(q)
+    """(U,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (U,)."""
+    total = np.zeros(len(move))
     for energy in energies:
-        blocks = energy.hessian(q, convexity)
+        blocks = energy.hessian(q, convex)
         if blocks is not None:
             local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
-            total += gathered(energy, np.einsum("nij,nj->ni", blocks, local), len(total))
+            total += _gathered(energy, np.einsum("nij,nj->ni", blocks, local), len(total))
     return total
 
 
-def gathered(energy: Energy, parts: np.ndarray, size: int) -> np.ndarray:
+def _gathered(energy: Energy, parts: np.ndarray, size: int) -> np.ndarray:
     """(size,) sums of what the elements of an energy have for their unknowns, parts (N, K)."""
     return np.bincount(energy.dofs.ravel() + 1, parts.ravel(), minlength=size + 1)[1:]

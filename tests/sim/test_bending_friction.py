@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from common.errors import InputError
-from sim.energies.bending_friction import Rubbing
+from sim.energies.bending_friction import BendingFriction
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.equilibrium import find_equilibrium
@@ -40,7 +40,7 @@ def test_strip_unbends_until_friction_holds_its_torque(
     scene, bent = arc
     build_up = 0.5
     origin = MidEdgeBending(scene.mesh, scene.active, fabric=FABRIC).curvatures(bent.unknowns)
-    laws = Laws(bending=Rubbing(torque, origin, build_up))
+    laws = Laws(bending=BendingFriction(torque, origin, build_up))
     state, result = find_equilibrium(scene, FABRIC, bent, laws=laws, options=OPTIONS)
     assert result.status is Status.CONVERGED
     # alpha kappa against the torque of friction
@@ -59,7 +59,7 @@ def test_strip_that_friction_holds_flat_hangs_like_a_stiffer_one() -> None:
     flat = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
     drops = []
     for torque in (0.0, 5e-5, 2e-4):
-        state, result = find_equilibrium(scene, FABRIC, flat, laws=Laws(bending=Rubbing(torque)))
+        state, result = find_equilibrium(scene, FABRIC, flat, laws=Laws(bending=BendingFriction(torque)))
         assert result.status is Status.CONVERGED
         drops.append(-state.positions[:, 2].min())
     assert drops[0] > 1.02 * drops[1] > 1.1 * drops[2] > 0
@@ -69,9 +69,9 @@ def test_strip_that_friction_holds_flat_hangs_like_a_stiffer_one() -> None:
                                    {"torque": np.nan}])
 def test_friction_that_makes_no_sense_is_refused(wrong: dict) -> None:
     with pytest.raises(InputError, match="friction of"):
-        Rubbing(**wrong)
+        BendingFriction(**wrong)
 
 
 def test_an_origin_belongs_to_one_mesh(arc: tuple[Scene, State]) -> None:
     with pytest.raises(InputError, match=r"origin has shape \(5, 3\)"):
-        Rubbing(1e-4, np.zeros((5, 3)))(arc[0].mesh, arc[0].active, fabric=FABRIC)
+        BendingFriction(1e-4, np.zeros((5, 3)))(arc[0].mesh, arc[0].active, fabric=FABRIC)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.energies.bending_friction import Rubbing
+from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.fold_limit import LIMIT_START, FoldLimit
 from sim.energies.gravity import Gravity
@@ -42,7 +42,7 @@ def energy_and_state(name: str):
     if name == "friction":
         plain = MidEdgeBending(mesh, active, fabric=STIFFENING)
         origin = plain.curvatures(crumpled_strip(seed=1)[2])
-        return Rubbing(3e-4, origin, build_up=20.0)(mesh, active, fabric=STIFFENING), q
+        return BendingFriction(3e-4, origin, build_up=20.0)(mesh, active, fabric=STIFFENING), q
     if name == "contact":
         rng = np.random.default_rng(1)
         points = rng.uniform(-0.045, 0.045, (40, 3)) - [0, 0, 0.05]

@@ -1,0 +1,114 @@
+"""Where cloth is: its vertices and the normals of its edges, and how a step moves both.
+
+The normal at the middle of an edge is perpendicular to the edge, so that it has one freedom: the
+angle about the edge. An unknown of the simulator is therefore a coordinate of a vertex or the
+rotation of an edge's normal, right-handed about the edge from its first to its second vertex. Such
+a rotation has no absolute zero. A step from one state to the next carries every normal along by
+parallel transport from the old direction of its edge to the new one, the smallest rotation between
+them, and turns it by the step's angle; each step starts from zero. (Grinspun et al. 2006,
+Computing discrete shape operators on general meshes, have such normals as unknowns; Bergou et al.
+2010, Discrete viscous threads, transport frames in time.)
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from sim.mesh import Mesh
+
+
+@dataclass(eq=False)
+class State:
+    """Where the cloth is.
+
+    Attributes:
+        positions: (V, 3) m.
+        normals: (E, 3) unit normals at the middles of the edges, in the order of ``mesh.edges``.
+    """
+
+    positions: np.ndarray
+    normals: np.ndarray
+
+    @property
+    def q(self) -> np.ndarray:
+        """(3 V + 3 E,) positions, then normals: what energies are functions of."""
+        return np.concatenate([self.positions.ravel(), self.normals.ravel()])
+
+    @staticmethod
+    def of(q: np.ndarray, vertices: int) -> "State":
+        """The state of a cloth of so many ``vertices`` from ``q``."""
+        split = q.reshape(-1, 3)
+        return State(split[:vertices].copy(), split[vertices:].copy())
+
+    @staticmethod
+    def at(mesh: Mesh, positions: np.ndarray, active: np.ndarray | None = None) -> "State":
+        """State with positions (V, 3), m, whose edges' normals halve their dihedral angles.
+
+        Args:
+            active: (F,) bool, triangles that can move; None for all. Next to held cloth the normal
+                is that of the held triangle.
+        """
+        corners = positions[mesh.faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+        first, second = mesh.edge_faces.T
+        inner = second >= 0
+        weight = np.ones((2, len(mesh.edges)))
+        weight[1] = inner
+        if active is not None:
+            mixed = inner & (active[first] != active[second])
+            weight[0, mixed & active[first]] = 0.0
+            weight[1, mixed & active[second]] = 0.0
+        total = weight[0, :, None] * unit[first] + weight[1, :, None] * unit[second]
+        size = np.linalg.norm(total, axis=1, keepdims=True)
+        # Two triangles folded onto each other have no mean normal.
+        flat = size[:, 0] > 1e-9
+        normals = np.where(flat[:, None], total / np.where(size > 0, size, 1.0), unit[first])
+        return State(positions=positions.copy(), normals=normals)
+
+
+@numba.njit(cache=True)
+def moved(q, edges, move):
+    """``q`` (3 V + 3 E,) after a step ``move`` (3 V + E,): displacements, then rotations."""
+    coordinates = len(move) - len(edges)
+    result = q.copy()
+    for k in range(coordinates):
+        result[k] += move[k]
+    before, after, turned = np.empty(3), np.empty(3), np.empty(3)
+    for e in range(len(edges)):
+        a, b = 3 * edges[e, 0], 3 * edges[e, 1]
+        angle = move[coordinates + e]
+        still = angle == 0.0
+        for i in range(3):
+            before[i] = q[b + i] - q[a + i]
+            after[i] = result[b + i] - result[a + i]
+            still = still and before[i] == after[i]
+        if still:
+            continue
+        one = np.sqrt(before @ before)
+        other = np.sqrt(after @ after)
+        lean = straight = 0.0
+        at = coordinates + 3 * e
+        for i in range(3):
+            before[i] /= one
+            after[i] /= other
+            lean += q[at + i] * after[i]
+            straight += before[i] * after[i]
+        lean /= max(1.0 + straight, 1e-12)
+        for i in range(3):
+            turned[i] = q[at + i] - lean * (before[i] + after[i])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        along = square = 0.0
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            result[at + i] = cosine * turned[i] + sine * (
+                after[j] * turned[k] - after[k] * turned[j]
+            )
+            along += result[at + i] * after[i]
+        for i in range(3):  # rounding must not add up over many steps
+            result[at + i] -= along * after[i]
+            square += result[at + i] ** 2
+        for i in range(3):
+            result[at + i] /= np.sqrt(square)
+    return result
