@@ -17,22 +17,24 @@ from sim.initial import (
 from sim.lagged import find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import check_resolution
+from sim.mesh.specimens import (
+    BORROWED_COARSEST,
+    COARSEST,
+    TOPOLOGIES,
+    Specimen,
+    coarse_to_fine,
+    default_edge,
+    make_specimen,
+)
 from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene, State
+from sim.scene import CONTACT_PRESSURE, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
-from sim.specimens import Specimen, make_specimen
 
-COARSEST = 16  # fewest vertices a side that a drape is started on
-BORROWED_COARSEST = 24  # the same for a borrowed drape, whose folds have to survive
 COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth would end in the cylinder."""
-LENGTHS_PER_SPACING = 0.6
-"""Mesh spacing over the bending length of the softest direction, when the mesh is chosen."""
-_CHOSEN = (41, 101)  # vertices a side: fewest, for folds and rim; most, for the time
 COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
@@ -48,10 +50,8 @@ class DrapeResult:
         rest: (V, 2) m, warp along +x, weft along +y, origin on the plate's axis, without a
             plate at the specimen's centre.
         faces: (F, 3) int64, counter-clockwise seen from above at rest.
-        diagonals: (n-1, n-1) bool; ``faces == sim.mesh.grid_faces(diagonals)``; None where the
-            mesh is no grid.
         held: (V,) bool, vertices that the rig holds.
-        resolution: vertices a side, or across a disc.
+        edge: length of the mesh's edges at the plate's rim, m; without a plate of all edges.
         status, message: how it ended, in one word and in a sentence.
         residual: largest force residual, in units of a vertex's weight.
         step: last Newton step, mm.
@@ -68,9 +68,8 @@ class DrapeResult:
     rotations: np.ndarray
     rest: np.ndarray
     faces: np.ndarray
-    diagonals: np.ndarray | None
     held: np.ndarray
-    resolution: int
+    edge: float
     status: Status
     message: str
     residual: float
@@ -91,14 +90,11 @@ def drape(
     fabric: Fabric,
     *,
     rig: Rig | None = None,
-    resolution: int | None = None,
+    edge: float | None = None,
     start: str = "sine",
     borrowed: tuple[np.ndarray, np.ndarray] | None = None,
     seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0),
-    mesh: str = "perturbed",
-    jitter: float = 0.15,
-    diagonals: str | None = None,
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
 ) -> DrapeResult:
@@ -109,14 +105,14 @@ def drape(
 
     Args:
         rig: what holds the specimen; None for the square on its cylinder.
-        resolution: vertices a side, or across a disc, of the final mesh, within
-            :data:`sim.mesh.RESOLUTIONS`; None chooses it, see :func:`default_resolution`.
+        edge: length of the final mesh's edges at the plate's rim, m; None chooses it, see
+            :func:`sim.mesh.specimens.default_edge`.
         start: initial shape, see :data:`sim.initial.STARTS`.
         borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
             to start from, in place of ``start``; on a mesh fine enough for its folds.
-        seed: of the initial shape and of the triangulation.
+        seed: of the initial shape; it chooses the triangulation among
+            :data:`sim.mesh.specimens.TOPOLOGIES`, too.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        mesh, jitter, diagonals: kind of triangulation, see :func:`sim.specimens.make_specimen`.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
 
@@ -128,30 +124,19 @@ def drape(
     """
     rig, laws = rig or Rig(), laws or Laws()
     check_setting(rig, laws)
-    resolution = resolution or default_resolution(fabric, rig)
-    check_resolution(resolution)
+    edge = default_edge(fabric, rig) if edge is None else edge
     check_start(start)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
     check_seed(seed)
-    if not 0 <= jitter <= 0.3:
-        raise InputError(f"jitter={jitter}: give a fraction of the spacing between 0 and 0.3")
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
-    levels = coarse_to_fine(resolution, COARSEST if borrowed is None else BORROWED_COARSEST)
+    levels = coarse_to_fine(edge, COARSEST if borrowed is None else BORROWED_COARSEST)
     iterations, coarse, time_spent = 0, None, Counter()
     for level in levels:
-        last = level == resolution
+        last = level == edge
         try:
-            specimen = make_specimen(
-                rig,
-                mesh=mesh,
-                resolution=level,
-                offset=offset,
-                jitter=jitter,
-                diagonals=diagonals,
-                seed=seed,
-            )
+            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
         except InputError:
             # A narrow overhang may be too narrow for a coarse mesh alone.
             if last:
@@ -177,7 +162,7 @@ def drape(
         specimen,
         state,
         result,
-        resolution=resolution,
+        edge=edge,
         iterations=iterations,
         seconds=time.perf_counter() - began,
         time_spent=dict(time_spent),
@@ -244,7 +229,7 @@ def drape_result(
     state: State,
     result: NewtonResult,
     *,
-    resolution: int,
+    edge: float,
     iterations: int,
     seconds: float,
     time_spent: dict[str, float],
@@ -257,9 +242,8 @@ def drape_result(
         rotations=state.rotations,
         rest=specimen.mesh.rest,
         faces=specimen.mesh.faces,
-        diagonals=specimen.diagonals,
         held=specimen.held,
-        resolution=resolution,
+        edge=edge,
         status=result.status,
         message=result.message,
         residual=result.residual,
@@ -270,25 +254,3 @@ def drape_result(
         seconds=seconds,
         time_spent=time_spent,
     )
-
-
-def default_resolution(fabric: Fabric, rig: Rig) -> int:
-    """Vertices a side so that the spacing follows the fabric's bending length (alpha/rho g)^⅓.
-
-    Softer cloth makes narrower folds. ``LENGTHS_PER_SPACING`` of the softest direction's bending
-    length, within ``_CHOSEN``.
-    """
-    length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
-    cells = rig.specimen_size / (LENGTHS_PER_SPACING * length)
-    return int(np.clip(np.ceil(cells) + 1, *_CHOSEN))
-
-
-def coarse_to_fine(resolution: int, coarsest: int = COARSEST) -> list[int]:
-    """Vertices a side of the meshes a drape is solved on; the spacing halves each time.
-
-    None but the last has fewer than ``coarsest``.
-    """
-    levels = [resolution]
-    while (levels[0] - 1) // 2 + 1 >= coarsest:
-        levels.insert(0, (levels[0] - 1) // 2 + 1)
-    return levels
