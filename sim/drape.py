@@ -18,11 +18,12 @@ from sim.initial import (
 )
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.mesh import (
+from sim.mesh import Mesh
+from sim.mesh.specimens import (
+    BORROWED_COARSEST,
+    COARSEST,
     TOPOLOGIES,
-    Mesh,
     Specimen,
-    check_edge,
     coarse_to_fine,
     default_edge,
     make_specimen,
@@ -153,12 +154,12 @@ def drape(
     Args:
         rig: what holds the specimen; None for the square on its cylinder.
         edge: length of the edges at the plate's rim, m, of the final mesh
-            (:func:`sim.mesh.make_specimen`); None chooses it by the fabric
-            (:func:`sim.mesh.default_edge`).
+            (:func:`sim.mesh.specimens.make_specimen`); None chooses it by the fabric
+            (:func:`sim.mesh.specimens.default_edge`).
         start: initial shape, see :data:`sim.initial.STARTS`.
         borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
             to start from, in place of ``start``; on a mesh fine enough for its folds.
-        seed: of the initial shape; ``seed`` modulo :data:`sim.mesh.TOPOLOGIES` is the
+        seed: of the initial shape; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES` is the
             triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
@@ -173,7 +174,6 @@ def drape(
     rig, laws = rig or Rig(), laws or Laws()
     check_setting(rig, laws)
     edge = default_edge(fabric, rig) if edge is None else edge
-    check_edge(edge)
     check_start(start)
     if not np.isfinite(offset).all():
         raise InputError("offset must be two finite numbers, in metres")
@@ -181,15 +181,9 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     coarse, statuses, iterations, seconds = None, [], 0, Counter()
-    for level in coarse_to_fine(edge, borrowed=borrowed is not None):
+    coarsest = COARSEST if borrowed is None else BORROWED_COARSEST
+    for specimen, level in specimens(rig, edge, seed=seed, offset=offset, coarsest=coarsest):
         last = level == edge
-        try:
-            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
-        except InputError:
-            # A narrow overhang may be too narrow for a coarse mesh alone.
-            if last:
-                raise
-            continue
         positions = start_positions(
             specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
         )
@@ -211,6 +205,25 @@ def drape(
         seconds=time.perf_counter() - began, time_spent=dict(seconds),
         coarse=tuple(statuses[:-1]),
     )
+
+
+def specimens(
+    rig: Rig, edge: float, *, seed: int, offset: tuple[float, float], coarsest: float
+) -> list[tuple[Specimen, float]]:
+    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m.
+
+    An overhang may be too narrow for a coarse mesh alone, which is then left out.
+    """
+    made = []
+    for level in reversed(coarse_to_fine(edge, coarsest)):
+        try:
+            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
+        except InputError:
+            if not made:
+                raise
+            break
+        made.insert(0, (specimen, level))
+    return made
 
 
 def check_setting(rig: object, laws: object) -> None:

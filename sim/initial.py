@@ -7,6 +7,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from common.errors import InputError
 from common.threads import one_blas_thread
+from sim.mesh.specimens import share_of_offset
 from sim.scene import Rig
 
 STARTS = ("sine", "fold")
@@ -116,12 +117,7 @@ def borrowed_positions(
             f"{1e4 * rig.specimen_area:.0f} cm²"
         )
     centre, other_centre = (0.5 * (r.min(0) + r.max(0)) for r in (rest, other_rest))
-    from_centre = np.abs(rest - centre)
-    if rig.specimen == "disc":
-        from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
-    to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)
-    to_plate = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
-    share = to_plate / np.maximum(to_plate + to_border, 1e-12)
+    share = share_of_offset(rest, rig, centre)
     return interpolate_positions(
         other_rest, other_positions, rest + share[:, None] * (other_centre - centre)
     )

@@ -1,0 +1,196 @@
+"""Triangulations of squares and discs, fine at the plate's rim and coarser towards the hem.
+
+Cloth is bent twice within some 25 mm of the rim; that is where meshes of one edge length fail.
+Points lie on circles around the plate, as far apart as the wanted edges, at random on each circle.
+A few rounds of relaxation (optimal Delaunay triangulation, Alliez et al. 2005, with the wanted
+edge length as its size field) make the triangles nearly equilateral.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from sim.mesh.topology import Mesh, doubled_areas
+
+GROWTH = 0.15
+"""Growth of the edges' length with the distance from the rim."""
+_GROWTH_HELD = 0.6  # the same on the plate, where triangles store no energy
+_SHAKE = 0.25  # largest random move of a point before relaxation, in edges
+_ROUNDS = 3
+_CLEAR = 0.6
+"""Least distance of a point from rim and border, in edges. Above one half, no point lies in the
+circle over an edge of the rim, so that Delaunay's rule keeps that edge."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a mesh covers and where it is fine.
+
+    Attributes:
+        shape: "square" or "disc".
+        size: side or diameter, m.
+        plate_radius: of the plate under the origin, m; 0 for none, and edges of one length.
+        centre: of the specimen, m.
+        edge: length of the edges at the rim, m.
+        largest: length at most, m.
+    """
+
+    shape: str
+    size: float
+    plate_radius: float
+    centre: tuple[float, float]
+    edge: float
+    largest: float
+
+    def edge_at(self, points: np.ndarray) -> np.ndarray:
+        """Wanted length (N,) of the edges at points (N, 2), m."""
+        if self.plate_radius == 0:
+            return np.full(len(points), self.edge)
+        outside = np.linalg.norm(points, axis=1) - self.plate_radius
+        grown = np.minimum(self.edge + GROWTH * outside, self.largest)
+        return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
+
+    def to_border(self, points: np.ndarray) -> np.ndarray:
+        """Distance (N,) of points (N, 2) inside from the border, m; negative outside."""
+        from_centre = np.abs(points - np.asarray(self.centre))
+        if self.shape == "disc":
+            return self.size / 2 - np.linalg.norm(from_centre, axis=1)
+        return self.size / 2 - from_centre.max(axis=1)
+
+
+def rim_radius(outline: Outline) -> tuple[float, int]:
+    """Radius, m, of the polygon that stands for the rim, and the number of its corners.
+
+    A little outside the plate's rim, so that the polygon has the plate's area: with corners on
+    the rim it would hold too little cloth and lie inside the cylinder.
+    """
+    corners = max(8, round(2 * np.pi * outline.plate_radius / outline.edge))
+    turn = 2 * np.pi / corners
+    return outline.plate_radius * np.sqrt(turn / np.sin(turn)), corners
+
+
+def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
+    """Triangulate ``outline``.
+
+    Returns:
+        The mesh, and how many of its vertices lie on the plate: the first ones, the rim's first.
+    """
+    radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
+    rim = _circle(radius, corners, rng)
+    border = _border(outline, rng)
+    inner = _rings(outline, rng, radius, outwards=False)
+    outer = _rings(outline, rng, radius, outwards=True)
+    fixed = np.concatenate([rim, border])
+    moving = np.concatenate([inner, outer])
+    points = np.concatenate([fixed, moving])
+    for _ in range(_ROUNDS):
+        relaxed = _relaxed(points, _delaunay(points), outline)[len(fixed):]
+        points[len(fixed):] = _kept_clear(relaxed, outline, radius, len(inner))
+    # Rounded, so that the last bits of a processor's sine do not choose between triangulations.
+    points[len(rim):] = points[len(rim):].round(9)
+    parts = np.split(points, np.cumsum([len(rim), len(border), len(inner)]))
+    points = np.concatenate([parts[0], parts[2], parts[1], parts[3]])
+    return Mesh(rest=points, faces=_delaunay(points)), len(rim) + len(inner)
+
+
+def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    angle = 2 * np.pi * (np.arange(count) + rng.random()) / max(count, 1)
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _rings(
+    outline: Outline, rng: np.random.Generator, start: float, *, outwards: bool
+) -> np.ndarray:
+    """Points (N, 2) on circles around the origin, clear of rim and border."""
+    reach = outline.size / 2 * np.sqrt(2) + np.hypot(*outline.centre)
+    radius, points = start, []
+    while True:
+        length = outline.edge_at(np.array([[radius, 0.0]]))[0]
+        # Half-way to the next circle for second order.
+        step = np.sqrt(0.75) * length * (1 if outwards else -1)
+        length = outline.edge_at(np.array([[max(radius + step / 2, 0.0), 0.0]]))[0]
+        radius += np.sqrt(0.75) * length * (1 if outwards else -1)
+        if radius > reach or radius < 0:
+            break
+        length = outline.edge_at(np.array([[radius, 0.0]]))[0]
+        ring = _circle(radius, max(1, round(2 * np.pi * radius / length)), rng)
+        points.append(ring + rng.uniform(-_SHAKE, _SHAKE, ring.shape) * length)
+    if not points:
+        return np.empty((0, 2))
+    points = np.concatenate(points)
+    return points[outline.to_border(points) > _CLEAR * outline.edge_at(points)]
+
+
+def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 2) on the border, as far apart as the wanted edges there."""
+    half, centre = outline.size / 2, np.asarray(outline.centre)
+    if outline.shape == "disc":
+        phase = rng.random()
+
+        def around(t: np.ndarray) -> np.ndarray:
+            angle = 2 * np.pi * (t + phase)
+            return centre + half * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+        return _spread(around, outline, rng)
+    corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    return np.concatenate([
+        _spread(lambda t, a=a, b=b: a + t[:, None] * (b - a), outline, rng) for a, b in sides
+    ])
+
+
+def _spread(
+    curve: Callable[[np.ndarray], np.ndarray], outline: Outline, rng: np.random.Generator
+) -> np.ndarray:
+    """Points (N, 2) of a curve over [0, 1] from its start on, its end left out."""
+    t = np.linspace(0, 1, 1001)
+    points = curve(t)
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    edges = np.append(0, np.cumsum(lengths / outline.edge_at(0.5 * (points[1:] + points[:-1]))))
+    count = max(1, round(edges[-1]))
+    place = np.arange(count) + np.append(0, rng.uniform(-_SHAKE, _SHAKE, count - 1) / 2)
+    return curve(np.interp(place * edges[-1] / count, edges, t))
+
+
+def _delaunay(points: np.ndarray) -> np.ndarray:
+    """Faces (F, 3), counter-clockwise, without the flat ones along straight borders."""
+    faces = Delaunay(points).simplices.astype(np.int64)
+    twice = doubled_areas(points, faces)
+    faces[twice < 0] = faces[twice < 0][:, [0, 2, 1]]
+    return faces[np.abs(twice) > 1e-6 * np.median(np.abs(twice))]
+
+
+def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndarray:
+    """Each point (V, 2) at the mean of the circumcentres around it.
+
+    Their weights are the triangles' areas in units of the wanted edge length.
+    """
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    twice = doubled_areas(points, faces)
+    uu, vv = (u**2).sum(1)[:, None], (v**2).sum(1)[:, None]
+    perpendicular = uu * np.stack([v[:, 1], -v[:, 0]], 1) + vv * np.stack([-u[:, 1], u[:, 0]], 1)
+    centroid = (a + b + c) / 3
+    # The circumcentre of an obtuse triangle lies outside; it must not pull points out with it.
+    away = a + perpendicular / (2 * twice[:, None]) - centroid
+    limit = np.sqrt(twice / 2) / np.linalg.norm(away, axis=1).clip(1e-300)
+    centres = centroid + away * np.minimum(1.0, limit)[:, None]
+    weight = np.repeat(twice / outline.edge_at(centroid) ** 2, 3)
+    total = np.bincount(faces.ravel(), weight, minlength=len(points))
+    return np.stack(
+        [np.bincount(faces.ravel(), weight * np.repeat(centres[:, k], 3), minlength=len(points))
+         for k in range(2)], axis=1
+    ) / total[:, None]
+
+
+def _kept_clear(
+    points: np.ndarray, outline: Outline, radius: float, inside: int
+) -> np.ndarray:
+    """Points (N, 2), the first ``inside`` of them on the plate, moved clear of the rim."""
+    distance = np.linalg.norm(points, axis=1)
+    clear = _CLEAR * outline.edge
+    wanted = np.concatenate([np.minimum(distance[:inside], radius - clear),
+                             np.maximum(distance[inside:], radius + clear)])
+    return points * (wanted / distance.clip(1e-300))[:, None]

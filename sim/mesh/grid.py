@@ -1,0 +1,86 @@
+"""Grids of triangles: strips, and what is compared on regular meshes."""
+
+import numpy as np
+
+from common.errors import InputError
+from sim.mesh.topology import Mesh
+
+DIAGONALS = ("random", "alternating", "equal")
+
+
+def grid_faces(diagonals: np.ndarray) -> np.ndarray:
+    """Faces (2*(nx-1)*(ny-1), 3) of a grid of nx × ny vertices numbered i*ny + j.
+
+    ``diagonals`` (nx-1, ny-1) bool: whether a cell's diagonal runs from its corner (i, j) to
+    (i+1, j+1) rather than between the other two. Counter-clockwise for i along x, j along y.
+    """
+    nx, ny = diagonals.shape[0] + 1, diagonals.shape[1] + 1
+    index = np.arange(nx * ny).reshape(nx, ny)
+    a, b = index[:-1, :-1], index[1:, :-1]
+    c, d = index[1:, 1:], index[:-1, 1:]
+    main = np.stack([a, b, c, a, c, d], axis=-1)
+    cross = np.stack([a, b, d, b, c, d], axis=-1)
+    return np.where(diagonals[..., None], main, cross).reshape(-1, 3)
+
+
+def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Diagonals (nx-1, ny-1) bool of a grid of ``shape`` (nx, ny) vertices; see DIAGONALS."""
+    cells = (shape[0] - 1, shape[1] - 1)
+    if kind == "random":
+        return rng.random(cells) < 0.5
+    if kind == "alternating":
+        return np.indices(cells).sum(0) % 2 == 0
+    if kind == "equal":
+        return np.ones(cells, dtype=bool)
+    raise InputError(f"unknown diagonals '{kind}'; choose from {', '.join(DIAGONALS)}")
+
+
+def grid_points(
+    shape: tuple[int, int], size: tuple[float, float], jitter: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random.
+
+    Each coordinate moves by at most ``jitter`` times the spacing; points on a side stay on it.
+    """
+    axes = [np.linspace(0.0, size[k], shape[k]) for k in range(2)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    moves = rng.uniform(-jitter, jitter, points.shape)
+    moves *= np.array([size[k] / (shape[k] - 1) for k in range(2)])
+    moves[[0, -1], :, 0] = 0.0
+    moves[:, [0, -1], 1] = 0.0
+    return points + moves
+
+
+def strip(
+    *,
+    length: float,
+    width: float,
+    edge: float,
+    clamp: float,
+    diagonals: str = "alternating",
+    jitter: float = 0.0,
+    seed: int = 0,
+) -> tuple[Mesh, np.ndarray]:
+    """A strip along +x that starts with a clamped piece of length ``clamp`` at x < 0.
+
+    Args:
+        length, width, edge, clamp: m; the spacing is ``edge`` along and across.
+        jitter: as in :func:`grid_points`; the column x = 0 stays in place.
+
+    Returns:
+        The mesh and the mask (V,) bool of the clamped vertices, x <= 0.
+
+    Raises:
+        InputError: a clamp that is no multiple of ``edge``.
+    """
+    rng = np.random.default_rng(seed)
+    held_columns, columns = round(clamp / edge), round(length / edge)
+    if not np.isclose(held_columns * edge, clamp, rtol=1e-6):
+        raise InputError(f"clamp={clamp:g} m must be a multiple of the spacing {edge:g} m")
+    shape = (held_columns + columns + 1, round(width / edge) + 1)
+    points = grid_points(shape, (clamp + length, width), jitter, rng)
+    points[..., 0] -= clamp
+    points[held_columns, :, 0] = 0.0
+    cells = choose_diagonals(shape, diagonals, rng)
+    mesh = Mesh(rest=points.reshape(-1, 2), faces=grid_faces(cells))
+    return mesh, mesh.rest[:, 0] <= 1e-9 * length

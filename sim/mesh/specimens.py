@@ -1,0 +1,167 @@
+"""The mesh of a rig's specimen: how fine, where the specimen lies, which vertices are held."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from common.errors import InputError
+from sim.energies.contact import Ramp
+from sim.material import Fabric
+from sim.mesh.graded import Outline, graded_mesh
+from sim.mesh.grid import strip
+from sim.mesh.topology import Mesh
+from sim.scene import GRAVITY, Rig, Scene
+
+TOPOLOGIES = 8
+"""Meshes of one size, alike but for their random numbers; drapes share them."""
+GRADING = 7 / 3
+"""Edges at the hem over edges at the rim."""
+EDGES = (1e-3, 5e-2)
+"""Lengths of edges at the rim, m: least, for memory and time; most, for a plate of its shape."""
+SHARED_OFFSET = 0.2
+"""Largest offset, in widths of the overhang, that moves a base mesh; beyond it, triangles on the
+narrow side would lose more than a fifth of their width, and a mesh is made for the offset."""
+_ROOM = 2.0  # edges between rim and border, at least
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """A rig's specimen, meshed.
+
+    Attributes:
+        mesh: origin of ``rest`` on the plate's axis, without a plate at the specimen's centre.
+        held: (V,) bool, vertices that the rig holds.
+    """
+
+    mesh: Mesh
+    held: np.ndarray
+
+
+def make_specimen(
+    rig: Rig,
+    *,
+    edge: float,
+    topology: int = 0,
+    offset: tuple[float, float] = (0.0, 0.0),
+    grading: float = GRADING,
+) -> Specimen:
+    """Mesh the specimen of ``rig``.
+
+    An offset moves the points of a base mesh: those of plate and rim stay, those of the border
+    move by the full offset, and those between in proportion. So specimens that differ by their
+    offset alone share their faces, up to :data:`SHARED_OFFSET`.
+
+    Args:
+        edge: length of the edges at the plate's rim, m, within :data:`EDGES`. Without a plate,
+            of all edges.
+        topology: which of the :data:`TOPOLOGIES` random meshes.
+        offset: specimen's centre from the plate's axis, m.
+        grading: edges at the hem over ``edge``, at least 1; they grow by 15 % per edge until
+            then. Edges on the plate grow faster, they store no energy.
+
+    Raises:
+        InputError: arguments that make no mesh.
+    """
+    _check(rig, edge, topology, offset, grading)
+    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    shared = np.hypot(*offset) <= SHARED_OFFSET * overhang
+    centre = (0.0, 0.0) if shared else (float(offset[0]), float(offset[1]))
+    specimen = _base_specimen(rig, float(edge), int(topology), centre, float(grading))
+    if not shared or not np.any(offset):
+        return specimen
+    rest = specimen.mesh.rest
+    share = np.where(specimen.held, 0.0, share_of_offset(rest, rig))
+    return Specimen(specimen.mesh.with_rest(rest + share[:, None] * np.asarray(offset)),
+                    specimen.held)
+
+
+def _check(
+    rig: Rig, edge: float, topology: int, offset: tuple[float, float], grading: float
+) -> None:
+    least, most = EDGES
+    if not least <= edge <= most:
+        raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
+                         f"{1e3 * most:g} mm")
+    if not 1 <= grading < np.inf:
+        raise InputError(f"grading={grading:g}: edges at the hem must not be shorter than at the "
+                         "rim; give 1 or more")
+    if topology not in range(TOPOLOGIES):
+        raise InputError(f"topology={topology} must be a whole number from 0 to {TOPOLOGIES - 1}")
+    if not rig.has_plate:
+        if np.any(offset):
+            raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
+        return
+    way = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
+    room = (rig.specimen_size - rig.plate_diameter) / 2 - way
+    if not room >= _ROOM * edge:
+        raise InputError(f"an overhang of {1e3 * room:.3g} mm at its narrowest is too narrow for "
+                         f"edges of {1e3 * edge:.3g} mm, which need {1e3 * _ROOM * edge:.3g} mm; "
+                         "reduce the offset or refine")
+
+
+@lru_cache(maxsize=128)
+def _base_specimen(
+    rig: Rig, edge: float, topology: int, centre: tuple[float, float], grading: float
+) -> Specimen:
+    """A specimen around ``centre``, triangulated for that place."""
+    outline = Outline(shape=rig.specimen, size=rig.specimen_size, plate_radius=rig.plate_radius,
+                      centre=centre, edge=edge, largest=grading * edge)
+    mesh, count = graded_mesh(outline, np.random.default_rng(topology))
+    if rig.has_plate:
+        return Specimen(mesh, np.arange(len(mesh.rest)) < count)
+    corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.specimen_size
+    return Specimen(mesh, (mesh.rest[:, None] == corners).all(axis=2).any(axis=1))
+
+
+def share_of_offset(
+    rest: np.ndarray, rig: Rig, centre: np.ndarray | tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray:
+    """Share (V,) of an offset's change that moves points (V, 2) of a specimen around ``centre``.
+
+    Zero on the plate, one on the border, in proportion between them. Lengths in m.
+    """
+    from_centre = np.abs(rest - np.asarray(centre))
+    if rig.specimen == "disc":
+        from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
+    to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)
+    to_plate = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
+    return to_plate / np.maximum(to_plate + to_border, 1e-12)
+
+
+# Choice of the mesh: to be measured.
+COARSEST = 0.02
+BORROWED_COARSEST = 0.0125
+_CHOSEN = (0.002, 0.0025, 0.003, 0.004)
+
+
+def default_edge(fabric: Fabric, rig: Rig) -> float:
+    return 0.003
+
+
+def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
+    levels = [edge]
+    while 2 * levels[0] <= coarsest:
+        levels.insert(0, 2 * levels[0])
+    return levels
+
+
+def strip_over_ramp(
+    *, length: float, width: float, edge: float, angle: float = np.radians(41.5),
+    diagonals: str = "alternating",
+) -> Scene:
+    """A strip that juts out from a platform over a plane which slopes down from its end.
+
+    The stand of a fixed-angle bending-length tester: the strip is moved forward until its end
+    touches the plane. The strip is held where it lies on the platform; along the rest it may
+    touch the plane.
+
+    Args:
+        length: of the part that juts out, m.
+        width, edge: of the strip and of the mesh, m.
+        angle: of the plane below the horizontal, rad; 41.5 degrees is where a strip's bending
+            length is half its overhang.
+        diagonals: see :func:`sim.mesh.strip`.
+    """
+    mesh, held = strip(length=length, width=width, edge=edge, clamp=2 * edge, diagonals=diagonals)
+    return Scene(mesh=mesh, held=held, obstacles=(Ramp(angle),))

@@ -1,0 +1,125 @@
+"""Flat triangulations, and what their topology gives: edges, neighbours, smoothing, normals."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from common.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A flat triangulation in material axes (warp along +x, weft along +y).
+
+    Attributes:
+        rest: (V, 2) float64 rest positions, m.
+        faces: (F, 3) int64 corners, counter-clockwise seen from +z.
+    """
+
+    rest: np.ndarray
+    faces: np.ndarray
+
+    def with_rest(self, rest: np.ndarray) -> "Mesh":
+        """The mesh of the same triangles between other rest points (V, 2), m."""
+        moved = Mesh(rest=rest, faces=self.faces)
+        # What is known of the topology is shared: cached properties are kept in __dict__.
+        moved.__dict__["_edge_tables"] = self._edge_tables
+        return moved
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """(F,) rest areas, m²."""
+        return 0.5 * doubled_areas(self.rest, self.faces)
+
+    @cached_property
+    def vertex_areas(self) -> np.ndarray:
+        """(V,) a third of the area of the triangles around each vertex, m²."""
+        return np.bincount(
+            self.faces.ravel(), np.repeat(self.areas / 3, 3), minlength=len(self.rest)
+        )
+
+    @cached_property
+    def _edge_tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # Edge i of a face lies opposite its corner i.
+        directed = self.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
+        edges, inverse = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+        face_edges = inverse.reshape(-1, 3)
+        order = np.argsort(face_edges.ravel(), kind="stable")
+        counts = np.bincount(face_edges.ravel(), minlength=len(edges))
+        if counts.max() > 2:
+            raise InputError("the mesh is not a surface: an edge belongs to three triangles")
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        edge_faces = np.full((len(edges), 2), -1)
+        edge_faces[:, 0] = order[first] // 3
+        shared = counts == 2
+        edge_faces[shared, 1] = order[first[shared] + 1] // 3
+        return edges, face_edges, edge_faces
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(E, 2) vertex pairs, smaller index first."""
+        return self._edge_tables[0]
+
+    @property
+    def face_edges(self) -> np.ndarray:
+        """(F, 3) the edge opposite each corner."""
+        return self._edge_tables[1]
+
+    @property
+    def edge_faces(self) -> np.ndarray:
+        """(E, 2) the faces on either side, -1 where there is none."""
+        return self._edge_tables[2]
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """(F, 3) for each corner, the vertex beyond the opposite edge; -1 at the boundary."""
+        across = self.edge_faces[self.face_edges]  # (F, 3, 2)
+        here = np.arange(len(self.faces))[:, None]
+        other = np.where(across[..., 0] == here, across[..., 1], across[..., 0])
+        corner_sum = self.faces[other].sum(-1) - self.edges[self.face_edges].sum(-1)
+        return np.where(other >= 0, corner_sum, -1)
+
+
+def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Twice the areas (F,) of triangles (F, 3) between points (V, 2); negative if clockwise."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (E, 2) of triangles (F, 3), smaller index first, and how many triangles each has (E,).
+
+    For any triangles; those of a specimen are :class:`Mesh`'s.
+    """
+    pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0, return_counts=True)
+
+
+def adjacency(mesh: Mesh) -> sparse.csr_matrix:
+    """(V, V) with a one for each two vertices that an edge joins."""
+    first, second = mesh.edges.T
+    size = (len(mesh.rest),) * 2
+    one_way = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=size)
+    return (one_way + one_way.T).tocsr()
+
+
+def smooth(positions: np.ndarray, moving: np.ndarray, adjacent: sparse.csr_matrix) -> None:
+    """Move positions (V, 3) where ``moving`` (V,) half-way to the mean of their neighbours.
+
+    In place; ``adjacent`` as :func:`adjacency` gives it.
+    """
+    degree = np.diff(adjacent.indptr)[:, None]
+    positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
+
+
+def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) at positions (V, 3): of the faces (F, 3) around, weighted by area."""
+    a, b, c = (positions[faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    total = np.zeros_like(positions)
+    for k in range(3):
+        np.add.at(total, faces[:, k], across)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
