@@ -17,8 +17,8 @@ from sim.mesh.topology import Mesh, doubled_areas
 GROWTH = 0.15
 """Growth of the edges' length with the distance from the rim."""
 _GROWTH_HELD = 0.6  # the same on the plate, where triangles store no energy
-_SHAKE = 0.25  # largest random move of a point before relaxation, in edges
-_ROUNDS = 3
+_SHAKE = 0.3  # largest random move of a point before relaxation, in edges
+_ROUNDS = 4
 _CLEAR = 0.6
 """Least distance of a point from rim and border, in edges. Above one half, no point lies in the
 circle over an edge of the rim, so that Delaunay's rule keeps that edge."""
