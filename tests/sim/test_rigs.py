@@ -11,8 +11,9 @@ from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.material import Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count
-from sim.mesh.specimens import default_edge, make_specimen, strip_over_ramp
-from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, State
+from sim.mesh import strip
+from sim.mesh.specimens import default_edge, make_specimen
+from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene, State
 
 
 def isotropic(alpha: float) -> Fabric:
@@ -106,7 +107,8 @@ def test_hung_square_sags_between_its_corners_and_mirrors_itself():
 def test_strip_touches_the_ramp_when_its_bending_length_is_half_its_overhang(gamma, touches):
     """The principle of the fixed-angle tester: at 41.5 degrees, Γ = 8."""
     length = 0.15
-    scene = strip_over_ramp(length=length, width=0.02, edge=0.005)
+    mesh, held = strip(length=length, width=0.02, edge=0.005, clamp=0.01)
+    scene = Scene(mesh=mesh, held=held, obstacles=(Ramp(np.radians(41.5)),))
     rest = scene.mesh.rest
     state, result = find_equilibrium(
         scene, isotropic(0.3 * 9.81 * length**3 / gamma * 1e6),
