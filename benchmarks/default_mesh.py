@@ -23,6 +23,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from matplotlib.figure import Figure
+from sim.specimens import make_specimen
 
 from benchmarks.common import (
     REPORTS,
@@ -42,7 +43,6 @@ from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
 from sim.scene import Rig, State
 from sim.self_contact import find_free_equilibrium
-from sim.specimens import make_specimen
 
 LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from sim.unstructured import unstructured_strip
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from common.cli import run_command
@@ -31,7 +32,6 @@ from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.newton import Status
 from sim.scene import State
-from sim.unstructured import unstructured_strip
 
 LENGTH, WIDTH = 0.09, 0.027  # m
 LIMIT = 0.005  # of the default law's H/W

@@ -29,6 +29,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from matplotlib.figure import Figure
+from sim.specimens import make_specimen
 
 from benchmarks.common import (
     REPORTS,
@@ -51,7 +52,6 @@ from sim.measures import drape_coefficient, fold_outline
 from sim.membranes import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Rig, Scene, State
-from sim.specimens import make_specimen
 
 POISSON = 0.3
 LAWS = ("corotational", "stvk")

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from sim.specimens import make_specimen
 
 from benchmarks.common import load_arrays
 from common.errors import InputError
@@ -17,7 +18,6 @@ from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.newton import NewtonOptions
 from sim.scene import Rig, Scene, State
-from sim.specimens import make_specimen
 
 # Moduli warp, bias, weft in µN·m at 300 g/m²; beta/alpha of a typical fabric, mm.
 FABRICS = {

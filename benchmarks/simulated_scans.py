@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import RBFInterpolator
+from sim.specimens import make_specimen
 
 from benchmarks.common import (
     ESTIMATOR,
@@ -50,7 +51,6 @@ from sim.drape import drape
 from sim.material import MICRO, plate_constants
 from sim.mesh import vertex_normals
 from sim.scene import DISC_RIG
-from sim.specimens import make_specimen
 
 CORRELATION = 0.0125  # m, how far around a vertex others err like it
 FINE, SCANNED = 61, 51  # vertices across the simulated specimen and across its scan
