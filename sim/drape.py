@@ -214,16 +214,17 @@ def specimens(
 
     An overhang may be too narrow for a coarse mesh alone, which is then left out.
     """
-    made = []
-    for level in reversed(coarse_to_fine(edge, coarsest)):
+    made = [(_specimen(rig, edge, seed, offset), edge)]  # refuses what makes no mesh
+    for level in reversed(coarse_to_fine(edge, coarsest)[:-1]):
         try:
-            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
+            made.insert(0, (_specimen(rig, level, seed, offset), level))
         except InputError:
-            if not made:
-                raise
             break
-        made.insert(0, (specimen, level))
     return made
+
+
+def _specimen(rig: Rig, edge: float, seed: int, offset: tuple[float, float]) -> Specimen:
+    return make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset)
 
 
 def check_setting(rig: object, laws: object) -> None:

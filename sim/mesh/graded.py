@@ -6,7 +6,6 @@ A few rounds of relaxation (optimal Delaunay triangulation, Alliez et al. 2005, 
 edge length as its size field) make the triangles nearly equilateral.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +16,8 @@ from sim.mesh.topology import Mesh, doubled_areas
 GROWTH = 0.15
 """Growth of the edges' length with the distance from the rim."""
 _GROWTH_HELD = 0.6  # the same on the plate, where triangles store no energy
-_SHAKE = 0.25  # largest random move of a point before relaxation, in edges
-_ROUNDS = 3
+_SHAKE = 0.3  # largest random move of a point before relaxation, in edges
+_ROUNDS = 4
 _CLEAR = 0.6
 """Least distance of a point from rim and border, in edges. Above one half, no point lies in the
 circle over an edge of the rim, so that Delaunay's rule keeps that edge."""
@@ -80,8 +79,8 @@ def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.nd
     radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
     rim = _circle(radius, corners, rng)
     border = _border(outline, rng)
-    inner = _rings(outline, rng, radius, outwards=False)
-    outer = _rings(outline, rng, radius, outwards=True)
+    inner = _rings(outline, rng, radius, -1)
+    outer = _rings(outline, rng, radius, 1)
     fixed = np.concatenate([rim, border])
     moving = np.concatenate([inner, outer])
     points = np.concatenate([fixed, moving])
@@ -96,30 +95,28 @@ def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.nd
 
 
 def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 2) at equal distances on a circle around the origin, from a random one on."""
     angle = 2 * np.pi * (np.arange(count) + rng.random()) / max(count, 1)
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _rings(
-    outline: Outline, rng: np.random.Generator, start: float, *, outwards: bool
-) -> np.ndarray:
-    """Points (N, 2) on circles around the origin, clear of rim and border."""
-    reach = outline.size / 2 * np.sqrt(2) + np.hypot(*outline.centre)
-    radius, points = start, []
+def _rings(outline: Outline, rng: np.random.Generator, radius: float, way: int) -> np.ndarray:
+    """Points (N, 2) on circles from ``radius`` on, outwards (``way`` 1) or inwards (-1)."""
+    reach = outline.size / np.sqrt(2) + np.hypot(*outline.centre)
+
+    def length(radius: float) -> float:
+        return outline.edge_at(np.array([[max(radius, 0.0), 0.0]]))[0]
+
+    rings = [np.empty((0, 2))]
     while True:
-        length = outline.edge_at(np.array([[radius, 0.0]]))[0]
-        # Half-way to the next circle for second order.
-        step = np.sqrt(0.75) * length * (1 if outwards else -1)
-        length = outline.edge_at(np.array([[max(radius + step / 2, 0.0), 0.0]]))[0]
-        radius += np.sqrt(0.75) * length * (1 if outwards else -1)
-        if radius > reach or radius < 0:
+        step = way * np.sqrt(0.75)
+        radius += step * length(radius + step * length(radius) / 2)
+        if not 0 <= radius <= reach:
             break
-        length = outline.edge_at(np.array([[radius, 0.0]]))[0]
-        ring = _circle(radius, max(1, round(2 * np.pi * radius / length)), rng)
-        points.append(ring + rng.uniform(-_SHAKE, _SHAKE, ring.shape) * length)
-    if not points:
-        return np.empty((0, 2))
-    points = np.concatenate(points)
+        edge = length(radius)
+        ring = _circle(radius, max(1, round(2 * np.pi * radius / edge)), rng)
+        rings.append(ring + rng.uniform(-_SHAKE, _SHAKE, ring.shape) * edge)
+    points = np.concatenate(rings)
     return points[outline.to_border(points) > _CLEAR * outline.edge_at(points)]
 
 
@@ -127,31 +124,26 @@ def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
     """Points (N, 2) on the border, as far apart as the wanted edges there."""
     half, centre = outline.size / 2, np.asarray(outline.centre)
     if outline.shape == "disc":
-        phase = rng.random()
-
-        def around(t: np.ndarray) -> np.ndarray:
-            angle = 2 * np.pi * (t + phase)
-            return centre + half * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-        return _spread(around, outline, rng)
-    corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
-    return np.concatenate([
-        _spread(lambda t, a=a, b=b: a + t[:, None] * (b - a), outline, rng) for a, b in sides
-    ])
+        fine = centre + _circle(half, 4000, rng)
+        place = _spread(np.concatenate([fine, fine[:1]]), outline, rng)
+        return centre + half * _unit(place - centre)
+    corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a)
+             for a, b in zip(corners[:-1], corners[1:], strict=True))
+    return np.concatenate([_spread(side, outline, rng) for side in sides])
 
 
-def _spread(
-    curve: Callable[[np.ndarray], np.ndarray], outline: Outline, rng: np.random.Generator
-) -> np.ndarray:
-    """Points (N, 2) of a curve over [0, 1] from its start on, its end left out."""
-    t = np.linspace(0, 1, 1001)
-    points = curve(t)
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    edges = np.append(0, np.cumsum(lengths / outline.edge_at(0.5 * (points[1:] + points[:-1]))))
+def _spread(curve: np.ndarray, outline: Outline, rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 2) along a finely sampled curve (K, 2) from its start on, its end left out."""
+    length = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    edges = np.append(0, np.cumsum(length / outline.edge_at(0.5 * (curve[1:] + curve[:-1]))))
     count = max(1, round(edges[-1]))
     place = np.arange(count) + np.append(0, rng.uniform(-_SHAKE, _SHAKE, count - 1) / 2)
-    return curve(np.interp(place * edges[-1] / count, edges, t))
+    return np.stack([np.interp(place * edges[-1] / count, edges, curve[:, k]) for k in range(2)], 1)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-300)
 
 
 def _delaunay(points: np.ndarray) -> np.ndarray:
@@ -185,12 +177,10 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndar
     ) / total[:, None]
 
 
-def _kept_clear(
-    points: np.ndarray, outline: Outline, radius: float, inside: int
-) -> np.ndarray:
+def _kept_clear(points: np.ndarray, outline: Outline, radius: float, inside: int) -> np.ndarray:
     """Points (N, 2), the first ``inside`` of them on the plate, moved clear of the rim."""
     distance = np.linalg.norm(points, axis=1)
     clear = _CLEAR * outline.edge
-    wanted = np.concatenate([np.minimum(distance[:inside], radius - clear),
-                             np.maximum(distance[inside:], radius + clear)])
-    return points * (wanted / distance.clip(1e-300))[:, None]
+    wanted = np.append(np.minimum(distance[:inside], radius - clear),
+                       np.maximum(distance[inside:], radius + clear))
+    return wanted[:, None] * _unit(points)

@@ -6,17 +6,21 @@ from functools import lru_cache
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.contact import Ramp
 from sim.material import Fabric
 from sim.mesh.graded import Outline, graded_mesh
-from sim.mesh.grid import strip
 from sim.mesh.topology import Mesh
-from sim.scene import GRAVITY, Rig, Scene
+from sim.scene import GRAVITY, Rig
 
 TOPOLOGIES = 8
 """Meshes of one size, alike but for their random numbers; drapes share them."""
-GRADING = 7 / 3
+GRADING = 10 / 3
 """Edges at the hem over edges at the rim."""
+DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
+EDGES_PER_LENGTH = 6
+COARSEST = 0.020
+"""Longest edges at the rim, m, that a drape is started on."""
+BORROWED_COARSEST = 0.0125
+"""The same for a borrowed drape, whose folds have to survive."""
 EDGES = (1e-3, 5e-2)
 """Lengths of edges at the rim, m: least, for memory and time; most, for a plate of its shape."""
 SHARED_OFFSET = 0.2
@@ -129,39 +133,26 @@ def share_of_offset(
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
-# Choice of the mesh: to be measured.
-COARSEST = 0.02
-BORROWED_COARSEST = 0.0125
-_CHOSEN = (0.002, 0.0025, 0.003, 0.004)
-
-
 def default_edge(fabric: Fabric, rig: Rig) -> float:
-    return 0.003
+    """Edge length at the rim, m, that suits the fabric: 2, 2.5, 3 or 4 mm.
+
+    The longest of these that goes :data:`EDGES_PER_LENGTH` times into the bending length
+    (alpha/rho g)^⅓ of the softest direction, because softer cloth makes narrower folds; few
+    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 6.7 to
+    13.3 mm.
+    """
+    length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
+    fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
+    edge = max(fits, default=min(DEFAULT_EDGES))
+    return edge if rig.has_plate else GRADING * edge
 
 
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
+    """Edges at the rim, m, of the meshes a drape is solved on; they halve each time.
+
+    None but the last has edges above ``coarsest``.
+    """
     levels = [edge]
     while 2 * levels[0] <= coarsest:
         levels.insert(0, 2 * levels[0])
     return levels
-
-
-def strip_over_ramp(
-    *, length: float, width: float, edge: float, angle: float = np.radians(41.5),
-    diagonals: str = "alternating",
-) -> Scene:
-    """A strip that juts out from a platform over a plane which slopes down from its end.
-
-    The stand of a fixed-angle bending-length tester: the strip is moved forward until its end
-    touches the plane. The strip is held where it lies on the platform; along the rest it may
-    touch the plane.
-
-    Args:
-        length: of the part that juts out, m.
-        width, edge: of the strip and of the mesh, m.
-        angle: of the plane below the horizontal, rad; 41.5 degrees is where a strip's bending
-            length is half its overhang.
-        diagonals: see :func:`sim.mesh.strip`.
-    """
-    mesh, held = strip(length=length, width=width, edge=edge, clamp=2 * edge, diagonals=diagonals)
-    return Scene(mesh=mesh, held=held, obstacles=(Ramp(angle),))

@@ -66,7 +66,8 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
     scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 
     def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
-        if hasattr(cloth.bending, "with_fabric"):
+        # Only where the law is the energy's class: others may make more of the fabric.
+        if laws.bending_law is type(cloth.bending) and hasattr(cloth.bending, "with_fabric"):
             bending = cloth.bending.with_fabric(fabric)
         else:
             bending = laws.bending_law(scene.mesh, scene.active, fabric=fabric)

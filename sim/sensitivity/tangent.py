@@ -8,6 +8,7 @@ from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import Equilibrium
 from sim.lagged import follows_curvature
+from sim.laws import Laws
 from sim.linear import CholeskySolver, make_solver
 from sim.self_contact import contact_near
 from sim.sensitivity.parameters import force_derivatives, hessian_product
@@ -17,8 +18,6 @@ STEP, RESIDUAL = 1e-5, 1e-6
 differentiated. Forces that are left make free motions look stiff, by about as much per mm."""
 FARTHEST = 0.1
 """mm: length of the first step from which a state does not count as an equilibrium."""
-NEAR = 1e-3
-"""mm: length of a step after which the factor serves at the new state, too."""
 SOFTEST = 1e-7
 """Stiffness of the softest motion, in units of a vertex's weight per mm, below which the Hessian
 counts as singular. Drapes have some 1e-2, a free motion has 1e-12 by rounding."""
@@ -47,7 +46,7 @@ class Tangent:
     """
 
     def __init__(self, found: Equilibrium) -> None:
-        _require_energy(found)
+        _require_energy(found.cloth.laws)
         self.cloth, self.q = found.cloth, found.state.q
         self.softest = 0.0
         self._factor: CholeskySolver | None = found.newton.factor
@@ -65,6 +64,7 @@ class Tangent:
     @classmethod
     def near(cls, result: DrapeResult) -> "Tangent":
         """The tangent of the equilibrium next to a drape, whether this converged or not."""
+        _require_energy(result.laws)
         return cls(result.equilibrium or rebuilt(result))
 
     @property
@@ -125,7 +125,7 @@ class Tangent:
                     return False, "the Hessian is singular: the cloth can move freely, or a fold"
                 return True, "equilibrium"
             self.q = potential.moved(self.q, step)
-            fresh = length > NEAR
+            fresh = True
         return False, f"no equilibrium: Newton's method goes on by {length:.1e} mm"
 
     def _softest(self) -> float:
@@ -156,7 +156,7 @@ def possible_contact(result: DrapeResult) -> SelfContact:
     return contact_near(result.scene, result.positions, density=simulated.density)
 
 
-def _require_energy(found: Equilibrium) -> None:
-    if follows_curvature(found.cloth.laws):
+def _require_energy(laws: Laws) -> None:
+    if follows_curvature(laws):
         raise InputError("hinge laws that follow the direction of bending are not the derivative "
                          "of an energy; choose midedge or hinge")

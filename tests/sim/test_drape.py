@@ -1,20 +1,24 @@
 """Drapes: proven minima, invariances, contact, and failure as data."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.drape import coarse_to_fine, default_resolution, drape
+from sim.cloth import Cloth
+from sim.drape import drape
 from sim.energies.gravity import Gravity
-from sim.equilibrium import build_potential
+from sim.equilibrium import find_equilibrium
+from sim.initial import interpolate_positions
 from sim.laws import Corotational, Laws
-from sim.material import REFERENCE_DENSITY, Fabric
+from sim.material import Fabric
 from sim.measures import maximum_stretch
-from sim.newton import NewtonOptions
-from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, State
-from sim.sensitivity.tangent import scene_of
+from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
+from sim.newton import NewtonOptions, Status
+from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene
+from sim.sensitivity import follow
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
@@ -38,34 +42,35 @@ def assert_equilibrium(result) -> None:
     ids=["stiff", "median", "soft", "extreme"],
 )
 def test_fabrics_of_all_kinds_reach_a_proven_minimum(fabric, start):
-    assert_equilibrium(drape(fabric, resolution=21, start=start, seed=3))
+    assert_equilibrium(drape(fabric, edge=0.008, start=start, seed=3))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution", [51, 101])
+@pytest.mark.parametrize("edge", [0.004, 0.002])
 @pytest.mark.parametrize("fabric", [isotropic(100), isotropic(20), isotropic(5), EXTREME],
                          ids=["stiff", "median", "soft", "extreme"])
-def test_fine_meshes_reach_a_proven_minimum(fabric, resolution):
-    assert_equilibrium(drape(fabric, resolution=resolution))
+def test_fine_meshes_reach_a_proven_minimum(fabric, edge):
+    assert_equilibrium(drape(fabric, edge=edge))
 
 
 def test_shape_depends_on_moduli_over_density_only():
-    heavy = drape(isotropic(60, 1.0), resolution=21, seed=1)
-    light = drape(isotropic(60, 1.0).at_density(0.075), resolution=21, seed=1)
+    heavy = drape(isotropic(60, 1.0), edge=0.008, seed=1)
+    light = drape(isotropic(60, 1.0).at_density(0.075), edge=0.008, seed=1)
     assert np.allclose(heavy.positions, light.positions, rtol=0, atol=1e-6)
 
 
 def test_same_seed_same_bytes_other_seed_other_drape():
-    first, second, other = (drape(isotropic(20), resolution=21, seed=s) for s in (5, 5, 6))
+    first, second, other = (drape(isotropic(20), edge=0.008, seed=s) for s in (5, 5, 6))
     assert first.positions.tobytes() == second.positions.tobytes()
-    assert np.abs(first.positions - other.positions).max() > 1e-3
+    there = interpolate_positions(other.rest, other.positions, first.rest)
+    assert np.abs(first.positions - there).max() > 1e-3
 
 
 def test_cloth_hangs_less_along_its_stiffer_direction():
     """Fails if warp and weft are swapped anywhere between the moduli and the mesh."""
     for warp, weft in ((400, 30), (30, 400)):
         fabric = Fabric(np.array([warp, 120, weft]) * 1e-6)
-        result = drape(fabric, resolution=21, start="sine", seed=2)
+        result = drape(fabric, edge=0.008, start="sine", seed=2)
         assert result.converged
         height = {}
         for name, axis in (("warp", 0), ("weft", 1)):
@@ -76,9 +81,9 @@ def test_cloth_hangs_less_along_its_stiffer_direction():
 
 def test_in_plane_stiffness_matters_much_less_than_bending_stiffness():
     """Section 4.1, Figures 5 to 7: the effect of doubling either."""
-    base = drape(isotropic(100), resolution=26, seed=1)
-    taut = drape(isotropic(100), resolution=26, seed=1, laws=Laws(membrane=Corotational(400.0)))
-    stiff = drape(isotropic(200), resolution=26, seed=1)
+    base = drape(isotropic(100), edge=0.006, seed=1)
+    taut = drape(isotropic(100), edge=0.006, seed=1, laws=Laws(membrane=Corotational(400.0)))
+    stiff = drape(isotropic(200), edge=0.006, seed=1)
     by_stretch, by_bending = (
         np.linalg.norm(other.positions - base.positions, axis=1).mean() for other in (taut, stiff)
     )
@@ -87,32 +92,53 @@ def test_in_plane_stiffness_matters_much_less_than_bending_stiffness():
 
 
 def test_refinement_changes_a_stiff_drape_by_little():
-    coarse, fine = (drape(isotropic(150), resolution=n, seed=1, jitter=0.0) for n in (26, 51))
-    # Vertices common to both grids, away from the rim where rest positions are moved.
-    shared = fine.rest.reshape(51, 51, 2)[::2, ::2].reshape(-1, 2)
-    same = np.linalg.norm(shared - coarse.rest, axis=1) < 1e-9
-    assert same.sum() > 500
-    shared = fine.positions.reshape(51, 51, 3)[::2, ::2].reshape(-1, 3)
-    assert np.linalg.norm(shared[same] - coarse.positions[same], axis=1).mean() < 2.2e-3
+    """On graded meshes, less than half of what a grid of 26 vertices a side was away."""
+    coarse, fine = (drape(isotropic(150), edge=edge, seed=1) for edge in (0.006, 0.003))
+    there = interpolate_positions(fine.rest, fine.positions, coarse.rest)
+    assert np.linalg.norm(there - coarse.positions, axis=1).mean() < 1e-3
 
 
 def test_only_the_coarser_meshes_are_soft():
     """The forces on a drape balance in a scene and under laws made anew, in full stiffness."""
-    result = drape(isotropic(20, 2), resolution=31, seed=1)
-    assert len(coarse_to_fine(31)) == 2
-    state = State(result.positions, result.rotations)
+    result = drape(isotropic(20, 2), edge=0.006, seed=1)
+    assert result.coarse == (Status.CONVERGED,)
     residuals = []
     for contact in (CONTACT_PRESSURE, 0.5 * CONTACT_PRESSURE):
-        scene = replace(scene_of(result), contact_pressure=contact)
-        potential = build_potential(scene, result.fabric.at_density(REFERENCE_DENSITY), state)
-        residuals.append(potential.residual(potential.gradient(
-            potential.free_part(state.unknowns))))
+        scene = replace(result.scene, contact_pressure=contact)
+        potential = Cloth(scene, result.simulated, laws=result.laws).potential
+        residuals.append(potential.residual(potential.gradient(result.state.q)))
     assert residuals[0] < 1e-3
     assert residuals[1] > 0.1  # the cylinder carries some of the cloth
 
 
+def test_how_coarser_meshes_ended_is_kept(monkeypatch):
+    monkeypatch.setattr("sim.drape.COARSE_OPTIONS", NewtonOptions(max_iterations=1))
+    result = drape(isotropic(60), edge=0.006)
+    assert result.converged and result.coarse == (Status.MAX_ITERATIONS,)
+
+
+def test_cloth_without_weight_stays_flat():
+    """Scales of force come from the cloth's weight under standard gravity, not from the scene's."""
+    specimen = make_specimen(Rig(), edge=0.012)
+    scene = Scene(mesh=specimen.mesh, held=specimen.held, gravity=0.0)
+    rng = np.random.default_rng(0)
+    bumps = rng.normal(0, 2e-3, len(specimen.held)) * ~specimen.held
+    found = find_equilibrium(scene, isotropic(50),
+                             scene.state(np.column_stack([specimen.mesh.rest, bumps])))
+    assert found.converged, found.message
+    assert np.abs(found.state.positions[:, 2]).max() < 1e-5
+
+
+def test_results_travel_without_their_factor():
+    result = follow(drape(isotropic(60), edge=0.016), isotropic(60), keep=True)
+    assert result.equilibrium.newton.factor is not None
+    there = pickle.loads(pickle.dumps(result))
+    assert there.equilibrium is None and there.status is result.status
+    assert np.array_equal(there.state.q, result.state.q)
+
+
 def test_cloth_stays_out_of_the_cylinder():
-    result = drape(isotropic(4), resolution=31, seed=2)
+    result = drape(isotropic(4), edge=0.006, seed=2)
     assert result.converged
     radius = np.linalg.norm(result.positions[:, :2], axis=1)
     below = ~result.held & (result.positions[:, 2] < 0)
@@ -122,29 +148,29 @@ def test_cloth_stays_out_of_the_cylinder():
 
 
 def test_offset_hangs_further_down_where_there_is_more_cloth():
-    result = drape(isotropic(60), resolution=21, offset=(0.02, 0.0))
+    result = drape(isotropic(60), edge=0.008, offset=(0.02, 0.0))
     ends = [result.positions[np.isclose(result.rest[:, 0], x), 2].mean() for x in (0.17, -0.13)]
     assert ends[0] < ends[1] - 0.01
 
 
 def test_failure_is_data():
-    result = drape(isotropic(20), resolution=21, options=NewtonOptions(max_iterations=1))
+    result = drape(isotropic(20), edge=0.008, options=NewtonOptions(max_iterations=1))
     assert not result.converged
     assert result.status.value == "max_iterations" and "1 iterations" in result.message
 
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
-    [({"start": "crumpled"}, "crumpled"), ({"jitter": 0.9}, "jitter"),
-     ({"offset": (np.nan, 0)}, "finite"), ({"resolution": 4}, "resolution=4 .* 8 and 401"),
-     ({"resolution": 100_000}, "resolution=100000 .* 8 and 401"),
-     ({"resolution": 402}, "resolution=402"), ({"seed": -1}, "seed"),
+    [({"start": "crumpled"}, "crumpled"), ({"offset": (np.nan, 0)}, "finite"),
+     ({"edge": 0.0}, "edge=0 mm"),
+     ({"edge": 1e-5}, "edge=0.01 mm .* between 1 and 50 mm"), ({"edge": 3.0}, "edge=3000 mm"),
+     ({"seed": -1}, "seed"),
      ({"rig": "disc300_support180"}, r"rig='disc300_support180'.*Rig\.from_name"),
      ({"laws": "hinge"}, r"laws='hinge'.*Laws\(bending=")],
 )
 def test_nonsense_is_refused_in_words(monkeypatch, arguments, word):
     """And before any mesh is solved."""
-    monkeypatch.setattr("sim.drape.find_settled_equilibrium", None)
+    monkeypatch.setattr("sim.drape.find_equilibrium", None)
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), **arguments)
 
@@ -156,9 +182,9 @@ def test_a_law_beside_the_others_is_made_on_every_mesh():
         made.append(len(mesh.rest))
         return Gravity(mesh, density=fabric.density, gravity=GRAVITY)
 
-    twice = drape(isotropic(60), resolution=31, laws=Laws(others=(heavier,)))
-    assert twice.converged and made == [16**2, 31**2]
-    light = drape(isotropic(30), resolution=31, laws=Laws(membrane=Corotational(100.0)))
+    twice = drape(isotropic(60), edge=0.006, laws=Laws(others=(heavier,)))
+    assert twice.converged and len(made) == 2 and made[0] < made[1]
+    light = drape(isotropic(30), edge=0.006, laws=Laws(membrane=Corotational(100.0)))
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
 
@@ -175,14 +201,17 @@ def test_laws_that_are_none_are_refused(wrong):
         Laws(**wrong)
 
 
-def test_levels_halve_the_spacing():
-    assert coarse_to_fine(101) == [26, 51, 101]
-    assert coarse_to_fine(16) == [16]
+def test_levels_halve_the_edges():
+    assert coarse_to_fine(0.003) == [0.012, 0.006, 0.003]
+    assert coarse_to_fine(0.02) == [0.02]
 
 
 def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
-    chosen = [default_resolution(isotropic(alpha), Rig()) for alpha in (100, 20, 3, 1, 0.1)]
-    assert chosen == sorted(chosen) and chosen[0] == 41 < chosen[2] < chosen[3] <= chosen[4] == 101
-    spacing = 0.3 / (chosen[2] - 1)
-    assert spacing <= 0.6 * (3e-6 / (0.3 * 9.81)) ** (1 / 3) <= 0.3 / (chosen[2] - 2)
-    assert default_resolution(isotropic(3).at_density(0.1), Rig()) == chosen[2]
+    chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (100, 20, 3, 1, 0.1)]
+    assert chosen == sorted(chosen, reverse=True) and chosen[0] > chosen[-1]
+    assert default_edge(isotropic(3).at_density(0.1), Rig()) == chosen[2]
+
+
+def test_an_overhang_too_narrow_for_a_coarse_mesh_alone_is_draped():
+    result = drape(isotropic(60), offset=(0.078, 0.0))
+    assert result.converged and len(result.coarse) < len(coarse_to_fine(result.edge)) - 1

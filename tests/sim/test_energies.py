@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from sim.energies.fold_limit import LIMIT_START, FoldLimit
 
 from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import Cylinder, ObstacleContact
-from sim.energies.fold_limit import LIMIT_START, FoldLimit
 from sim.energies.gravity import Gravity
 from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending

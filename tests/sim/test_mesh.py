@@ -1,51 +1,177 @@
-"""Specimen meshes: counted, covered, conforming."""
+"""Meshes: topology, and specimens that follow the plate's rim, well shaped and of the sizes asked
+for, alike under offsets."""
 
 import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.mesh import Mesh, draped_square, grid_faces, strip
+from sim.mesh import Mesh, strip
+from sim.mesh.graded import GROWTH
+from sim.mesh.specimens import GRADING, SHARED_OFFSET, TOPOLOGIES, Specimen, make_specimen
+from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
 
-RADIUS = 0.05
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("resolution", [16, 26, 51])
-def test_plate_is_held_exactly(resolution, seed):
-    offset = tuple(np.random.default_rng(seed).normal(0, 3e-3, 2))
-    mesh, held, _ = draped_square(
-        size=0.3, plate_radius=RADIUS, resolution=resolution, offset=offset, seed=seed
-    )
-    radius = np.linalg.norm(mesh.rest, axis=1)
-    assert np.array_equal(held, radius < RADIUS + 1e-9)
-    inside, outside = radius < RADIUS - 1e-9, radius > RADIUS + 1e-9
-    straddling = inside[mesh.faces].any(axis=1) & outside[mesh.faces].any(axis=1)
-    assert not straddling.any()
-    # The held triangles fill the polygon through the rim's vertices.
-    rim = np.flatnonzero(held & ~inside)
-    angles = np.sort(np.arctan2(*mesh.rest[rim].T))
-    gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
-    polygon = 0.5 * RADIUS**2 * np.sin(gaps).sum()
-    assert mesh.areas[held[mesh.faces].all(axis=1)].sum() == pytest.approx(polygon, rel=1e-9)
-    assert polygon == pytest.approx(np.pi * RADIUS**2, rel=2.5e-2 * (26 / resolution) ** 2)
+ON_PLATE = pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+EDGES = pytest.mark.parametrize("edge", [0.0025, 0.006, 0.012])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_triangles_are_upright_and_not_slivers(seed):
-    mesh, _, _ = draped_square(size=0.3, plate_radius=RADIUS, resolution=51, seed=seed)
-    assert mesh.areas.min() > 0
+def smallest_angles(mesh: Mesh) -> np.ndarray:
+    """(F,) degrees."""
     corners = mesh.rest[mesh.faces]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    quality = 4 * np.sqrt(3) * mesh.areas / (sides**2).sum(axis=1)  # 1 when equilateral
-    assert quality.min() > 0.25
+    along, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    cosine = (along * back).sum(-1) / np.linalg.norm(along, axis=-1) / np.linalg.norm(back, axis=-1)
+    return np.degrees(np.arccos(cosine)).min(axis=1)
+
+
+def lengths(mesh: Mesh) -> np.ndarray:
+    """(E,) m."""
+    return np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1)
+
+
+def rim_and_border(specimen: Specimen) -> tuple[np.ndarray, np.ndarray]:
+    """(V,) bool each: held vertices with a free neighbour; vertices of the mesh's border."""
+    mesh, held = specimen.mesh, specimen.held
+    rim, border = np.zeros((2, len(held)), bool)
+    across = mesh.edges[held[mesh.edges].sum(axis=1) == 1]
+    rim[across] = True
+    border[mesh.edges[mesh.edge_faces[:, 1] < 0]] = True
+    return rim & held, border
+
+
+@EDGES
+@ON_PLATE
+def test_the_rim_is_a_ring_of_edges_and_holds_the_plate_s_area(rig, edge):
+    specimen = make_specimen(rig, edge=edge, topology=3, offset=(3e-3, -2e-3))
+    mesh, held = specimen.mesh, specimen.held
+    rim, _ = rim_and_border(specimen)
+    radius = np.linalg.norm(mesh.rest, axis=1)
+    assert np.allclose(radius[rim], radius[rim][0], rtol=1e-12)
+    assert radius[held].max() <= radius[rim].max() and radius[~held].min() > radius[rim][0]
+    # Round the ring, every two neighbours are joined: the edges between rim vertices that
+    # separate held from active triangles are as many as the vertices, each of which has two.
+    active = ~held[mesh.faces].all(axis=1)
+    sides = np.where(mesh.edge_faces >= 0, active[mesh.edge_faces], False)
+    ring = mesh.edges[rim[mesh.edges].all(axis=1) & (sides.sum(axis=1) == 1)]
+    assert np.array_equal(np.bincount(ring.ravel(), minlength=len(rim)), 2 * rim)
+    assert mesh.areas[~active].sum() == pytest.approx(np.pi * rig.plate_radius**2, rel=1e-12)
+    # Beyond it, neither triangles nor edges between vertices of the rim alone.
+    assert rim[mesh.faces[active]].sum(axis=1).max() == 2
+    assert not (rim[mesh.edges].all(axis=1) & (sides.sum(axis=1) == 2)).any()
+
+
+@EDGES
+@ON_PLATE
+def test_triangles_are_conforming_upright_and_well_shaped(rig, edge):
+    for topology in range(TOPOLOGIES):
+        specimen = make_specimen(rig, edge=edge, topology=topology)
+        mesh = specimen.mesh
+        assert len(mesh.rest) - len(mesh.edges) + len(mesh.faces) == 1  # Euler's formula: a disc
+        assert np.array_equal(np.unique(mesh.faces), np.arange(len(mesh.rest)))
+        assert mesh.areas.min() > 0
+        _, border = rim_and_border(specimen)
+        if rig.specimen == "disc":
+            assert np.allclose(np.linalg.norm(mesh.rest[border], axis=1), 0.15, atol=2e-9)
+            assert mesh.areas.sum() == pytest.approx(rig.specimen_area, rel=2e-2 * (edge / 6e-3)**2)
+        else:
+            assert np.array_equal(np.abs(mesh.rest[border]).max(axis=1), np.full(border.sum(), .15))
+            assert mesh.areas.sum() == pytest.approx(0.3**2, rel=1e-12)
+        free = smallest_angles(mesh)[~specimen.held[mesh.faces].all(axis=1)]
+        assert free.min() > 23 and (free < 30).mean() < 1e-2
+        assert smallest_angles(mesh).min() > 18
+
+
+@pytest.mark.parametrize("grading", [1.0, GRADING, 4.0])
+@ON_PLATE
+def test_edges_follow_the_sizes_asked_for(rig, grading):
+    edge = 0.003
+    specimen = make_specimen(rig, edge=edge, grading=grading)
+    mesh = specimen.mesh
+    outside = np.linalg.norm(mesh.rest[mesh.edges].mean(axis=1), axis=1) - rig.plate_radius
+    wanted = np.minimum(edge + GROWTH * outside, grading * edge)
+    ratio = (lengths(mesh) / wanted)[outside > 0]
+    assert ratio.mean() == pytest.approx(1, abs=0.05)
+    assert 0.5 < ratio.min() and ratio.max() < 1.7
+    rim, _ = rim_and_border(specimen)
+    assert lengths(mesh)[rim[mesh.edges].all(axis=1)].min() == pytest.approx(edge, rel=0.02)
+
+
+def test_the_plate_has_few_triangles():
+    specimen = make_specimen(DISC_RIG, edge=0.003)
+    on_plate = specimen.held[specimen.mesh.faces].all(axis=1).mean()
+    assert on_plate < 0.6 * np.pi * 0.09**2 / DISC_RIG.specimen_area
+
+
+def test_edges_have_no_preferred_direction():
+    """Means of exp(i n angle) are 1 for lattices of n directions; circles may show a little."""
+    mesh = make_specimen(Rig(), edge=0.003).mesh
+    steps = np.diff(mesh.rest[mesh.edges], axis=1)[:, 0]
+    middles = mesh.rest[mesh.edges].mean(axis=1)
+    radius = np.linalg.norm(middles, axis=1)
+    beyond = (radius > 0.065) & (radius < 0.13)
+    angle = np.arctan2(*steps[beyond].T[::-1])
+    outwards = np.arctan2(*middles[beyond].T[::-1])
+    for count in (2, 4, 6):
+        assert abs(np.exp(1j * count * angle).mean()) < 0.1
+        assert abs(np.exp(1j * count * (angle - outwards)).mean()) < (0.45 if count == 6 else 0.1)
+
+
+@ON_PLATE
+def test_offsets_move_the_border_and_keep_the_faces(rig):
+    base = make_specimen(rig, edge=0.004, topology=2)
+    limit = SHARED_OFFSET * (rig.specimen_size - rig.plate_diameter) / 2
+    offset = 0.999 * limit * np.array([0.6, -0.8])
+    moved = make_specimen(rig, edge=0.004, topology=2, offset=tuple(offset))
+    assert moved.mesh.faces is base.mesh.faces and np.array_equal(moved.held, base.held)
+    step = moved.mesh.rest - base.mesh.rest
+    _, border = rim_and_border(base)
+    assert np.array_equal(step[base.held], np.zeros((base.held.sum(), 2)))
+    assert np.allclose(step[border], offset, atol=1e-8)
+    share = step @ offset / (offset @ offset)
+    assert np.allclose(step, share[:, None] * offset, atol=1e-12)
+    assert share.min() == 0 and share.max() < 1 + 1e-12
+    assert moved.mesh.areas.min() > 0 and smallest_angles(moved.mesh).min() > 15
+    assert np.array_equal(moved.mesh.edges, Mesh(moved.mesh.rest, moved.mesh.faces).edges)
+
+
+def test_large_offsets_have_meshes_of_their_own():
+    specimen = make_specimen(Rig(), edge=0.003, offset=(0.078, 0.0))
+    mesh = specimen.mesh
+    assert np.allclose(mesh.rest.min(0), [-0.072, -0.15], atol=1e-12)
+    assert np.allclose(mesh.rest.max(0), [0.228, 0.15], atol=1e-12)
+    assert smallest_angles(mesh)[~specimen.held[mesh.faces].all(axis=1)].min() > 23
     assert mesh.areas.sum() == pytest.approx(0.3**2, rel=1e-12)
-    assert mesh.vertex_areas.sum() == pytest.approx(0.3**2, rel=1e-12)
 
 
-def test_offset_moves_the_specimen_not_the_plate():
-    mesh, _, _ = draped_square(size=0.3, plate_radius=RADIUS, resolution=21, offset=(0.01, -0.02))
-    assert np.allclose(mesh.rest.min(0), [-0.14, -0.17])
-    assert np.allclose(mesh.rest.max(0), [0.16, 0.13])
+def test_a_hung_square_has_even_edges_and_two_held_corners():
+    specimen = make_specimen(HUNG_SQUARE, edge=0.015, grading=3.0)
+    ratio = lengths(specimen.mesh) / 0.015
+    assert ratio.mean() == pytest.approx(1, abs=0.05) and 0.5 < ratio.min() < ratio.max() < 1.7
+    assert smallest_angles(specimen.mesh).min() > 23
+    assert np.array_equal(specimen.mesh.rest[specimen.held], [[0.3, 0.3], [-0.3, 0.3]])
+
+
+def test_same_topology_same_bytes_other_topology_other_mesh():
+    first, other = (make_specimen(Rig(), edge=0.008, topology=t).mesh for t in (1, 2))
+    make_specimen.__globals__["_base_specimen"].cache_clear()
+    again = make_specimen(Rig(), edge=0.008, topology=1).mesh
+    assert again is not first
+    assert again.rest.tobytes() == first.rest.tobytes()
+    assert again.faces.tobytes() == first.faces.tobytes()
+    assert other.rest.shape != first.rest.shape or not np.allclose(other.rest, first.rest)
+
+
+@pytest.mark.parametrize(
+    ("rig", "change", "word"),
+    [(Rig(), {"edge": 5e-4}, "edge=0.5 mm"), (Rig(), {"edge": 0.06}, "between 1 and 50 mm"),
+     (Rig(), {"edge": np.nan}, "edge=nan"), (Rig(), {"grading": 0.9}, "grading=0.9"),
+     (Rig(), {"topology": TOPOLOGIES}, f"topology={TOPOLOGIES}"), (Rig(), {"topology": -1}, "from 0"),
+     (Rig(), {"offset": (0.095, 0.0)}, "5 mm .* too narrow for edges of 3 mm, which need 6 mm"),
+     (DISC_RIG, {"edge": 0.035}, "60 mm .* too narrow"),
+     (DISC_RIG, {"offset": (0.04, 0.04)}, "3.43 mm"), (Rig(), {"offset": (np.nan, 0.0)}, "narrow"),
+     (HUNG_SQUARE, {"edge": 0.01, "offset": (1e-3, 0.0)}, "no plate")],
+)
+def test_impossible_meshes_are_refused(rig, change, word):
+    with pytest.raises(InputError, match=word):
+        make_specimen(rig, **{"edge": 0.003, **change})
 
 
 def test_edge_tables_agree_with_the_faces():
@@ -66,31 +192,23 @@ def test_edge_tables_agree_with_the_faces():
                 assert set(mesh.faces[other]) == ends | {across}
 
 
-def test_diagonals_give_the_faces_back():
-    mesh, _, cells = draped_square(size=0.3, plate_radius=RADIUS, resolution=21, seed=4)
-    assert np.array_equal(grid_faces(cells), mesh.faces)
-    assert cells.any() and not cells.all()
-
-
-def test_same_seed_same_mesh_other_seed_other_mesh():
-    first, second, other = (
-        draped_square(size=0.3, plate_radius=RADIUS, resolution=21, seed=s)[0] for s in (1, 1, 2)
-    )
-    assert np.array_equal(first.rest, second.rest)
-    assert not np.array_equal(first.rest, other.rest)
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [({"resolution": 5}, "resolution=5"), ({"offset": (0.1, 0.0)}, "offset"),
-     ({"diagonals": "wavy"}, "wavy")],
-)
-def test_impossible_meshes_are_refused(change, word):
-    arguments = {"size": 0.3, "plate_radius": RADIUS, "resolution": 21} | change
-    with pytest.raises(InputError, match=word):
-        draped_square(**arguments)
+def test_other_rest_points_share_the_topology_and_nothing_else():
+    mesh, _ = strip(length=0.04, width=0.03, edge=0.01, clamp=0.01)
+    area = mesh.areas.sum()
+    wider = mesh.with_rest(mesh.rest * [1.0, 2.0])
+    assert wider.edges is mesh.edges and wider.faces is mesh.faces
+    assert wider.areas.sum() == pytest.approx(2 * area) and mesh.areas.sum() == area
+    assert wider != mesh and len({mesh, wider}) == 2
 
 
 def test_three_triangles_on_an_edge_are_no_surface():
     with pytest.raises(InputError, match="three triangles"):
         _ = Mesh(rest=np.zeros((5, 2)), faces=np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])).edges
+
+
+def test_strips_keep_their_area_and_the_column_of_the_clamp():
+    mesh, held = strip(length=0.04, width=0.03, edge=0.01, clamp=0.02, jitter=0.2, seed=1)
+    assert mesh.areas.min() > 0 and mesh.areas.sum() == pytest.approx(0.06 * 0.03, rel=1e-12)
+    assert mesh.areas[held[mesh.faces].all(axis=1)].sum() == pytest.approx(0.02 * 0.03, rel=1e-12)
+    with pytest.raises(InputError, match="wavy"):
+        strip(length=0.04, width=0.03, edge=0.01, clamp=0.02, diagonals="wavy")

@@ -9,15 +9,16 @@ from common.errors import InputError
 from sim.energies.self_contact import SelfContact, import_ipctk
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
-from sim.mesh import Mesh, draped_square, strip
+from sim.mesh import Mesh, strip
+from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions, Status
-from sim.scene import Scene, State
+from sim.scene import Rig, Scene
 from sim.self_contact import (
     contact_distance,
-    find_free_equilibrium,
     self_intersections,
     untangled,
 )
+from sim.state import State
 
 SOFT = Fabric(np.full(3, 4e-6))
 OPTIONS = NewtonOptions(residual=1e-4, step=1e-4)
@@ -114,10 +115,10 @@ def summed_gradient(energy: SelfContact, q: np.ndarray) -> np.ndarray:
     return total[:-1]
 
 
-def summed_hessian(energy: SelfContact, q: np.ndarray, convexity: float) -> np.ndarray:
+def summed_hessian(energy: SelfContact, q: np.ndarray, convex: bool = False) -> np.ndarray:
     total = np.zeros((len(q) + 1, len(q) + 1))
     np.add.at(total, (energy.dofs[:, :, None], energy.dofs[:, None, :]),
-              energy.hessian(q, convexity))
+              energy.hessian(q, convex))
     return total[:-1, :-1]
 
 
@@ -136,18 +137,17 @@ def test_derivatives():
     energy, q = touching()
     assert energy.is_complete(q)
     direction = np.random.default_rng(2).standard_normal(len(q))
-    gradient, hessian = summed_gradient(energy, q), summed_hessian(energy, q, 0.0)
+    gradient, hessian = summed_gradient(energy, q), summed_hessian(energy, q)
     assert np.abs(gradient).max() > 1e-4 * WEIGHT  # does touch
     assert_derivative(lambda h: energy.value(q + h * direction), gradient @ direction)
     assert_derivative(lambda h: summed_gradient(energy, q + h * direction), hessian @ direction)
 
 
-def test_convexity_removes_the_indefinite_part_linearly():
+def test_the_convex_hessian_is_semi_definite():
     energy, q = touching()
-    exact, middle, convex = (summed_hessian(energy, q, c) for c in (0.0, 0.3, 1.0))
+    exact, convex = (summed_hessian(energy, q, c) for c in (False, True))
     assert np.linalg.eigvalsh(exact).min() < -1e-3 * np.abs(exact).max()
     assert np.linalg.eigvalsh(convex).min() > -1e-12 * np.abs(convex).max()
-    assert np.allclose(middle, 0.7 * exact + 0.3 * convex, atol=1e-12 * np.abs(exact).max())
 
 
 def test_pairs_outside_the_pattern_leave_the_convex_hessian_semi_definite():
@@ -156,8 +156,8 @@ def test_pairs_outside_the_pattern_leave_the_convex_hessian_semi_definite():
     assert len(poor.dofs) < len(full.dofs)
     assert full.is_complete(q) and not poor.is_complete(q)
     assert np.array_equal(summed_gradient(full, q), summed_gradient(poor, q))
-    convex = summed_hessian(poor, q, 1.0)
-    above = convex - summed_hessian(full, q, 1.0)
+    convex = summed_hessian(poor, q, True)
+    above = convex - summed_hessian(full, q, True)
     for matrix in (convex, above):
         assert np.linalg.eigvalsh(matrix).min() > -1e-12 * np.abs(convex).max()
 
@@ -179,9 +179,9 @@ def test_sheets_half_the_distance_apart_press_as_asked(turn):
 def test_there_is_no_force_beyond_the_distance_nor_within_a_flat_specimen():
     energy, q = touching(gap=1.6e-3)
     assert energy.value(q) == 0.0
-    assert not energy.gradient(q).any() and not energy.hessian(q, 0.5).any()
-    for resolution in (16, 51):
-        mesh, _, _ = draped_square(size=0.3, plate_radius=0.05, resolution=resolution, seed=1)
+    assert not energy.gradient(q).any() and not energy.hessian(q, True).any()
+    for edge in (16e-3, 3e-3):
+        mesh = make_specimen(Rig(), edge=edge, topology=1).mesh
         distance = contact_distance(mesh)
         contact = SelfContact(mesh, flat(mesh), distance=distance, pressure=1.0, reach=distance)
         assert contact.value(flat(mesh).ravel()) == 0.0
@@ -219,10 +219,12 @@ def test_cloth_rests_on_cloth():
     positions[upper, 2] += 12e-3 * np.sin(np.pi * x[upper])
     contact = SelfContact(mesh, positions, distance=1e-3, pressure=20 * WEIGHT, reach=0.02)
     assert not contact.value(positions.ravel())
-    scene, start = Scene(mesh=mesh, held=held), State.at(mesh, positions)
-    state, result = find_equilibrium(scene, SOFT, start, extra=[contact], options=OPTIONS)
-    assert result.status is Status.CONVERGED, result.message
-    assert result.positive_definite and result.residual < OPTIONS.residual
+    scene = Scene(mesh=mesh, held=held)
+    start = scene.state(positions)
+    found = find_equilibrium(scene, SOFT, start, extra=[contact], options=OPTIONS)
+    state = found.state
+    assert found.converged, found.message
+    assert found.newton.positive_definite and found.newton.residual < OPTIONS.residual
     assert contact.is_complete(state.positions.ravel())
     assert len(self_intersections(state.positions, mesh.faces)) == 0
     lying = upper & (state.positions[:, 2] < 1e-3)
@@ -233,30 +235,35 @@ def test_cloth_rests_on_cloth():
 
 def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
     scene, start, mesh = fold_over_itself()
-    through, plain = find_equilibrium(scene, SOFT, start, options=OPTIONS)
-    assert plain.status is Status.CONVERGED
-    assert len(self_intersections(through.positions, mesh.faces)) > 0  # the case is one
-    first, second = (find_free_equilibrium(scene, SOFT, start, options=OPTIONS) for _ in range(2))
-    state, result = first
-    assert result.status is Status.CONVERGED, result.message
-    assert result.positive_definite and result.residual < OPTIONS.residual
-    assert result.iterations > plain.iterations
-    assert len(self_intersections(state.positions, mesh.faces)) == 0
-    assert state.positions.tobytes() == second[0].positions.tobytes()
+    through = find_equilibrium(scene, SOFT, start, options=OPTIONS)
+    assert through.converged
+    assert len(self_intersections(through.state.positions, mesh.faces)) > 0  # the case is one
+    first, second = (find_equilibrium(scene, SOFT, start, options=OPTIONS, self_contact=True)
+                     for _ in range(2))
+    assert first.converged and first.contact, first.message
+    assert first.newton.positive_definite and first.newton.residual < OPTIONS.residual
+    assert first.newton.iterations > through.newton.iterations
+    assert len(self_intersections(first.state.positions, mesh.faces)) == 0
+    assert first.state.q.tobytes() == second.state.q.tobytes()
+    # Found again from where it touches itself, it stays there.
+    again = find_equilibrium(scene, SOFT, first.state, options=OPTIONS, self_contact=True,
+                             touching=True)
+    assert again.converged and again.contact and again.newton.iterations < 10
+    assert np.abs(again.state.positions - first.state.positions).max() < 1e-5
 
 
 def test_nothing_changes_where_the_cloth_does_not_meet_itself():
-    mesh, held, _ = draped_square(size=0.3, plate_radius=0.05, resolution=16, seed=2)
+    specimen = make_specimen(Rig(), edge=0.016, topology=2)
+    mesh, held = specimen.mesh, specimen.held
     scene = Scene(mesh=mesh, held=held)
-    start = State.at(mesh, flat(mesh) * [1, 1, 0] + 1e-3 * np.sin(40 * flat(mesh)[:, :1]) *
-                     [0, 0, 1] * ~held[:, None])
+    start = scene.state(flat(mesh) * [1, 1, 0] + 1e-3 * np.sin(40 * flat(mesh)[:, :1]) *
+                        [0, 0, 1] * ~held[:, None])
     fabric = Fabric(np.full(3, 60e-6))
-    plain, expected = find_equilibrium(scene, fabric, start, options=OPTIONS)
-    state, result = find_free_equilibrium(scene, fabric, start, options=OPTIONS)
-    assert expected.status is Status.CONVERGED
-    assert state.positions.tobytes() == plain.positions.tobytes()
-    assert state.rotations.tobytes() == plain.rotations.tobytes()
-    assert result.iterations == expected.iterations
+    plain, free = (find_equilibrium(scene, fabric, start, options=OPTIONS, self_contact=c)
+                   for c in (False, True))
+    assert plain.converged and free.contact is None
+    assert free.state.q.tobytes() == plain.state.q.tobytes()
+    assert free.newton.iterations == plain.newton.iterations
 
 
 def test_untangling_moves_little_and_only_free_vertices():
@@ -281,10 +288,11 @@ def test_cloth_that_cannot_be_untangled_says_so():
     held = np.ones(len(positions), dtype=bool)
     held[0] = False
     scene = Scene(mesh=mesh, held=held)
-    state, result = find_free_equilibrium(scene, SOFT, State.at(mesh, positions), options=OPTIONS)
-    assert result.status is Status.SELF_CONTACT
-    count = len(self_intersections(state.positions, mesh.faces))
-    assert f"in {count} places" in result.message
+    found = find_equilibrium(scene, SOFT, scene.state(positions), options=OPTIONS,
+                             self_contact=True)
+    assert found.status is Status.SELF_CONTACT
+    count = len(self_intersections(found.state.positions, mesh.faces))
+    assert f"in {count} places" in found.message
 
 
 def test_without_the_library_the_error_names_the_remedy(monkeypatch):

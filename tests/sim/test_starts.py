@@ -5,12 +5,12 @@ import pytest
 
 from common.errors import InputError
 from data.drape_file import read_borrowed, write_drape
-from sim.drape import coarse_to_fine, drape
+from sim.drape import drape
 from sim.initial import borrowed_positions, initial_positions, interpolate_positions
 from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline
+from sim.mesh.specimens import coarse_to_fine, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
-from sim.specimens import make_specimen
 
 
 def isotropic(alpha: float) -> Fabric:
@@ -21,7 +21,7 @@ def isotropic(alpha: float) -> Fabric:
 @pytest.fixture(scope="module")
 def lender():
     """A disc has many fold configurations to choose from; this drape has ten folds."""
-    return drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1)
+    return drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1)
 
 
 def mean_distance(first, second) -> float:
@@ -36,27 +36,29 @@ def folds(result) -> np.ndarray:
 
 
 def test_the_same_fabric_stays_where_its_drape_was(lender):
-    again = drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1,
+    again = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1,
                   borrowed=(lender.rest, lender.positions))
     assert again.converged
     assert np.abs(again.positions - lender.positions).max() < 1e-6
     assert again.iterations < 0.5 * lender.iterations
 
 
-@pytest.mark.parametrize("mesh", ["structured", "perturbed", "unstructured"])
-def test_folds_survive_in_another_fabric_on_another_mesh(lender, mesh):
-    settings = {"rig": DISC_RIG, "resolution": 31, "seed": 8, "mesh": mesh}
-    borrowed = drape(isotropic(17), **settings, borrowed=(lender.rest, lender.positions))
-    own = drape(isotropic(17), **settings)
-    assert borrowed.converged and len(folds(borrowed)) == len(folds(lender))
-    apart = np.exp(1j * folds(borrowed)[:, None]) / np.exp(1j * folds(lender))
-    assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
-    assert mean_distance(own, lender) > 2 * mean_distance(borrowed, lender)
+def test_folds_survive_in_another_fabric_on_another_mesh(lender):
+    own, lent = [], []
+    for seed in (8, 9, 10):
+        settings = {"rig": DISC_RIG, "edge": 0.006, "seed": seed}
+        borrowed = drape(isotropic(17), **settings, borrowed=(lender.rest, lender.positions))
+        assert borrowed.converged and len(folds(borrowed)) == len(folds(lender))
+        apart = np.exp(1j * folds(borrowed)[:, None]) / np.exp(1j * folds(lender))
+        assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
+        lent.append(mean_distance(borrowed, lender))
+        own.append(mean_distance(drape(isotropic(17), **settings), lender))
+    assert max(own) > 2 * max(lent)  # starts of their own may find the same folds, not all do
 
 
 def test_borrowed_drape_drifts_with_the_specimen(lender):
     offset = (4e-3, -2e-3)
-    moved = drape(isotropic(15), rig=DISC_RIG, resolution=26, seed=1, offset=offset,
+    moved = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1, offset=offset,
                   borrowed=(lender.rest, lender.positions))
     assert moved.converged
     assert np.allclose((moved.rest.max(0) + moved.rest.min(0)) / 2, offset, atol=2e-4)
@@ -66,8 +68,8 @@ def test_borrowed_drape_drifts_with_the_specimen(lender):
 
 @pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
 def test_drift_matches_plate_with_plate_and_border_with_border(rig):
-    lent = make_specimen(rig, resolution=26, seed=1).mesh
-    mesh = make_specimen(rig, resolution=31, offset=(5e-3, 3e-3), seed=2).mesh
+    lent = make_specimen(rig, edge=0.008, topology=1).mesh
+    mesh = make_specimen(rig, edge=0.006, offset=(5e-3, 3e-3), topology=2).mesh
     flat = np.column_stack([lent.rest, np.zeros(len(lent.rest))])
     found = borrowed_positions(mesh.rest, rig=rig, borrowed=(lent.rest, flat))[:, :2]
     radius = np.linalg.norm(mesh.rest, axis=1)
@@ -83,21 +85,21 @@ def test_drift_matches_plate_with_plate_and_border_with_border(rig):
 
 
 def test_interpolation_is_exact_for_planes_beyond_a_disc_s_polygon_too():
-    coarse, fine = (make_specimen(DISC_RIG, resolution=n, seed=1).mesh.rest for n in (16, 41))
+    coarse, fine = (make_specimen(DISC_RIG, edge=e).mesh.rest for e in (0.016, 0.004))
     plane = np.array([[1.0, 0.2, -0.3], [0.1, 0.9, 0.4]])
     assert np.allclose(interpolate_positions(coarse, coarse @ plane, fine), fine @ plane,
                        atol=1e-9)
 
 
 def test_borrowing_starts_on_a_mesh_that_resolves_folds():
-    assert coarse_to_fine(101, 24) == [26, 51, 101]
-    assert coarse_to_fine(41, 24) == [41]
-    assert coarse_to_fine(16, 24) == [16]
+    assert coarse_to_fine(0.003, 0.0125) == [0.012, 0.006, 0.003]
+    assert coarse_to_fine(0.008, 0.0125) == [0.008]
+    assert coarse_to_fine(0.02, 0.0125) == [0.02]
 
 
 def test_hung_start_is_isometric_between_the_corners():
     """The arc has the square's width, so that it starts nearly without stretch."""
-    mesh = make_specimen(HUNG_SQUARE, resolution=41, mesh="structured").mesh
+    mesh = make_specimen(HUNG_SQUARE, edge=0.015).mesh
     rng = np.random.default_rng(0)
     start = initial_positions(mesh.rest, rig=HUNG_SQUARE, start="sine", rng=rng)
     bottom = np.isclose(mesh.rest[:, 1], -0.3)
