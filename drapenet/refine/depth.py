@@ -35,7 +35,7 @@ FOCAL = "log_focal"
 _SCALES = dict(zip((*POSE, *TABLE, FOCAL),
                    (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03, 0.01), strict=True))
 """Sensible changes, rad and m; of the focal length, relative."""
-EDGE = 3e-3
+EDGE = 2.5e-3
 """m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
 
 
