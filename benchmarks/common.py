@@ -17,6 +17,13 @@ from common.errors import InputError
 from common.files import replace_file, replacing, require_file, require_folder
 from common.provenance import package_versions, processor
 from common.workers import worker_pool
+from sim.drape import FINE_OPTIONS, scene_on
+from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.initial import interpolate_positions
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.mesh.specimens import Specimen
+from sim.scene import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -161,6 +168,30 @@ def sources_digest(folders: Sequence[str], work: Callable) -> str:
     for file in sorted(files):
         digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def next_to(
+    rest: np.ndarray,
+    positions: np.ndarray,
+    specimen: Specimen,
+    rig: Rig,
+    fabric: Fabric,
+    laws: Laws | None = None,
+    *,
+    self_contact: bool = False,
+) -> Equilibrium:
+    """The equilibrium of ``fabric`` on the mesh of ``specimen`` next to a drape on another one.
+
+    Args:
+        rest, positions: (W, 2) and (W, 3), m, of that drape.
+        fabric, laws, self_contact: as for :func:`sim.equilibrium.find_equilibrium`.
+    """
+    scene = scene_on(specimen, rig)
+    flat, held = scene.mesh.rest, scene.held
+    start = interpolate_positions(rest, positions, flat)
+    start[held] = rig.place(flat[held])
+    return find_equilibrium(scene, fabric, scene.state(start), laws=laws, options=FINE_OPTIONS,
+                            self_contact=self_contact)
 
 
 def usual_size(values: np.ndarray | Sequence) -> list[float]:

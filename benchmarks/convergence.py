@@ -9,7 +9,7 @@ Keys (``key=value``):
 
     fabrics      fabrics drawn from the prior
     seed         of the plan
-    resolution   vertices a side
+    edge_mm      edges of the mesh at the plate's rim; 0: as the simulator chooses by itself
     workers      processes, one thread each
     cases        folder of finished drapes; an interrupted run goes on from there
     out          the report, JSON; a picture of the same name beside it
@@ -36,7 +36,6 @@ from data.prior import load_prior
 from data.sampling import STARTS, SamplingConfig, plan_drape
 from sim.drape import drape
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
-from sim.self_contact import self_intersections
 
 RESIDUAL = 1e-3  # of a vertex's weight
 STEP = 0.02  # mm
@@ -46,18 +45,18 @@ SHARE = 0.99  # of the drapes must reach the criterion
 DEFAULTS = {
     "fabrics": 64,
     "seed": 0,
-    "resolution": 51,
+    "edge_mm": 0.0,
     "workers": 1,
     "cases": "outputs/validation/convergence",
     "out": str(REPORTS / "convergence.json"),
 }
 
 
-def one_drape(index: int, seed: int, resolution: int) -> dict:
+def one_drape(index: int, seed: int, edge_mm: float) -> dict:
     """Drape ``index`` of the plan, in people's units."""
     plan = plan_drape(index, config=SamplingConfig(seed=seed), prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
-    result = drape(fabric, resolution=resolution, start=plan.start, seed=plan.seed,
+    result = drape(fabric, edge=1e-3 * edge_mm or None, start=plan.start, seed=plan.seed,
                    offset=tuple(plan.offset))
     return {
         "fabric": plan.fabric,
@@ -69,7 +68,7 @@ def one_drape(index: int, seed: int, resolution: int) -> dict:
         "residual": _number(result.residual),
         "step_mm": _number(result.step),
         "positive_definite": bool(result.positive_definite),
-        "self_intersections": len(self_intersections(result.positions, result.faces)),
+        "self_intersections": result.self_intersections,
         "entry_mm": _number(1e3 * deepest_entry(result.positions, result.faces, result.rig)),
         "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
         "folds": fold_count(result.positions, result.rest, result.rig),
@@ -121,8 +120,8 @@ def main(argv: list[str]) -> None:
     config = parse_settings(DEFAULTS, argv)
     drapes = len(STARTS) * config["fabrics"]
     cases = {
-        f"{config['seed']}_{config['resolution']}_{index:04d}": {
-            "index": index, "seed": config["seed"], "resolution": config["resolution"]
+        f"{config['seed']}_{config['edge_mm']:g}_{index:04d}": {
+            "index": index, "seed": config["seed"], "edge_mm": config["edge_mm"]
         }
         for index in range(drapes)
     }
@@ -149,7 +148,7 @@ def main(argv: list[str]) -> None:
     print("criteria met" if passed else "criteria not met")
     out = Path(config["out"])
     write_report(out, {
-        "settings": {key: config[key] for key in ("fabrics", "seed", "resolution")},
+        "settings": {key: config[key] for key in ("fabrics", "seed", "edge_mm")},
         "criterion": {"residual": RESIDUAL, "step_mm": STEP, "entry_mm": ENTRY, "share": SHARE},
         "passed": passed, "all": summary, "by_start": by_start, "drapes": runs,
     })

@@ -1,17 +1,19 @@
-"""What finer meshes would change, and cost: ``python -m benchmarks.default_mesh [workers=2]``.
+"""How near the default mesh comes, at what cost: ``python -m benchmarks.default_mesh [workers=2]``.
 
 The fabrics of :mod:`benchmarks.speed`, draped on the mesh that the simulator chooses by itself;
-then the equilibrium next to that drape on a fine mesh; then, put down next to the fine drape, that
-of every other mesh, and of the chosen one again. So all have the same folds, and what lies between
-two drapes is what their meshes make of them. Beside it, what a drape from a sine start costs on
-each mesh.
+then the equilibrium next to that drape on a mesh with at least four times as many triangles; then,
+placed next to the fine drape, that of every other mesh, and of the chosen one again. So all have
+the same folds, and what lies between two drapes is what their meshes make of them. Beside it, what
+a drape from a sine start costs on each mesh. The same for the first of these fabrics on the disc
+rig. Every rig ends with a line of its name and one that says how far its default drapes lie from
+the fine ones, where their folds agree, and what they cost.
 
 Keys (``key=value``):
 
-    drapes       fabrics
+    drapes       fabrics on the square rig
+    discs        fabrics on the disc rig
     seed         of the fabrics
-    resolutions  vertices a side of the meshes beside the default one
-    fine         vertices a side of the mesh all are compared with
+    edges_mm     edges at the rim of the meshes beside the default one
     workers      processes, one thread each
     cases        folder of finished fabrics; an interrupted run goes on from there
     out          the report, JSON; a picture of the same name beside it
@@ -19,13 +21,13 @@ Keys (``key=value``):
 
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import (
     REPORTS,
+    next_to,
     parse_settings,
     run_cases,
     table,
@@ -36,70 +38,84 @@ from benchmarks.common import (
 from benchmarks.speed import prior_fabrics
 from common.cli import run_command
 from sim.comparison import Draped, compare, same_folds
-from sim.drape import FINE_OPTIONS, drape, scene_on
-from sim.initial import interpolate_positions
+from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
-from sim.scene import Rig, State
-from sim.self_contact import find_free_equilibrium
-from sim.specimens import make_specimen
+from sim.mesh.specimens import EDGES, GRADING, TOPOLOGIES, Specimen, make_specimen
+from sim.scene import DISC_RIG, Rig
 
-LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
+LIMIT = 0.8  # mm, mean displacement between drapes of one fold configuration
+FINER = 4  # times as many triangles has the fine mesh, at least
+RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG)}
 
 DEFAULTS = {
     "drapes": 32,
+    "discs": 6,
     "seed": 77,
-    "resolutions": [51, 61, 76, 101],
-    "fine": 151,
+    "edges_mm": [4.0, 3.0, 2.0],
     "workers": 1,
     "cases": "outputs/validation/default_mesh",
     "out": str(REPORTS / "default_mesh.json"),
 }
 
 
-def one_fabric(index: int, seed: int, resolutions: list[int], fine: int) -> dict:
+def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
     """How far the drapes of one fabric on several meshes lie from that on a fine one."""
     fabric = prior_fabrics(index + 1, seed)[index].at_density(REFERENCE_DENSITY)
-    drape(fabric, resolution=16)  # compiles or loads the kernels, of all meshes
-    own, own_cost = timed_drape(fabric, None, index)
-    finest, converged = next_to(own, fabric, fine, index)
-    rows = [distance(own, own.converged, finest, "default, as draped", own_cost)]
-    put_down = next_to(finest, fabric, own.resolution, index)
-    rows.append(distance(*put_down, finest, "default", own_cost))
-    for n in resolutions:
-        put_down = next_to(finest, fabric, n, index)
-        _, cost = timed_drape(fabric, n, index)
-        rows.append(distance(*put_down, finest, str(n), cost))
-    return {"alpha_uN_m": (fabric.alpha / MICRO).tolist(), "resolution": own.resolution,
-            "fine_converged": converged, "meshes": rows}
+    held = RIGS[rig]
+    drape(fabric, rig=held, edge=0.01)  # compiles or loads the kernels, of all meshes
+    own, own_cost = timed_drape(fabric, held, None, index)
+    specimen = fine_specimen(held, own, index % TOPOLOGIES)
+    found = next_to(own.rest, own.positions, specimen, held, fabric, self_contact=True)
+    finest = Shape(specimen, found.state.positions)
+    rows = [distance(own, own.converged, finest, held, "default, as draped", own_cost)]
+    for name, edge in (("default", own.edge), *((f"{mm:g}", 1e-3 * mm) for mm in edges_mm)):
+        there = make_specimen(held, edge=edge, topology=index % TOPOLOGIES)
+        placed = next_to(finest.rest, finest.positions, there, held, fabric, self_contact=True)
+        cost = own_cost if name == "default" else timed_drape(fabric, held, edge, index)[1]
+        rows.append(distance(Shape(there, placed.state.positions), placed.converged, finest, held,
+                             name, cost))
+    return {"rig": rig, "alpha_uN_m": (fabric.alpha / MICRO).tolist(), "edge_mm": 1e3 * own.edge,
+            "triangles": len(own.faces), "fine_triangles": len(finest.faces),
+            "fine_converged": found.converged, "meshes": rows}
 
 
-def timed_drape(fabric: Fabric, resolution: int | None, seed: int) -> tuple[Draped, float]:
+class Shape:
+    """A specimen at positions (V, 3), m (:class:`sim.comparison.Draped`)."""
+
+    def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
+        self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions
+
+
+def timed_drape(
+    fabric: Fabric, rig: Rig, edge: float | None, seed: int
+) -> tuple[DrapeResult, float]:
     """A drape from a sine start, and its CPU-seconds."""
     began = time.process_time()
-    result = drape(fabric, resolution=resolution, seed=seed)
+    result = drape(fabric, rig=rig, edge=edge, seed=seed)
     return result, time.process_time() - began
 
 
-def next_to(near: Draped, fabric: Fabric, resolution: int, seed: int) -> tuple[Draped, bool]:
-    """The equilibrium next to a drape on another mesh, and whether it was reached."""
-    rig = Rig()
-    specimen = make_specimen(rig, resolution=resolution, seed=seed)
-    positions = interpolate_positions(near.rest, near.positions, specimen.mesh.rest)
-    positions[specimen.held] = rig.place(specimen.mesh.rest[specimen.held])
-    state, result = find_free_equilibrium(
-        scene_on(specimen, rig, last=True), fabric, State.at(specimen.mesh, positions),
-        options=FINE_OPTIONS)
-    shape = SimpleNamespace(rest=specimen.mesh.rest, positions=state.positions,
-                            faces=specimen.mesh.faces)
-    return shape, result.status.value == "converged"
+def fine_specimen(rig: Rig, own: DrapeResult, topology: int) -> Specimen:
+    """A mesh with :data:`FINER` times the triangles of ``own`` or more.
+
+    Its edges are half as long at the rim, and at the hem as short as it takes.
+    """
+    edge = max(own.edge / 2, EDGES[0])
+    for grading in np.linspace(GRADING, 1.0, 9):
+        specimen = make_specimen(rig, edge=edge, topology=topology, grading=float(grading))
+        if len(specimen.mesh.faces) >= FINER * len(own.faces):
+            break
+    return specimen
 
 
-def distance(coarse: Draped, converged: bool, fine: Draped, mesh: str, cost: float) -> dict:
+def distance(
+    coarse: Draped, converged: bool, fine: Draped, rig: Rig, mesh: str, cost: float
+) -> dict:
     """How far a drape lies from the fine one, in people's units."""
-    outlines = (fold_outline(shape.positions, shape.rest, Rig()) for shape in (coarse, fine))
+    outlines = (fold_outline(shape.positions, shape.rest, rig) for shape in (coarse, fine))
     return {"mesh": mesh, "apart_mm": 1e3 * compare(fine, coarse).displacement,
-            "same_folds": same_folds(*outlines), "cpu_seconds": round(cost, 2),
+            "same_folds": same_folds(*outlines), "cpu_seconds": round(cost, 3),
             "converged": converged}
 
 
@@ -111,6 +127,7 @@ def summarise(fabrics: list[dict]) -> list[dict]:
         costs = [m["cpu_seconds"] for m in meshes]
         rows.append({
             "mesh": meshes[0]["mesh"],
+            "drapes": len(meshes),
             "same_folds": len(kept),
             "mean_mm": float(np.mean(kept)) if kept else None,
             "median_mm": float(np.median(kept)) if kept else None,
@@ -122,42 +139,56 @@ def summarise(fabrics: list[dict]) -> list[dict]:
     return rows
 
 
-def picture(fabrics: list[dict], fine: int) -> Figure:
+def verdict(rows: list[dict]) -> str:
+    """The line of the default mesh, as draped."""
+    own = rows[0]
+    apart = "-" if own["mean_mm"] is None else f"{own['mean_mm']:.2f}"
+    return (f"default mesh: {apart} mm from fine, {own['mean_cpu_seconds']:.2f} CPU-seconds "
+            f"(mean of {own['drapes']} drapes)")
+
+
+def picture(fabrics: dict[str, list[dict]]) -> Figure:
     """Distance from the fine drape against the fabric's softest direction, a colour a mesh."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axis = figure.subplots()
-    softest = [min(fabric["alpha_uN_m"]) for fabric in fabrics]
-    meshes = zip(*(fabric["meshes"] for fabric in fabrics), strict=True)
-    for number, rows in enumerate(meshes):
-        name = rows[0]["mesh"]
-        label = f"{name} × {name}" if name.isdigit() else name
-        axis.scatter(softest, [m["apart_mm"] for m in rows], s=18, color=f"C{number}", label=label)
-    axis.axhline(LIMIT, color="0.6", linewidth=0.8)
-    axis.set(xscale="log", yscale="log", xlabel="α of the softest direction, µN·m",
-             ylabel=f"from the drape on {fine} × {fine}, mm (mean)")
-    tick_short_scales(axis.xaxis, axis.yaxis)
-    axis.legend(frameon=False)
+    figure = Figure(figsize=(5.2 * len(fabrics), 4.0), layout="constrained")
+    axes = figure.subplots(1, len(fabrics), squeeze=False)[0]
+    for axis, (rig, own) in zip(axes, fabrics.items(), strict=True):
+        softest = [min(fabric["alpha_uN_m"]) for fabric in own]
+        meshes = zip(*(fabric["meshes"] for fabric in own), strict=True)
+        for number, rows in enumerate(meshes):
+            name = rows[0]["mesh"]
+            axis.scatter(softest, [m["apart_mm"] for m in rows], s=18, color=f"C{number}",
+                         label=name if name.startswith("default") else f"{name} mm at the rim")
+        axis.axhline(LIMIT, color="0.6", linewidth=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="α of the softest direction, µN·m",
+                 ylabel="from the fine drape, mm (mean)", title=rig)
+        tick_short_scales(axis.xaxis, axis.yaxis)
+    axes[0].legend(frameon=False)
     return figure
 
 
 def main(argv: list[str]) -> None:
-    """Run what is missing, print the table, write report and picture."""
+    """Run what is missing, print the tables, write report and picture."""
     config = parse_settings(DEFAULTS, argv)
-    common = {k: config[k] for k in ("seed", "resolutions", "fine")}
-    cases = {f"fabric_{i}": {"index": i, **common} for i in range(config["drapes"])}
-    fabrics = list(run_cases(one_fabric, cases, folder=Path(config["cases"]),
-                             workers=config["workers"]).values())
-    rows = summarise(fabrics)
-    print(table(
-        ["vertices a side", "same folds", f"mean from {config['fine']}, mm", "median", "largest",
-         f"within {LIMIT:g} mm", "CPU-seconds a drape, mean", "median"],
-        [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
-          r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]] for r in rows]))
-    settings = {k: v for k, v in config.items() if k not in ("out", "cases", "workers")}
+    settings = {k: config[k] for k in ("seed", "edges_mm")}
+    counts = dict(zip(RIGS, (config["drapes"], config["discs"]), strict=True))
+    cases = {f"{rig}_{i}": {"index": i, "rig": rig, **settings}
+             for rig, count in counts.items() for i in range(count)}
+    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"])
+    fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
+               for rig, count in counts.items() if count}
+    rows = {rig: summarise(own) for rig, own in fabrics.items()}
+    for rig, own in rows.items():
+        print(table(
+            ["edges at the rim, mm", "same folds", "mean from fine, mm", "median", "largest",
+             f"within {LIMIT:g} mm", "CPU-seconds a drape, mean", "median"],
+            [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
+              r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]] for r in own]))
+        print(rig)
+        print(verdict(own))
     out = Path(config["out"])
-    write_report(out, {"settings": settings, "limit_mm": LIMIT, "meshes": rows,
-                       "fabrics": fabrics})
-    write_figure(out.with_suffix(".png"), picture(fabrics, config["fine"]))
+    write_report(out, {"settings": settings | counts, "limit_mm": LIMIT, "meshes": rows,
+                       "fabrics": list(found.values())})
+    write_figure(out.with_suffix(".png"), picture(fabrics))
 
 
 if __name__ == "__main__":

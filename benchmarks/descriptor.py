@@ -8,7 +8,7 @@ Keys (``key=value``):
 
     fabrics      how many
     starts       of each, 2 to 6
-    resolution   vertices a side
+    edge_mm      edges of the mesh at the plate's rim
     seed         of the fabrics
     workers      processes, one thread each
     cases        folder of finished drapes; an interrupted run goes on from there
@@ -50,7 +50,7 @@ DESCRIPTIONS = {
 DEFAULTS = {
     "fabrics": 16,
     "starts": 4,
-    "resolution": 41,
+    "edge_mm": 4.0,
     "seed": 0,
     "workers": 1,
     "cases": "outputs/validation/descriptor",
@@ -58,10 +58,9 @@ DEFAULTS = {
 }
 
 
-def one_drape(theta: list[float], start: str, seed: int, resolution: int) -> dict:
+def one_drape(theta: list[float], start: str, seed: int, edge_mm: float) -> dict:
     """Drape a fabric theta (6,) from one start."""
-    result = drape(fabric_from_theta(np.array(theta)), resolution=resolution, start=start,
-                   seed=seed)
+    result = drape(fabric_from_theta(np.array(theta)), edge=1e-3 * edge_mm, start=start, seed=seed)
     return {"status": result.status.value, "seconds": round(result.seconds, 2),
             "arrays": {"rest": result.rest, "positions": result.positions}}
 
@@ -129,9 +128,9 @@ def main(argv: list[str]) -> None:
     prior = load_prior("gaussian")
     thetas = np.array([sample_admissible(prior, rng)[0] for _ in range(config["fabrics"])])
     cases = {
-        f"fabric_{k}_{start}_{seed}_{config['resolution']}_{config['seed']}":
+        f"fabric_{k}_{start}_{seed}_{config['edge_mm']:g}_{config['seed']}":
             {"theta": thetas[k].tolist(), "start": start, "seed": seed,
-             "resolution": config["resolution"]}
+             "edge_mm": config["edge_mm"]}
         for k in range(config["fabrics"]) for start, seed in STARTS[: config["starts"]]
     }
     folder = Path(config["cases"])
@@ -163,7 +162,7 @@ def main(argv: list[str]) -> None:
           f"chance: {chance:.0%}; {len(fabric)} of {len(found)} drapes are equilibria")
     out = Path(config["out"])
     write_report(out, {
-        "settings": {k: config[k] for k in ("fabrics", "starts", "resolution", "seed")},
+        "settings": {k: config[k] for k in ("fabrics", "starts", "edge_mm", "seed")},
         "descriptions": rows, "nearest_by_chance": chance, "drapes": len(fabric),
         "not_converged": len(found) - len(fabric), "theta": thetas.tolist(),
     })

@@ -1,13 +1,13 @@
 """Strips against the heavy elastica: ``python -m benchmarks.elastica [workers=2]``.
 
-Clamped strips of the default bending law and of the hinge laws on five triangulations: how far
+Clamped strips of the default bending law and of the hinge laws on four triangulations: how far
 drop over reach (H/W) is off the boundary-value solution, how fast the default law's error falls
 under refinement, and which modulus a hinge law needs to hang as the physical strip does.
 
 Keys (``key=value``):
 
     gammas       rho g L³/alpha of the strips
-    meshes       triangulations: alternating, equal, random, jittered, unstructured
+    meshes       triangulations: alternating, equal, random, jittered
     laws         of bending
     workers      processes, one thread each
     cases        folder of finished series; an interrupted run goes on from there
@@ -30,8 +30,7 @@ from sim.laws import Laws
 from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.newton import Status
-from sim.scene import State
-from sim.unstructured import unstructured_strip
+from sim.state import State
 
 LENGTH, WIDTH = 0.09, 0.027  # m
 LIMIT = 0.005  # of the default law's H/W
@@ -51,7 +50,6 @@ MESHES = {
     "equal": {"diagonals": "equal"},
     "random": {"diagonals": "random", "seed": 1},
     "jittered": {"diagonals": "random", "jitter": 0.2, "seed": 2},
-    "unstructured": {},
 }
 
 DEFAULTS = {
@@ -66,8 +64,7 @@ DEFAULTS = {
 
 def make_strip(mesh: str, *, edge: float, width: float, clamp: float) -> tuple[Mesh, np.ndarray]:
     """A strip of a kind of :data:`MESHES` and its clamped vertices; m, multiples of ``edge``."""
-    make = unstructured_strip if mesh == "unstructured" else strip
-    return make(length=LENGTH, width=width, edge=edge, clamp=clamp, **MESHES[mesh])
+    return strip(length=LENGTH, width=width, edge=edge, clamp=clamp, **MESHES[mesh])
 
 
 def cells_for(gamma: float) -> int:

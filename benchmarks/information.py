@@ -11,7 +11,7 @@ Keys (``key=value``):
 
     fabrics       drawn from the prior
     seed          of the fabrics and their orientations
-    resolution    vertices a side
+    edge_mm       edges of the mesh at the plate's rim
     noise_mm      standard deviation of a depth
     pixels        for one independent measurement
     workers       processes, one thread each
@@ -60,7 +60,7 @@ TOLD, UNTOLD = 0.2, 1.0  # of the spread over fabrics: told by a drape; not told
 DEFAULTS = {
     "fabrics": 40,
     "seed": 6,
-    "resolution": 51,
+    "edge_mm": 3.5,
     "noise_mm": 1.0,
     "pixels": 100.0,
     "workers": 1,
@@ -70,13 +70,13 @@ DEFAULTS = {
 }
 
 
-def one_fabric(index: int, seed: int, resolution: int, noise_mm: float, pixels: float) -> dict:
+def one_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pixels: float) -> dict:
     """Fisher's information on fabric ``index``."""
     rng = stream(seed, Stream.FABRIC, index)
     theta, _ = sample_admissible(load_prior("gaussian"), rng)
     fabric = fabric_from_theta(theta)
     orientation = 2 * np.pi * float(stream(seed, Stream.VIEWS, index).random())
-    result = drape(fabric, resolution=resolution, seed=index)
+    result = drape(fabric, edge=1e-3 * edge_mm, seed=index)
     found = depth_information(result, CameraRig.load().nominal(), orientation=orientation,
                               noise=noise_mm / MM, pixels_per_measurement=pixels)
     return {
@@ -132,7 +132,7 @@ def summarise(rows: list[dict]) -> dict:
 def main(argv: list[str]) -> None:
     """Find the bounds, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
-    keys = ("seed", "resolution", "noise_mm", "pixels")
+    keys = ("seed", "edge_mm", "noise_mm", "pixels")
     settings = {key: config[key] for key in keys}
     label = "_".join(f"{settings[key]:g}" for key in keys)
     cases = {f"fabric_{k}_{label}": {"index": k, **settings} for k in range(config["fabrics"])}

@@ -34,6 +34,7 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+from sim.specimens import make_specimen  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -60,7 +61,6 @@ from sim.newton import NewtonOptions  # noqa: E402
 from sim.potential import Potential  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
 from sim.sensitivity.parameters import hessian_product  # noqa: E402
-from sim.specimens import make_specimen  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,

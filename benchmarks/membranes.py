@@ -14,10 +14,10 @@ Drapes "from the fold" start from one drape of 200 N/m, so that their folds are 
 Keys (``key=value``):
 
     alpha         linear moduli of the fabrics, µN·m
-    resolution    vertices a side for insensitivity and scaling
-    start         vertices a side of the drape that the others start from
-    coarse        vertices a side of the coarse meshes
-    fine          vertices a side of the fine mesh
+    edge_mm       edges at the plate's rim for insensitivity and scaling
+    start_mm      the same of the drape that the others start from
+    coarse_mm     of the coarse meshes
+    fine_mm       of the fine mesh
     seed          of start and meshes
     workers       processes, one thread each
     cases         folder of finished drapes; an interrupted run goes on from there
@@ -33,6 +33,7 @@ from matplotlib.figure import Figure
 from benchmarks.common import (
     REPORTS,
     load_arrays,
+    next_to,
     parse_settings,
     run_cases,
     table,
@@ -43,15 +44,13 @@ from common.cli import run_command
 from data.picture import shade
 from sim.comparison import compare, same_folds
 from sim.drape import drape
-from sim.equilibrium import find_equilibrium
-from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_outline
 from sim.membranes import Corotational, Guarded, Membrane, OrthotropicStVK
-from sim.newton import NewtonOptions, Status
-from sim.scene import GRAVITY, Rig, Scene, State
-from sim.specimens import make_specimen
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.newton import Status
+from sim.scene import GRAVITY, Rig
 
 POISSON = 0.3
 LAWS = ("corotational", "stvk")
@@ -69,10 +68,10 @@ LIMIT = 0.01  # mm, between drapes of one modulus/density
 
 DEFAULTS = {
     "alpha": [100.0, 20.0],
-    "resolution": 51,
-    "start": 41,
-    "coarse": [26, 41],
-    "fine": 101,
+    "edge_mm": 3.5,
+    "start_mm": 4.0,
+    "coarse_mm": [7.0, 4.0],
+    "fine_mm": 1.75,
     "seed": 1,
     "workers": 1,
     "cases": "outputs/validation/membranes",
@@ -94,7 +93,7 @@ def membrane(name: str, stiffness: float) -> Membrane:
 
 
 def settle(
-    alpha: float, law: str, stiffness: float, resolution: int, seed: int, begin: str | None,
+    alpha: float, law: str, stiffness: float, edge_mm: float, seed: int, begin: str | None,
     density: float = REFERENCE_DENSITY,
 ) -> dict:
     """Drape a fabric of ``alpha`` (µN·m) from the npz file ``begin``, or from flat if None.
@@ -106,26 +105,18 @@ def settle(
     fabric = Fabric(np.full(3, alpha * MICRO), density=density)
     laws = Laws(membrane=membrane(law, stiffness))
     if begin is None:
-        result = drape(fabric, rig=rig, resolution=resolution, seed=seed, laws=laws)
-        mesh, positions = result, result.positions
+        found = drape(fabric, rig=rig, edge=1e-3 * edge_mm, seed=seed, laws=laws)
+        mesh, steps = found.mesh, found.iterations
     else:
         start = load_arrays(Path(begin).parent, Path(begin).stem)
-        specimen = make_specimen(rig, resolution=resolution, seed=seed)
-        mesh, held = specimen.mesh, specimen.held
-        positions = interpolate_positions(start["rest"], start["positions"], mesh.rest)
-        positions[held] = rig.place(mesh.rest[held])
-        state, result = find_equilibrium(
-            Scene(mesh=mesh, held=held, obstacles=rig.obstacles),
-            fabric,
-            State.at(mesh, positions),
-            laws=laws,
-            options=NewtonOptions(residual=1e-4, step=1e-4),
-        )
-        positions = state.positions
+        specimen = make_specimen(rig, edge=1e-3 * edge_mm, topology=seed % TOPOLOGIES)
+        found = next_to(start["rest"], start["positions"], specimen, rig, fabric, laws)
+        mesh, steps = specimen.mesh, found.newton.iterations
+    positions = found.state.positions
     return {
-        "status": result.status.value,
+        "status": found.status.value,
         "drape_coefficient": drape_coefficient(positions, mesh.faces, rig),
-        "newton_steps": result.iterations,
+        "newton_steps": steps,
         "arrays": {"rest": mesh.rest, "positions": positions, "faces": mesh.faces},
     }
 
@@ -139,22 +130,22 @@ class Plan:
         self.cases: dict[str, dict] = {}
         for alpha in config["alpha"]:
             self.starts[f"start_{alpha:g}"] = self._settings(alpha, "corotational", BASE,
-                                                             config["start"], None)
+                                                             config["start_mm"], None)
 
-    def _settings(self, alpha: float, law: str, stiffness: float, resolution: int,
+    def _settings(self, alpha: float, law: str, stiffness: float, edge_mm: float,
                   begin: str | None, **more: float) -> dict:
-        return {"alpha": alpha, "law": law, "stiffness": stiffness, "resolution": resolution,
+        return {"alpha": alpha, "law": law, "stiffness": stiffness, "edge_mm": edge_mm,
                 "seed": self.config["seed"], "begin": begin, **more}
 
-    def case(self, alpha: float, law: str, stiffness: float, resolution: int, *,
+    def case(self, alpha: float, law: str, stiffness: float, edge_mm: float, *,
              folds_of: float | None, density: float | None = None) -> str:
         """Name of a case, entered if new; from flat where ``folds_of`` (an alpha) is None."""
         begin = None if folds_of is None else str(self.folder / f"start_{folds_of:g}.npz")
         more = {} if density is None else {"density": density}
-        name = f"{law.replace(' ', '-')}_{stiffness:g}_alpha_{alpha:g}_n_{resolution}"
+        name = f"{law.replace(' ', '-')}_{stiffness:g}_alpha_{alpha:g}_edge_{edge_mm:g}"
         name += "_flat" if folds_of is None else f"_from_{folds_of:g}"
         name += "" if density is None else f"_rho_{density:g}"
-        self.cases[name] = self._settings(alpha, law, stiffness, resolution, begin, **more)
+        self.cases[name] = self._settings(alpha, law, stiffness, edge_mm, begin, **more)
         return name
 
 
@@ -181,44 +172,46 @@ class Results:
         return same_folds(*outlines)
 
 
-def ask_locking(plan: Plan, alpha: float) -> dict[tuple[str, int], str]:
-    """Names of the cases by label of LOCKING and resolution."""
-    resolutions = [*plan.config["coarse"], plan.config["fine"]]
+def ask_locking(plan: Plan, alpha: float) -> dict[tuple[str, float], str]:
+    """Names of the cases by label of LOCKING and edge, mm."""
+    edges = [*plan.config["coarse_mm"], plan.config["fine_mm"]]
     return {
-        (label, n): plan.case(alpha, *which, n, folds_of=alpha)
-        for label, which in LOCKING.items() for n in resolutions
+        (label, edge): plan.case(alpha, *which, edge, folds_of=alpha)
+        for label, which in LOCKING.items() for edge in edges
     }
 
 
-def answer_locking(results: Results, names: dict[tuple[str, int], str], config: dict) -> list[dict]:
+def answer_locking(
+    results: Results, names: dict[tuple[str, float], str], config: dict
+) -> list[dict]:
     """For each membrane and mesh: from its own fine mesh, from 200 N/m on the same mesh."""
     return [
         {
             "membrane": label,
-            "resolution": n,
-            "from_own_fine_mesh_mm": results.apart(name, names[label, config["fine"]]),
-            "from_200_same_mesh_mm": results.apart(name, names["200 N/m", n]),
-            "from_5000_fine_mesh_mm": results.apart(name, names["5000 N/m", config["fine"]]),
-            "same_folds": results.same_folds(name, names[label, config["fine"]]),
+            "edge_mm": edge,
+            "from_own_fine_mesh_mm": results.apart(name, names[label, config["fine_mm"]]),
+            "from_200_same_mesh_mm": results.apart(name, names["200 N/m", edge]),
+            "from_5000_fine_mesh_mm": results.apart(name, names["5000 N/m", config["fine_mm"]]),
+            "same_folds": results.same_folds(name, names[label, config["fine_mm"]]),
             **results.reports[name],
         }
-        for (label, n), name in names.items()
+        for (label, edge), name in names.items()
     ]
 
 
 def ask_insensitivity(plan: Plan, alpha: float) -> dict[tuple[str, str, str], str]:
     """Names of the cases by law, change and start ("fold" or "flat")."""
-    names, n = {}, plan.config["resolution"]
+    names, edge = {}, plan.config["edge_mm"]
     for start, folds_of in (("fold", alpha), ("flat", None)):
         for law in LAWS:
             for stiffness in STIFFNESSES:
                 names[law, f"{stiffness:g} N/m", start] = plan.case(
-                    alpha, law, stiffness, n, folds_of=folds_of)
+                    alpha, law, stiffness, edge, folds_of=folds_of)
             for factor in (0.5, 2.0):
                 names[law, f"alpha x {factor:g}", start] = plan.case(
-                    factor * alpha, law, BASE, n, folds_of=folds_of)
+                    factor * alpha, law, BASE, edge, folds_of=folds_of)
         names["woven", "yarns 5000, shear 40 N/m", start] = plan.case(
-            alpha, *WOVEN, n, folds_of=folds_of)
+            alpha, *WOVEN, edge, folds_of=folds_of)
     return names
 
 
@@ -242,7 +235,7 @@ def ask_scaling(plan: Plan, alpha: float) -> dict[tuple[str, float], str]:
         factor = density / REFERENCE_DENSITY
         for label, stiffness in (("scaled too", factor * BASE), ("always 200 N/m", BASE)):
             names[label, density] = plan.case(
-                factor * alpha, "corotational", stiffness, plan.config["resolution"],
+                factor * alpha, "corotational", stiffness, plan.config["edge_mm"],
                 folds_of=alpha, density=density)
     return names
 
@@ -261,12 +254,12 @@ def print_tables(alpha: float, answers: dict[str, list[dict]], config: dict) -> 
     """Print what was found for one fabric."""
     print(f"\n## alpha = {alpha:g} µN·m\n\nLocking, mean displacements in mm\n")
     print(table(
-        ["membrane", "vertices a side", "drape coeff.", "from own fine mesh",
+        ["membrane", "edges at the rim, mm", "drape coeff.", "from own fine mesh",
          "from 200 N/m, same mesh", "from 5000 N/m, fine mesh", "same folds", "steps", "status"],
-        [[r["membrane"], r["resolution"], r["drape_coefficient"], r["from_own_fine_mesh_mm"],
+        [[r["membrane"], r["edge_mm"], r["drape_coefficient"], r["from_own_fine_mesh_mm"],
           r["from_200_same_mesh_mm"], r["from_5000_fine_mesh_mm"], r["same_folds"],
           r["newton_steps"], r["status"]] for r in answers["locking"]]))
-    print(f"\nMoved from 200 N/m, {config['resolution']} vertices a side\n")
+    print(f"\nMoved from 200 N/m, {config['edge_mm']:g} mm edges at the rim\n")
     print(table(
         ["membrane", "change", "start", "moved, mm", "same folds", "status"],
         [[r["membrane"], r["change"], r["start"], r["moved_mm"], r["same_folds"], r["status"]]
@@ -291,16 +284,16 @@ def weight_alone() -> float:
 
 def picture(results: Results, locking: dict[float, dict], config: dict) -> Figure:
     """The stiff membrane on the coarsest mesh without and with the guard, and on the fine one."""
-    coarse, fine = config["coarse"][0], config["fine"]
+    coarse, fine = config["coarse_mm"][0], config["fine_mm"]
     columns = [("5000 N/m", coarse), ("5000 N/m, guarded", coarse), ("200 N/m", coarse),
                ("5000 N/m", fine), ("5000 N/m, guarded", fine), ("200 N/m", fine)]
     figure = Figure(figsize=(3.0 * len(columns), 3.1 * len(locking)), layout="constrained")
     axes = figure.subplots(len(locking), len(columns), squeeze=False)
     for row, (alpha, names) in zip(axes, locking.items(), strict=True):
-        for axis, (label, n) in zip(row, columns, strict=True):
-            d = results.drape(names[label, n])
+        for axis, (label, edge) in zip(row, columns, strict=True):
+            d = results.drape(names[label, edge])
             axis.imshow(shade(d.positions, d.faces, plate_radius=Rig().plate_radius))
-            axis.set_title(f"{label}, {n}×{n}\nα = {alpha:g} µN·m", fontsize=9)
+            axis.set_title(f"{label}, {edge:g} mm\nα = {alpha:g} µN·m", fontsize=9)
             axis.axis("off")
     return figure
 
@@ -332,7 +325,8 @@ def main(argv: list[str]) -> None:
     bound = weight_alone()
     print(f"weight alone would move a corner by {bound:.2f} mm when 200 N/m are doubled")
     out = Path(config["out"])
-    settings = {k: config[k] for k in ("alpha", "resolution", "start", "coarse", "fine", "seed")}
+    keys = ("alpha", "edge_mm", "start_mm", "coarse_mm", "fine_mm", "seed")
+    settings = {k: config[k] for k in keys}
     write_report(out, {
         **settings, "scaling_worst_mm": worst, "weight_alone_mm": bound,
         "fabrics": {f"{alpha:g}": found for alpha, found in answers.items()},

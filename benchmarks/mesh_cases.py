@@ -2,22 +2,20 @@
 
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.common import load_arrays
+from benchmarks.common import load_arrays, next_to
 from common.errors import InputError
-from sim.comparison import Draped
 from sim.drape import drape
-from sim.initial import borrowed_positions
-from sim.lagged import find_settled_equilibrium
-from sim.laws import Corotational, Laws
+from sim.laws import Laws
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_outline
-from sim.newton import NewtonOptions
-from sim.scene import Rig, Scene, State
-from sim.specimens import make_specimen
+from sim.membranes import Corotational
+from sim.mesh import Mesh
+from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
+from sim.newton import Status
+from sim.scene import Rig
 
 # Moduli warp, bias, weft in µN·m at 300 g/m²; beta/alpha of a typical fabric, mm.
 FABRICS = {
@@ -29,40 +27,41 @@ FABRICS = {
     "bias-soft": (50.0, 14.0, 40.0),
 }
 SOFTENING = -2.5
-MESHES = ("structured", "perturbed", "unstructured")
+MESHES = ("graded", "other", "uniform")
+"""A triangulation of the pool, another one, and one with about as many triangles of one size."""
 DEFAULT_LAW = "midedge"
 
 
-def common_start(alpha: list[float], resolution: int, membrane: float, seed: int) -> dict:
+def common_start(alpha: list[float], edge_mm: float, membrane: float, seed: int) -> dict:
     """Drape a fabric of moduli ``alpha`` (3,), µN·m, in the usual way."""
     laws = Laws(membrane=Corotational(stiffness=membrane))
-    result = drape(_fabric(alpha), resolution=resolution, seed=seed, laws=laws)
-    return _figures(result, result.status, result.seconds)
+    result = drape(_fabric(alpha), edge=1e-3 * edge_mm, seed=seed, laws=laws)
+    return _figures(result.mesh, result.positions, result.status, result.seconds)
 
 
 def one_drape(
-    alpha: list[float], law: str, mesh: str, resolution: int, membrane: float, seed: int, begin: str
+    alpha: list[float], law: str, mesh: str, edge_mm: float, membrane: float, seed: int, begin: str
 ) -> dict:
     """The equilibrium on a mesh next to the drape in the npz file ``begin``."""
     began = time.perf_counter()
-    rig = Rig()
-    specimen = make_specimen(rig, mesh=mesh, resolution=resolution, seed=seed)
-    cloth, held = specimen.mesh, specimen.held
     near = load_arrays(Path(begin).parent, Path(begin).stem)
-    positions = borrowed_positions(
-        cloth.rest, rig=rig, borrowed=(near["rest"], near["positions"])
-    )
-    positions[held] = rig.place(cloth.rest[held])
-    state, result, settling = find_settled_equilibrium(
-        Scene(mesh=cloth, held=held, obstacles=rig.obstacles),
-        _fabric(alpha),
-        State.at(cloth, positions),
-        laws=Laws(bending=law, membrane=Corotational(stiffness=membrane)),
-        options=NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400),
-    )
-    shape = SimpleNamespace(rest=cloth.rest, positions=state.positions, faces=cloth.faces)
-    return {"rounds": settling.rounds,
-            **_figures(shape, result.status, time.perf_counter() - began)}
+    specimen = meshed(mesh, 1e-3 * edge_mm, seed)
+    found = next_to(near["rest"], near["positions"], specimen, Rig(), _fabric(alpha),
+                    Laws(bending=law, membrane=Corotational(stiffness=membrane)))
+    return {"rounds": found.rounds,
+            **_figures(specimen.mesh, found.state.positions, found.status,
+                       time.perf_counter() - began)}
+
+
+def meshed(kind: str, edge: float, seed: int) -> Specimen:
+    """The specimen on a mesh of :data:`MESHES`, with edges of ``edge``, m, at the rim."""
+    rig = Rig()
+    if kind != "uniform":
+        return make_specimen(rig, edge=edge, topology=(seed + (kind == "other")) % TOPOLOGIES)
+    graded = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES)
+    moving = ~graded.held[graded.mesh.faces].all(axis=1)
+    alike = np.sqrt(4 / np.sqrt(3) * graded.mesh.areas[moving].mean())
+    return make_specimen(rig, edge=float(alike), topology=seed % TOPOLOGIES, grading=1.0)
 
 
 def _fabric(alpha: list[float]) -> Fabric:
@@ -70,16 +69,15 @@ def _fabric(alpha: list[float]) -> Fabric:
     return Fabric(moduli, SOFTENING * 1e-3 * moduli)
 
 
-def _figures(shape: Draped, status: str, seconds: float) -> dict:
+def _figures(mesh: Mesh, positions: np.ndarray, status: Status, seconds: float) -> dict:
     """What is kept of a drape."""
-    outline = fold_outline(shape.positions, shape.rest, Rig())
     return {
-        "status": str(getattr(status, "value", status)),
-        "vertices": len(shape.rest),
-        "folds": len(fold_angles(outline)),
-        "drape_coefficient": drape_coefficient(shape.positions, shape.faces, Rig()),
+        "status": status.value,
+        "triangles": len(mesh.faces),
+        "folds": len(fold_angles(fold_outline(positions, mesh.rest, Rig()))),
+        "drape_coefficient": drape_coefficient(positions, mesh.faces, Rig()),
         "seconds": round(seconds, 2),
-        "arrays": {"rest": shape.rest, "positions": shape.positions, "faces": shape.faces},
+        "arrays": {"rest": mesh.rest, "positions": positions, "faces": mesh.faces},
     }
 
 
@@ -94,29 +92,29 @@ def chosen_fabrics(config: dict) -> list[str]:
 def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], dict[str, dict]]:
     """Cases of one fabric by name, in the order in which they need each other.
 
-    The common start, the drapes next to it, and the return from the unstructured mesh.
+    The common start, the drapes next to it, and the return from the uniform mesh.
     """
     common = {"alpha": list(FABRICS[fabric]), "seed": config["seed"],
               "membrane": config["membrane"]}
-    folder, n = Path(config["cases"]), config["resolution"]
-    start = f"{fabric}_start_{config['start']}"
-    wanted = {(law, mesh, n) for law in laws_for(fabric, config) for mesh in MESHES}
-    wanted |= {(DEFAULT_LAW, mesh, m) for mesh in MESHES for m in config["refinement"]}
+    folder, edge = Path(config["cases"]), config["edge_mm"]
+    start = f"{fabric}_start_{config['start_mm']:g}"
+    wanted = {(law, mesh, edge) for law in laws_for(fabric, config) for mesh in MESHES}
+    wanted |= {(DEFAULT_LAW, mesh, mm) for mesh in MESHES for mm in config["refinement_mm"]}
     drapes = {
-        case_name(fabric, law, mesh, m): {
-            **common, "law": law, "mesh": mesh, "resolution": m, "begin": str(folder / start)
+        case_name(fabric, law, mesh, mm): {
+            **common, "law": law, "mesh": mesh, "edge_mm": mm, "begin": str(folder / start)
         }
-        for law, mesh, m in sorted(wanted)
+        for law, mesh, mm in sorted(wanted)
     }
-    far = case_name(fabric, DEFAULT_LAW, "unstructured", n)
+    far = case_name(fabric, DEFAULT_LAW, "uniform", edge)
     back = {
-        case_name(fabric, DEFAULT_LAW, "return", n): {
-            **common, "law": DEFAULT_LAW, "mesh": "perturbed", "resolution": n,
+        case_name(fabric, DEFAULT_LAW, "return", edge): {
+            **common, "law": DEFAULT_LAW, "mesh": "graded", "edge_mm": edge,
             "begin": str(folder / far),
         }
     }
     # A mesh of its own: on the start's mesh the start would simply stay.
-    own = {**common, "seed": config["seed"] + 1, "resolution": config["start"]}
+    own = {**common, "seed": config["seed"] + 2, "edge_mm": config["start_mm"]}
     return {start: own}, drapes, back
 
 
@@ -127,6 +125,6 @@ def laws_for(name: str, config: dict) -> list[str]:
     return [law for law in laws if not (isotropic and law.endswith(("_edge", "_curvature")))]
 
 
-def case_name(fabric: str, law: str, mesh: str, resolution: int) -> str:
+def case_name(fabric: str, law: str, mesh: str, edge_mm: float) -> str:
     """Name of a drape's files."""
-    return f"{fabric}_{law}_{mesh}_{resolution}"
+    return f"{fabric}_{law}_{mesh}_{edge_mm:g}"

@@ -4,10 +4,11 @@ Six fabrics, three of them anisotropic. Which folds a drape falls into is decide
 way down; so each fabric is draped once, and the equilibrium next to that shape is sought on every
 mesh and under every law, without coarser meshes before it. Compared are
 
-- structured, perturbed and unstructured meshes, for the default law and for hinge laws;
-- the same for the default law on coarser meshes, and each with the finest perturbed one;
-- a perturbed mesh with itself, started from the common shape and from the unstructured mesh's
-  drape: what remains between the two are minima that the mesh itself makes.
+- two of the graded triangulations that drapes are made on, and a mesh of triangles of one size
+  that has about as many of them, for the default law and for hinge laws;
+- the same for the default law on coarser meshes, and each with the finest graded one;
+- a graded mesh with itself, started from the common shape and from the uniform mesh's drape: what
+  remains between the two are minima that the mesh itself makes.
 
 Two drapes have the same fold configuration when they have as many folds and each lies within a
 quarter of the mean fold distance of its partner (:func:`sim.comparison.same_folds`).
@@ -16,9 +17,9 @@ Keys (``key=value``):
 
     fabrics       some of the names in benchmarks.mesh_cases.FABRICS, or all
     laws          bending laws; those that follow a direction are left out for isotropic fabrics
-    resolution    vertices a side where meshes are compared under every law
-    refinement    vertices a side where they are under the default law
-    start         vertices a side of the common start, on a perturbed mesh of its own
+    edge_mm       edges at the rim where meshes are compared under every law
+    refinement_mm where they are under the default law
+    start_mm      of the common start, on a mesh of its own
     membrane      in-plane stiffness, N/m
     seed          of the meshes; the common start's is the next
     workers       processes, one thread each
@@ -66,9 +67,9 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 DEFAULTS = {
     "fabrics": "all",
     "laws": "midedge,hinge",
-    "resolution": 251,
-    "refinement": [51, 76, 101, 151, 251],
-    "start": 251,
+    "edge_mm": 1.5,
+    "refinement_mm": [4.0, 3.0, 2.0, 1.5],
+    "start_mm": 1.5,
     "membrane": 200.0,
     "seed": 0,
     "workers": 1,
@@ -103,45 +104,44 @@ class Finished:
         }
 
 
-def compare_meshes(finished: Finished, fabric: str, law: str, resolution: int) -> list[dict]:
-    """Differences between the three meshes of one resolution."""
+def compare_meshes(finished: Finished, fabric: str, law: str, edge_mm: float) -> list[dict]:
+    """Differences between the three meshes of one fineness."""
     rows = []
     for one, two in combinations(MESHES, 2):
-        names = [case_name(fabric, law, mesh, resolution) for mesh in (one, two)]
-        rows.append({"fabric": fabric, "law": law, "resolution": resolution, "meshes": [one, two],
+        names = [case_name(fabric, law, mesh, edge_mm) for mesh in (one, two)]
+        rows.append({"fabric": fabric, "law": law, "edge_mm": edge_mm, "meshes": [one, two],
                      **finished.difference(*names)})
     return rows
 
 
-def compare_resolutions(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
-    """Differences between each refined mesh and the finest."""
-    *coarser, finest = sorted(config["refinement"])
+def compare_refinements(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
+    """Differences of each mesh, graded and uniform, from the finest graded one."""
+    *coarser, finest = sorted(config["refinement_mm"], reverse=True)
     return [
-        {"fabric": fabric, "resolution": n, "finest": finest,
-         **finished.difference(case_name(fabric, DEFAULT_LAW, "perturbed", finest),
-                               case_name(fabric, DEFAULT_LAW, "perturbed", n))}
-        for fabric in fabrics for n in coarser
+        {"fabric": fabric, "mesh": mesh, "edge_mm": mm, "finest_mm": finest,
+         **finished.difference(case_name(fabric, DEFAULT_LAW, "graded", finest),
+                               case_name(fabric, DEFAULT_LAW, mesh, mm))}
+        for fabric in fabrics for mm in coarser for mesh in ("graded", "uniform")
     ]
 
 
 def compare_returns(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
     """Differences between two equilibria on one mesh, reached from two sides."""
-    n = config["resolution"]
     return [
         {"fabric": fabric,
-         **finished.difference(*(case_name(fabric, DEFAULT_LAW, mesh, n)
-                                 for mesh in ("perturbed", "return")))}
+         **finished.difference(*(case_name(fabric, DEFAULT_LAW, mesh, config["edge_mm"])
+                                 for mesh in ("graded", "return")))}
         for fabric in fabrics
     ]
 
 
 def summarise(rows: list[dict]) -> dict[str, dict]:
-    """For each law: how many pairs keep their folds, and how far apart these are."""
+    """For each law and pair of meshes: how many keep their folds, and how far apart these are."""
     summary = {}
-    for law in dict.fromkeys(row["law"] for row in rows):
-        chosen = [row for row in rows if row["law"] == law]
+    for law, meshes in dict.fromkeys((row["law"], tuple(row["meshes"])) for row in rows):
+        chosen = [row for row in rows if (row["law"], tuple(row["meshes"])) == (law, meshes)]
         same = [row["mean_mm"] for row in chosen if row["same_folds"] and row["converged"]]
-        summary[law] = {
+        summary[f"{law}, {' – '.join(meshes)}"] = {
             "pairs": len(chosen),
             "not_converged": sum(not row["converged"] for row in chosen),
             "same_folds": len(same),
@@ -162,36 +162,38 @@ def main(argv: list[str]) -> None:
         cases = {name: settings for cases in group for name, settings in cases.items()}
         results |= run_cases(work, cases, folder=folder, workers=config["workers"])
     finished = Finished(folder, results)
-    of_laws = [(fabric, law, config["resolution"])
+    of_laws = [(fabric, law, config["edge_mm"])
                for fabric in fabrics for law in laws_for(fabric, config)]
-    of_spacings = [(fabric, DEFAULT_LAW, n)
-                   for fabric in fabrics for n in sorted(config["refinement"])]
+    of_spacings = [(fabric, DEFAULT_LAW, mm)
+                   for fabric in fabrics for mm in sorted(config["refinement_mm"], reverse=True)]
     pairs = {key: compare_meshes(finished, *key) for key in dict.fromkeys(of_laws + of_spacings)}
     meshes, spacings = ([row for key in keys for row in pairs[key]]
                         for keys in (of_laws, of_spacings))
-    resolutions = compare_resolutions(finished, fabrics, config)
+    refinement = compare_refinements(finished, fabrics, config)
     returns = compare_returns(finished, fabrics, config)
     summary = summarise(meshes)
 
-    print(f"\nMean displacement between meshes of {config['resolution']} vertices a side\n")
+    print(f"\nMean displacement between meshes of {config['edge_mm']:g} mm edges at the rim\n")
     print(table(
         ["fabric", "law", "meshes", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
         [[row["fabric"], row["law"], " – ".join(row["meshes"]), *_cells(row)] for row in meshes],
     ))
     print(f"\n{DEFAULT_LAW}: largest mean displacement between the three meshes, mm; "
           "in brackets: of different folds\n")
-    print(table(["fabric", *map(str, sorted(config["refinement"]))], spacing_rows(spacings)))
-    print("\nPerturbed meshes against the finest\n")
+    print(table(["fabric", *(f"{mm:g} mm" for mm in sorted(config["refinement_mm"], reverse=True))],
+                spacing_rows(spacings)))
+    print(f"\nMeshes against the graded one of {min(config['refinement_mm']):g} mm at the rim\n")
     print(table(
-        ["fabric", "vertices a side", "mean, mm", "largest, mm", "curvature", "folds",
-         "same folds", "seconds"],
-        [[row["fabric"], f"{row['resolution']} – {row['finest']}", *_cells(row),
-          finished.results[row["drapes"][1]]["seconds"]] for row in resolutions],
+        ["fabric", "edges, mm", "mesh", "triangles", "mean, mm", "largest, mm", "curvature",
+         "folds", "same folds", "seconds"],
+        [[row["fabric"], row["edge_mm"], row["mesh"],
+          finished.results[row["drapes"][1]]["triangles"], *_cells(row),
+          finished.results[row["drapes"][1]]["seconds"]] for row in refinement],
     ))
-    print("\nOne perturbed mesh, reached from two sides\n")
+    print("\nOne graded mesh, reached from two sides\n")
     print(table(["fabric", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
                 [[row["fabric"], *_cells(row)] for row in returns]))
-    default = summary[DEFAULT_LAW]
+    default = summary[f"{DEFAULT_LAW}, graded – other"]
     print()
     for law, figures in summary.items():
         print(f"{law}: {figures['same_folds']} of {figures['pairs']} pairs keep their folds"
@@ -199,15 +201,16 @@ def main(argv: list[str]) -> None:
                  if figures["same_folds"] else ""))
     worst = default["largest_mean_mm"]
     passed = worst is not None and worst < LIMIT
-    print(f"{DEFAULT_LAW} {'below' if passed else 'not below'} {LIMIT} mm wherever the folds agree")
+    print(f"{DEFAULT_LAW}, graded – other: {'below' if passed else 'not below'} {LIMIT} mm "
+          "wherever the folds agree")
     out = Path(config["out"])
     write_report(out, {
-        "settings": {k: config[k] for k in ("laws", "resolution", "refinement", "start",
+        "settings": {k: config[k] for k in ("laws", "edge_mm", "refinement_mm", "start_mm",
                                             "membrane", "seed")},
         "fabrics_alpha_uN_m": {name: FABRICS[name] for name in fabrics},
         "beta_over_alpha_mm": SOFTENING,
         "limit_mm": LIMIT, "passed": passed, "summary": summary,
-        "meshes": meshes, "spacings": spacings, "refinement": resolutions, "returns": returns,
+        "meshes": meshes, "spacings": spacings, "refinement": refinement, "returns": returns,
         "drapes": results,
     })
     draw(finished, fabrics, config, out.with_suffix(".png"))
@@ -218,7 +221,7 @@ def spacing_rows(spacings: list[dict]) -> list[list[str]]:
     rows = []
     for fabric, of_fabric in groupby(spacings, key=itemgetter("fabric")):
         cells = []
-        for _, pairs in groupby(of_fabric, key=itemgetter("resolution")):
+        for _, pairs in groupby(of_fabric, key=itemgetter("edge_mm")):
             farthest = max(pairs, key=itemgetter("mean_mm"))
             cell = f"{farthest['mean_mm']:.2f}"
             cells.append(cell if farthest["same_folds"] else f"({cell})")
@@ -243,15 +246,15 @@ def draw(finished: Finished, fabrics: list[str], config: dict, path: Path) -> No
     axes = figure.subplots(len(fabrics), wide, squeeze=False)
     for row, fabric in zip(axes, fabrics, strict=True):
         for axis, (law, mesh) in zip(row, columns, strict=False):
-            name = case_name(fabric, law, mesh, config["resolution"])
+            name = case_name(fabric, law, mesh, config["edge_mm"])
             if shape := finished.shapes.get(name):
                 axis.imshow(shade(shape.positions, shape.faces, plate_radius=Rig().plate_radius,
                                   elevation=90.0, size=(260, 260), field=0.31))
             axis.set_title(f"{law}\n{mesh}", fontsize=7)
-        groups = {law: {mesh: case_name(fabric, law, mesh, config["resolution"])
+        groups = {law: {mesh: case_name(fabric, law, mesh, config["edge_mm"])
                         for mesh in MESHES} for law in laws}
-        groups["refinement"] = {str(n): case_name(fabric, DEFAULT_LAW, "perturbed", n)
-                                for n in sorted(config["refinement"])}
+        groups["refinement"] = {f"{mm:g} mm": case_name(fabric, DEFAULT_LAW, "graded", mm)
+                                for mm in sorted(config["refinement_mm"], reverse=True)}
         for axis, (title, group) in zip(row[len(columns):], groups.items(), strict=True):
             for label, name in group.items():
                 if name in finished.shapes:

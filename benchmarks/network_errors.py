@@ -1,18 +1,18 @@
 """What the network errs by on cloth: ``python -m benchmarks.network_errors [key=value ...]``.
 
-The network has learned from drapes of some 41 vertices a side; cloth has no mesh. Fabrics of the
-prior are draped on the mesh that the bending length asks for, and again on a fine one, from that
-shape, so that the folds are the same. Both are photographed from the same place with the same noise
-and estimated. Reported are the errors on both, what the mesh adds to them, and how errors of
-different moduli go together. ``infer.py`` takes the mean error on fine drapes off, and
-``refine=depth`` weighs the network's word by what is left (:func:`drapenet.estimate.belief`).
+The network has learned from drapes on meshes; cloth has none. Fabrics of the prior are draped on
+the default mesh, and again on a fine one, from that shape, so that the folds are the same. Both are
+photographed from the same place with the same noise and estimated. Reported are the errors on both,
+what the mesh adds to them, and how errors of different moduli go together. ``infer.py`` takes the
+mean error on fine drapes off, and ``refine=depth`` weighs the network's word by what is left
+(:func:`drapenet.estimate.belief`).
 
 Keys (``key=value``):
 
     checkpoint   NAME.safetensors with NAME.json beside it; empty: the bundled one
     calibrate    true: write the figures into the checkpoint's JSON, where they are used
     fabrics      drawn from the prior
-    vertices     a side of the fine drape
+    fine_mm      edges at the rim of the fine drape
     sensor       noise of the views, a file of configs/sensor
     seed         of everything
     workers      processes, one thread each
@@ -43,7 +43,7 @@ DEFAULTS = {
     "checkpoint": "",
     "calibrate": False,
     "fabrics": 96,
-    "vertices": 101,
+    "fine_mm": 1.75,
     "sensor": "smooth",
     "seed": 79,
     "workers": 2,
@@ -52,7 +52,7 @@ DEFAULTS = {
 }
 
 
-def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: int) -> dict:
+def estimates(number: int, checkpoint: str, fine_mm: float, sensor: str, seed: int) -> dict:
     """What the network says of one fabric's drape on both meshes."""
     from drapenet.checkpoint import BUNDLED, load_model, read_header
     from drapenet.predict import predict
@@ -61,7 +61,7 @@ def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: in
     theta, _ = sample_admissible(load_prior("gaussian"), rng)
     fabric = fabric_from_theta(theta)
     own = drape(fabric, seed=number)
-    fine = drape(fabric, resolution=vertices, borrowed=(own.rest, own.positions), seed=number)
+    fine = drape(fabric, edge=1e-3 * fine_mm, borrowed=(own.rest, own.positions), seed=number)
     camera, turn = place(rng)
     header = read_header(checkpoint or BUNDLED)
     model = load_model(header)
@@ -71,7 +71,7 @@ def estimates(number: int, checkpoint: str, vertices: int, sensor: str, seed: in
         return predict(model, views, form=header.form, scale=header.scale).targets.tolist()
 
     converged = own.converged and fine.converged
-    return {"theta": theta.tolist(), "vertices": own.resolution, "converged": converged,
+    return {"theta": theta.tolist(), "edge_mm": 1e3 * own.edge, "converged": converged,
             **({"own": say(own), "fine": say(fine)} if converged else {})}
 
 
@@ -84,7 +84,7 @@ def main(argv: list[str]) -> None:
 
     config = parse_settings(DEFAULTS, argv)
     header = read_header(config["checkpoint"] or BUNDLED)
-    settings = {key: config[key] for key in ("checkpoint", "vertices", "sensor", "seed")}
+    settings = {key: config[key] for key in ("checkpoint", "fine_mm", "sensor", "seed")}
     # Other weights of the same name are another network.
     label = header.identity["sha256"][:16]
     found = run_cases(estimates, {
@@ -115,7 +115,7 @@ def main(argv: list[str]) -> None:
     if config["calibrate"]:
         description = header.path.with_suffix(".json")
         content = {**header.content,
-                   "errors": {**errors.as_dict(), "vertices": config["vertices"]}}
+                   "errors": {**errors.as_dict(), "fine_mm": config["fine_mm"]}}
         replace_file(description, (json.dumps(content, indent=1) + "\n").encode())
         print(f"written into {description}")
 

@@ -11,8 +11,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric, plate_constants
 from sim.membranes import Corotational
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
-from sim.newton import NewtonOptions, Status
-from sim.scene import GRAVITY, Scene, State
+from sim.newton import NewtonOptions
+from sim.scene import GRAVITY, Scene
 
 SIDE = 0.1  # m
 SMALL_GRAVITY = 1e-3 * GRAVITY
@@ -47,17 +47,19 @@ def plate(*, kind: str, cells: int) -> dict:
     mesh = Mesh(rest=points.reshape(-1, 2), faces=faces)
     inside = ((mesh.rest > 0.5 * step) & (mesh.rest < SIDE - 0.5 * step)).all(axis=1)
     flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
-    state, result = find_equilibrium(
-        Scene(mesh=mesh, held=~inside, gravity=SMALL_GRAVITY), fabric, State.at(mesh, flat),
+    scene = Scene(mesh=mesh, held=~inside, gravity=SMALL_GRAVITY)
+    found = find_equilibrium(
+        scene, fabric, scene.state(flat),
         laws=Laws(membrane=Corotational(SOFT_MEMBRANE)),
         options=NewtonOptions(residual=1e-6, step=1e-6),
     )
-    if result.status is not Status.CONVERGED:
-        raise InputError(f"the plate '{kind}' does not settle: {result.message}")
-    centre = np.argmin(np.linalg.norm(mesh.rest - SIDE / 2, axis=1))
+    if not found.converged:
+        raise InputError(f"the plate '{kind}' does not settle: {found.message}")
+    middle = np.argmin(np.linalg.norm(mesh.rest - SIDE / 2, axis=1))
     load = REFERENCE_DENSITY * SMALL_GRAVITY
     exact = load * SIDE**4 * (CLAMPED / fabric.alpha[0] if clamped else navier(fabric))
-    return {"kind": kind, "cells": cells, "error": float(-state.positions[centre, 2] / exact - 1)}
+    deflection = -float(found.state.positions[middle, 2])
+    return {"kind": kind, "cells": cells, "error": deflection / exact - 1}
 
 
 def navier(fabric: Fabric) -> float:

@@ -8,7 +8,7 @@ alpha is within 2 % and each beta/alpha within 10 %? Views instead: :mod:`benchm
 Keys (``key=value``):
 
     fabrics       number of fabrics, drawn from the prior
-    resolution    vertices a side
+    edge_mm       edges of the mesh at the plate's rim
     methods       optimisers
     slow          fabrics on which those are tried that take many simulations: all but lm and
                   gauss_newton
@@ -22,7 +22,6 @@ Keys (``key=value``):
 """
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,13 +40,14 @@ from data.fabrics import fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
 from sim.drape import DrapeResult, drape
 from sim.material import is_admissible
+from sim.mesh.specimens import TOPOLOGIES
 
 WITH_DERIVATIVES = ("lm", "gauss_newton", "lbfgs")
 QUICK = ("lm", "gauss_newton")
 GOAL_ALPHA, GOAL_RATIO, GOAL_FABRICS = 0.02, 0.10, 0.9
 DEFAULTS = {
     "fabrics": 20,
-    "resolution": 50,
+    "edge_mm": 4.0,
     "methods": "lm,gauss_newton,lbfgs,cmaes,one_plus_one",
     "slow": 5,
     "evaluations": 40,
@@ -61,8 +61,11 @@ DEFAULTS = {
 }
 
 
-def known_drape(seed: int, number: int, resolution: int) -> tuple[np.ndarray, DrapeResult]:
-    """A fabric of the prior, theta (6,), within the bounds of a refinement, and its drape."""
+def known_drape(seed: int, number: int, edge_mm: float) -> tuple[np.ndarray, DrapeResult]:
+    """A fabric of the prior, theta (6,), within the bounds of a refinement, and its drape.
+
+    Its triangulation is that of ``number``.
+    """
     from drapenet.refine.problem import ALPHA_RANGE, RATIO_RANGE
 
     rng = np.random.default_rng([seed, number, 0])
@@ -70,11 +73,11 @@ def known_drape(seed: int, number: int, resolution: int) -> tuple[np.ndarray, Dr
                  for alpha, ratio in zip(ALPHA_RANGE, RATIO_RANGE, strict=True))
     while True:
         theta, _ = sample_admissible(load_prior("gaussian"), rng)
-        start, start_seed = ("sine", "fold")[number % 2], int(rng.integers(2**31))
+        start, start_seed = ("sine", "fold")[number % 2], int(rng.integers(2**28))
         if not ((low < theta) & (theta < high)).all():
             continue
-        result = drape(fabric_from_theta(theta), resolution=resolution, start=start,
-                       seed=start_seed)
+        result = drape(fabric_from_theta(theta), edge=1e-3 * edge_mm, start=start,
+                       seed=TOPOLOGIES * start_seed + number % TOPOLOGIES)
         if result.converged:
             return theta, result
 
@@ -96,29 +99,29 @@ def errors(theta: np.ndarray, truth: np.ndarray) -> tuple[list[float], list[floa
 
 
 def registered_case(
-    *, number: int, method: str, resolution: int, evaluations: int, noise: float, hold: float,
+    *, number: int, method: str, edge_mm: float, evaluations: int, noise: float, hold: float,
     seed: int,
 ) -> dict:
     """One optimiser on one registered drape."""
-    from drapenet.refine.held import HeldCloth
+    from drapenet.refine.held import springs_to_vertices
     from drapenet.refine.optimisers import Limits, minimise
     from drapenet.refine.problem import DrapeProblem
     from drapenet.refine.registered import VertexPositions
-    from sim import sensitivity
+    from sim.sensitivity import follow
 
-    truth, shape = known_drape(seed, number, resolution)
+    truth, shape = known_drape(seed, number, edge_mm)
     rng = np.random.default_rng([seed, number, 1])
     theta = disturbed(truth, rng)
     target = shape.positions + noise * 1e-3 * rng.standard_normal(shape.positions.shape)
     target[shape.held] = shape.positions[shape.held]
     # Whoever knows the vertices does not know how the bending law splits the angles.
-    origin = replace(shape, positions=target, rotations=np.zeros_like(shape.rotations))
-    simulator = HeldCloth.to_vertices(origin, pull=hold) if hold else sensitivity
-    first = simulator.follow(origin, fabric_from_theta(theta))
+    origin = shape.at(target)
+    springs = [springs_to_vertices(origin, pull=hold)] if hold else []
+    first = follow(origin, fabric_from_theta(theta), extra=springs)
     if not first.converged:
         return {"start": first.status.value}
     # Free cloth keeps to the folds of the capture only if it begins there.
-    problem = DrapeProblem(first, theta, VertexPositions(target), simulator=simulator,
+    problem = DrapeProblem(first, theta, VertexPositions(target), springs=springs,
                            origin=None if hold else origin)
     outcome = minimise(problem, method=method, seed=number, limits=Limits(
         evaluations=evaluations, decrease=1e-6, step=1e-4))
@@ -212,14 +215,14 @@ def main(argv: list[str]) -> None:
         for k in range(config["fabrics"] if method in QUICK
                        else min(config["fabrics"], config["slow"])):
             cases[f"registered_{k}_{method}"] = {
-                "number": k, "method": method, "resolution": config["resolution"],
+                "number": k, "method": method, "edge_mm": config["edge_mm"],
                 "evaluations": config["evaluations_free" if free else "evaluations"],
                 "noise": config["noise"], "hold": config["hold"], "seed": config["seed"]}
     results = run_cases(registered_case, cases, folder=Path(config["cases"]),
                         workers=config["workers"], sources=("sim", "drapenet/refine"))
     summary = summarise(results)
     speed = {slow: speed_up(results, slow) for slow in summary if slow != "lm"}
-    print(f"\nRegistered drapes, {config['resolution']} vertices a side, medians over fabrics; "
+    print(f"\nRegistered drapes, {config['edge_mm']:g} mm edges at the rim, medians over fabrics; "
           f"goal: alpha {GOAL_ALPHA:.0%}, beta/alpha {GOAL_RATIO:.0%}\n")
     print(table(
         ["method", "fabrics", "at the goal", "iterations", "simulations", "to the goal",

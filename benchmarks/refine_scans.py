@@ -134,7 +134,7 @@ def curved(path: str, cases: str, held: float, solves: int, cloth: dict) -> dict
     """The nearest drape of a scan, among the finished ``cases``, with a natural curvature."""
     shape, start = shape_of(path, cases, held), _cloth(cloth)
     positions = load_arrays(Path(cases), f"refined_{Path(path).stem}")["positions"]
-    near = replace(shape.as_drape(start.fabric, start.warp), positions=positions)
+    near = shape.as_drape(start.fabric, start.warp).at(positions)
     best, count = search_curvature(shape, scan_objective(shape), start, near,
                                    prior=load_prior("gaussian"), solves=solves)
     if best is None:

@@ -13,7 +13,8 @@ Keys (``key=value``):
     fabrics       number of fabrics, drawn from the prior
     other_folds   whether only fabrics count, at least as many, whose captured drape has other folds
                   than a drape of the network's estimate
-    resolution    vertices a side of the refined drape in the end; of the captured one: ``truth``
+    edge_mm       edges at the rim of the refined drape in the end
+    truth_mm      the same of the captured one
     sensor        noise of the views, a file of configs/sensor
     seed          of everything
     workers       processes, one thread each
@@ -52,12 +53,12 @@ from sim.scene import Rig
 
 GOAL = 0.15  # median error of alpha
 BOUND = {"noise": 1e-3, "pixels_per_measurement": 100.0}  # m
-BOUND_RESOLUTION = 51  # vertices a side
+BOUND_EDGE_MM = 3.5  # at the rim
 DEFAULTS = {
     "fabrics": 20,
     "other_folds": False,
-    "resolution": 101,
-    "truth": 121,
+    "edge_mm": 2.5,
+    "truth_mm": 1.75,
     "sensor": "tof",
     "seed": 77,
     "workers": 2,
@@ -67,7 +68,7 @@ DEFAULTS = {
 
 
 def views_case(
-    *, number: int, resolution: int, truth: int, sensor: str, seed: int, other_folds: bool
+    *, number: int, edge_mm: float, truth_mm: float, sensor: str, seed: int, other_folds: bool
 ) -> dict:
     """The network and the refinement on one capture; with ``other_folds``, on such a one only."""
     from data.cameras import CameraRig
@@ -77,7 +78,7 @@ def views_case(
     from drapenet.refine.views import refine_views
     from drapenet.registration import locate_camera
 
-    known, shape = known_drape(seed, number, truth)
+    known, shape = known_drape(seed, number, truth_mm)
     rng = np.random.default_rng([seed, number, 2])
     camera, turn = place(rng)
     views = photographed(shape, camera, turn, sensor=sensor, seed=number)
@@ -93,14 +94,14 @@ def views_case(
         network[1] = np.log(1.01 * bias_limit(np.exp(network[:3])))
     mean = load_prior("gaussian").mean
     first = drape(fabric_from_theta(network if is_admissible(*from_theta(network)) else mean),
-                  resolution=resolution, seed=number)
+                  edge=1e-3 * edge_mm, seed=number)
     outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
     folded_otherwise = not same_folds(*outlines)
     if other_folds and not folded_otherwise:
         return {"other_folds": False}
     refined = refine_views(
         views, locate_camera(views, CameraRig.load().nominal()), network,
-        turns=[turn + math.radians(rng.normal(0, 1))], resolution=resolution, seed=number + 1,
+        turns=[turn + math.radians(rng.normal(0, 1))], edge=1e-3 * edge_mm, seed=number + 1,
         prior=GaussianPrior(said.mean[order], said.covariance[np.ix_(order, order)], fabrics=0))
     theta = network if refined is None else refined.best.theta
     result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
@@ -119,7 +120,7 @@ def bound_case(*, number: int, seed: int) -> dict:
     """The least standard deviations of theta (6,) of one fabric; None where there are none."""
     from drapenet.information import CAMERA, SPECIMEN, bounds, depth_information
 
-    _, shape = known_drape(seed, number, BOUND_RESOLUTION)
+    _, shape = known_drape(seed, number, BOUND_EDGE_MM)
     camera, turn = place(np.random.default_rng([seed, number, 2]))  # as for the views
     found = depth_information(shape, camera, orientation=turn, **BOUND)
     covariance = found.covariance((*SPECIMEN, *CAMERA)) if found.ok else None
@@ -133,7 +134,7 @@ def gather(config: dict) -> dict[str, dict]:
     while len(found) < count:
         made = run_cases(views_case, {
             f"views_{k}": {"number": k, **{key: config[key] for key in
-                                           ("resolution", "truth", "sensor", "seed",
+                                           ("edge_mm", "truth_mm", "sensor", "seed",
                                             "other_folds")}}
             for k in range(first, first + count)},
             folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)

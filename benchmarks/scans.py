@@ -11,7 +11,7 @@ Keys (``key=value``):
     least, most  ends of the grid, µN·m
     grid         its number of values
     rounds       bisections of each scan at most
-    resolution   vertices across the disc
+    edge_mm      edges of the mesh at the support's rim
     start, seed  of the simulated drapes
     workers      processes, one thread each
     cases        folder of finished drapes; an interrupted run goes on from there
@@ -42,9 +42,8 @@ from sim.comparison import best_turn
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline
-from sim.scene import Rig
+from sim.scene import DISC_RIG, Rig
 
-RIG = "disc300_support180"
 LIMIT = 2.0  # points of drape coefficient between a scan and its drape
 CLOSE = 0.3  # points at which the bisection stops
 _STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
@@ -55,7 +54,7 @@ DEFAULTS = {
     "most": 300.0,
     "grid": 10,
     "rounds": 7,
-    "resolution": 51,
+    "edge_mm": 3.5,
     "start": "sine",
     "seed": 0,
     "workers": 1,
@@ -64,10 +63,10 @@ DEFAULTS = {
 }
 
 
-def one_drape(alpha: float, resolution: int, start: str, seed: int) -> dict:
+def one_drape(alpha: float, edge_mm: float, start: str, seed: int) -> dict:
     """Drape a disc of the modulus ``alpha``, µN·m."""
-    rig = Rig.from_name(RIG)
-    result = drape(Fabric(np.full(3, alpha * MICRO)), rig=rig, resolution=resolution, start=start,
+    rig = DISC_RIG
+    result = drape(Fabric(np.full(3, alpha * MICRO)), rig=rig, edge=1e-3 * edge_mm, start=start,
                    seed=seed)
     return {
         "alpha_uN_m": alpha,
@@ -84,7 +83,7 @@ class Search:
     """Drapes of isotropic moduli, made when asked for and kept in a folder."""
 
     def __init__(self, config: dict) -> None:
-        self._settings = {key: config[key] for key in ("resolution", "start", "seed")}
+        self._settings = {key: config[key] for key in ("edge_mm", "start", "seed")}
         self.folder = Path(config["cases"])
         self._workers = config["workers"]
         self.drapes: dict[float, dict] = {}
@@ -109,7 +108,7 @@ class Search:
         """The drape whose coefficient is nearest to ``coefficient``, percent."""
         drapes = self.converged()
         if not drapes:
-            raise InputError("no drape of the grid converged; try another resolution or grid")
+            raise InputError("no drape of the grid converged; try another edge_mm or grid")
         return min(drapes.values(), key=lambda d: abs(d["coefficient"] - coefficient))
 
     def between(self, coefficient: float) -> float | None:
@@ -136,7 +135,7 @@ def rounded(alpha: float) -> float:
 def main(argv: list[str]) -> None:
     """Search, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
-    rig = Rig.from_name(RIG)
+    rig = DISC_RIG
     scans = read_scans(Path(config["scans"]), rig)
     if not 0 < config["least"] < config["most"] or config["grid"] < 2:
         raise InputError("the grid needs 0 < least < most and at least two values")
@@ -167,8 +166,8 @@ def main(argv: list[str]) -> None:
     print(f"largest difference {worst:.2f} points, limit {LIMIT:g}")
     out = Path(config["out"])
     write_report(out, {
-        "rig": RIG,
-        "settings": {k: config[k] for k in ("least", "most", "grid", "rounds", "resolution",
+        "rig": rig.name,
+        "settings": {k: config[k] for k in ("least", "most", "grid", "rounds", "edge_mm",
                                             "start", "seed")},
         "limit_points": LIMIT, "passed": bool(worst <= LIMIT), "largest_difference": worst,
         "scans": rows, "drapes": list(search.drapes.values()),

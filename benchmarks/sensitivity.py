@@ -17,7 +17,7 @@ Keys (``key=value``):
 
     fabrics      drawn from the prior
     seed         of the fabrics
-    resolution   vertices a side
+    edge_mm      edges of the mesh at the plate's rim
     workers      processes, one thread each
     cases        folder of finished fabrics; an interrupted run goes on from there
     out          the report, JSON; a picture of the same name beside it
@@ -51,7 +51,7 @@ SHORTENED = 4  # at most so often
 DEFAULTS = {
     "fabrics": 20,
     "seed": 6,
-    "resolution": 50,
+    "edge_mm": 4.0,
     "workers": 1,
     "cases": "outputs/validation/sensitivity",
     "out": str(REPORTS / "sensitivity.json"),
@@ -69,13 +69,13 @@ class Clock:
         return round(self._last - before, 4)
 
 
-def one_fabric(index: int, seed: int, resolution: int) -> dict:
+def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     """Derivatives and costs of fabric ``index``."""
     theta, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
     fabric = fabric_from_theta(theta)
-    drape(fabric, resolution=12)  # loads the kernels
+    drape(fabric, edge=0.01)  # loads the kernels
     clock, seconds = Clock(), {}
-    made = drape(fabric, resolution=resolution, seed=index)
+    made = drape(fabric, edge=1e-3 * edge_mm, seed=index)
     seconds["drape"] = clock()
     result = {
         "alpha_uN_m": (1e6 * fabric.alpha).tolist(),
@@ -194,8 +194,8 @@ def main(argv: list[str]) -> None:
     """Compare, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
     cases = {
-        f"fabric_{config['seed']}_{k}_{config['resolution']}": {
-            "index": k, "seed": config["seed"], "resolution": config["resolution"]
+        f"fabric_{config['seed']}_{k}_{config['edge_mm']:g}": {
+            "index": k, "seed": config["seed"], "edge_mm": config["edge_mm"]
         }
         for k in range(config["fabrics"])
     }
@@ -219,7 +219,7 @@ def main(argv: list[str]) -> None:
             print(f"{name}: {100 * figures['median']:.1f} % of the drape's time (median), "
                   f"at most {100 * figures['largest']:.1f} %")
     out = Path(config["out"])
-    write_report(out, {"settings": {k: config[k] for k in ("fabrics", "seed", "resolution")},
+    write_report(out, {"settings": {k: config[k] for k in ("fabrics", "seed", "edge_mm")},
                        "limit": LIMIT, "cost_limit": COST, **summary, "rows": rows})
     draw([row for row in rows if "forward" in row], out.with_suffix(".png"))
 

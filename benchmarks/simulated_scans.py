@@ -49,11 +49,11 @@ from drapenet.refine.shape_search import HELD, scan_objective, search_cloth
 from sim.drape import drape
 from sim.material import MICRO, plate_constants
 from sim.mesh import vertex_normals
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import DISC_RIG
-from sim.specimens import make_specimen
 
 CORRELATION = 0.0125  # m, how far around a vertex others err like it
-FINE, SCANNED = 61, 51  # vertices across the simulated specimen and across its scan
+FINE, SCANNED = 2.5e-3, 4e-3  # m, edges at the rim of the simulated specimen and of its scan
 DEFAULTS = {
     "fabrics": 12,
     "seed": 20224,
@@ -69,7 +69,7 @@ DEFAULTS = {
 
 def simulated_scan(
     theta: np.ndarray, *, along: float, across: float, seed: int, turn: float = 0.0,
-    fine: int = FINE, scanned: int = SCANNED,
+    fine: float = FINE, scanned: float = SCANNED,
 ) -> CapturedShape:
     """A drape of theta (6,) as a scan registered to another mesh shows it.
 
@@ -78,15 +78,15 @@ def simulated_scan(
         along, across: m, standard deviations of the vertices' errors in each direction along the
             cloth and across it. Vertices on the plate have none.
         seed: of the drape, the mesh and the errors.
-        fine, scanned: vertices across the draped specimen and across the scan.
+        fine, scanned: m, edges at the rim of the draped specimen and of the scan.
 
     Raises:
         InputError: the drape did not converge.
     """
-    truth = drape(fabric_from_theta(theta), rig=DISC_RIG, resolution=fine, seed=seed)
+    truth = drape(fabric_from_theta(theta), rig=DISC_RIG, edge=fine, seed=seed)
     if not truth.converged:
         raise InputError(f"a drape to be scanned did not converge: {truth.message}")
-    specimen = make_specimen(DISC_RIG, mesh="unstructured", resolution=scanned, seed=seed + 1)
+    specimen = make_specimen(DISC_RIG, edge=scanned, topology=(seed + 1) % TOPOLOGIES)
     mesh = specimen.mesh
     hem = DISC_RIG.specimen_size / 2
     rng = np.random.default_rng([seed, 2])
@@ -117,7 +117,7 @@ def refined(
     if found.estimate is None or found.nearest is None:
         raise InputError(f"no simulation of scan {seed} ended: {found.effort.failures}")
     surface = Cloud.of_mesh(scan.positions, scan.faces)
-    raw = register(surface, DISC_RIG, resolution=SCANNED).shape
+    raw = register(surface, DISC_RIG, edge=SCANNED).shape
     of_raw = search_cloth(raw, scan_objective(raw), Cloth(prior.mean.copy()), prior=prior,
                           solves=HELD)
     if of_raw.estimate is None:

@@ -19,7 +19,6 @@ from data.fabrics import THETA_NAMES
 from data.render import render_views
 from drapenet.refine.depth import POSE, DepthViews, DepthWeights
 from sim.drape import DrapeResult
-from sim.laws import Laws
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset
@@ -88,7 +87,6 @@ def depth_information(
     orientation: float = 0.0,
     noise: float = 1e-3,
     pixels_per_measurement: float = 100.0,
-    laws: Laws | None = None,
 ) -> Information:
     """Information in the four views of a drape.
 
@@ -96,10 +94,9 @@ def depth_information(
         camera: that sees the specimen, turned by ``orientation`` (rad) in the first view.
         noise: m, standard deviation of a depth.
         pixels_per_measurement: m above.
-        laws: with which the drape was made.
     """
     names = (*THETA_NAMES, *SPECIMEN, *CAMERA)
-    tangent = Tangent.of(result, laws=laws)
+    tangent = Tangent.of(result)
     if not tangent.ok:
         none = np.full((len(names), len(names)), np.nan)
         return Information(names, none, 0, False, tangent.message)

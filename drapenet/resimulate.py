@@ -18,10 +18,10 @@ from sim.material import Fabric
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
-RESOLUTION = 41  # vertices a side that show the folds of most fabrics
+EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
 PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
 LEAST_OVERLAP = 0.7
-"""Of the silhouettes. Sound captures have 0.82 and more (0.74 with 21 vertices a side), those with
+"""Of the silhouettes. Sound captures have 0.82 and more (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
@@ -70,7 +70,7 @@ def resimulate(
     camera: Camera,
     *,
     rig: Rig,
-    resolution: int,
+    edge: float,
     drapes: int,
 ) -> Resimulation | None:
     """Drape ``fabric`` as a capture shows it; None if no drape converges.
@@ -78,14 +78,14 @@ def resimulate(
     Args:
         fabric: stiff along warp.
         views: (4, H, W) captured z-depth, m, as ``camera`` saw them.
-        resolution: vertices a side of the simulated specimen.
+        edge: m, at the rim of the specimen's mesh.
         drapes: how many to make, at most as many as there are :data:`STARTS`.
     """
     small = camera.resized(camera.width // 2, camera.height // 2)
     captured = views[:, ::2, ::2] > 0
     best, statuses = None, []
     for start, seed in STARTS[:drapes]:
-        result = drape(fabric, rig=rig, resolution=resolution, start=start, seed=seed)
+        result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed)
         statuses.append(result.status.value)
         if not result.converged:
             continue

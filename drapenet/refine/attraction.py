@@ -13,18 +13,19 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drapenet.refine.guided import surface_positions
-from sim.drape import DrapeResult, coarse_to_fine, drape_result
+from sim.drape import DrapeResult, drape_result, scene_on
+from sim.energies.base import Energy
 from sim.energies.hinge_stencils import find_hinges, hinge_angles
-from sim.equilibrium import find_equilibrium
+from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import adjacency, smooth, vertex_normals
-from sim.newton import NewtonOptions, NewtonResult
-from sim.scene import Rig, Scene, State
-from sim.specimens import make_specimen
+from sim.mesh.specimens import coarse_to_fine, make_specimen
+from sim.newton import NewtonOptions
+from sim.scene import Rig, Scene
+from sim.state import State
 
-COARSEST = 16
 _COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
 BENT = 1.5
 """rad; hinges of the first mesh that are bent more are smoothed. Laid on a surface with narrow
@@ -37,7 +38,7 @@ NORMAL_LENGTH = 0.03  # m that a difference of the normals by 1 counts
 OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # of a start, no result
 
 
-class Springs:
+class Springs(Energy):
     """Springs from vertices to planes: sum of ½ k (n·(x - c))²; one element per vertex.
 
     Args:
@@ -60,12 +61,9 @@ class Springs:
     def gradient(self, q: np.ndarray) -> np.ndarray:
         return (self._stiffness * self._distance(q))[:, None] * self._normals
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         return (self._stiffness[:, None, None]
                 * self._normals[:, :, None] * self._normals[:, None, :])
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
 
 
 def captured_shape(
@@ -74,29 +72,28 @@ def captured_shape(
     normals: np.ndarray,
     *,
     rig: Rig,
-    resolution: int,
-    seed: int = 0,
-    laws: Laws | None = None,
+    edge: float,
+    topology: int = 0,
 ) -> DrapeResult:
     """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
 
     Args:
         points, normals: (N, 3) m and (N, 3), specimen's axes.
-        resolution: vertices a side; a coarser mesh goes before.
-        seed: of the mesh.
+        edge, topology: of the mesh (:func:`sim.mesh.specimens.make_specimen`); coarser ones go
+            before.
 
     Returns:
         The state under the springs: no equilibrium of the fabric (its ``status`` is that of the
         last minimisation), but a place to start from.
     """
-    laws, fabric = laws or Laws(), fabric.at_density(REFERENCE_DENSITY)
+    laws, simulated = Laws(), fabric.at_density(REFERENCE_DENSITY)
     coarse = None
     began = time.perf_counter()
-    for level in coarse_to_fine(resolution, COARSEST):
-        last = level == resolution
-        specimen = make_specimen(rig, resolution=level, seed=seed)
+    for level in coarse_to_fine(edge):
+        last = level == edge
+        specimen = make_specimen(rig, edge=level, topology=topology)
         rest = specimen.mesh.rest
-        scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles)
+        scene = scene_on(specimen, rig)
         if coarse is None:
             positions = surface_positions(rest, points, rig)
         else:
@@ -104,14 +101,13 @@ def captured_shape(
         positions[specimen.held] = rig.place(rest[specimen.held])
         if coarse is None:
             positions = smoothed(scene, positions)
-        state, result = pulled(
-            scene, fabric, State.at(specimen.mesh, positions), points, normals,
+        found = pulled(
+            scene, simulated, scene.state(positions), points, normals,
             laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
-        coarse = rest, state.positions
-    return drape_result(fabric, rig, specimen, state, result, resolution=resolution,
-                        iterations=result.iterations, seconds=time.perf_counter() - began,
-                        time_spent=result.seconds)
+        coarse = rest, found.state.positions
+    return drape_result(fabric, rig, laws, found, edge=edge, iterations=found.newton.iterations,
+                        seconds=time.perf_counter() - began, time_spent=found.newton.seconds)
 
 
 def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
@@ -142,13 +138,13 @@ def pulled(
     *,
     laws: Laws,
     pulls: Sequence[float],
-) -> tuple[State, NewtonResult]:
+) -> Equilibrium:
     """``state`` under springs, whose ends are sought again for each of ``pulls``."""
     for pull in pulls:
         springs = nearest_springs(scene, state.positions, points, normals, pull=pull, reach=REACH)
-        state, result = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
-                                         options=OPTIONS)
-    return state, result
+        found = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs], options=OPTIONS)
+        state = found.state
+    return found
 
 
 def nearest_springs(

@@ -47,7 +47,7 @@ def refine_capture(
     *,
     rig: Rig,
     known: GaussianPrior,
-    resolution: int,
+    edge: float,
 ) -> RefinedEstimate | None:
     """Refine the network's estimate until its drape looks like the views, with a progress bar.
 
@@ -57,7 +57,7 @@ def refine_capture(
         estimate: in the order stiff, bias, soft; stiff lies along the x axis of the specimen.
         views: (4, H, W) z-depth, m, as ``camera`` saw them.
         known: what the network's word says of theta, see :func:`drapenet.estimate.belief`.
-        resolution: vertices a side of the simulated specimen.
+        edge: m, at the rim of the specimen's mesh in the last round.
     """
     fabric = estimate.fabric.at_density(REFERENCE_DENSITY)
     theta = to_theta(fabric.alpha, fabric.beta)
@@ -70,7 +70,7 @@ def refine_capture(
             bar.update(simulations - bar.n)
             bar.set_postfix(misfit=f"{value:.0f}")
 
-        refined = refine_views(views, camera, theta, turns=turns, rig=rig, resolution=resolution,
+        refined = refine_views(views, camera, theta, turns=turns, rig=rig, edge=edge,
                                prior=known, progress=progress)
     if refined is None:
         return None

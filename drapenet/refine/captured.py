@@ -23,19 +23,21 @@ from drapenet.refine.problem import (
     prior_value,
     with_prior,
 )
-from sim.drape import DrapeResult
+from sim.drape import DrapeResult, scene_on
 from sim.energies.base import Energy
 from sim.energies.natural_curvature import NaturallyCurved
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
 from sim.membranes import Corotational
-from sim.mesh import edges_of
+from sim.mesh import Mesh
+from sim.mesh.specimens import Specimen
 from sim.newton import NewtonOptions, Status
 from sim.scene import Rig
 from sim.sensitivity import Tangent, follow
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.parameters import forces
 from sim.sensitivity.rest_shape import moves_with_rest
+from sim.sensitivity.tangent import possible_contact
 
 MEMBRANE_RANGE = (20.0, 5000.0)
 """N/m at 300 g/m². Softer cloth would stretch by its own weight; a scan whose vertices have slid
@@ -90,14 +92,17 @@ class CapturedShape:
         Args:
             warp: direction of the warp in the axes of ``rest``, rad.
         """
-        rest = turned_rest(self.rest, warp)
-        edges = len(edges_of(self.faces)[0])
-        return DrapeResult(
-            fabric=fabric, rig=self.rig, positions=self.positions, rotations=np.zeros(edges),
-            rest=rest, faces=self.faces, diagonals=None, held=self.held,
-            resolution=round(math.sqrt(len(rest))), status=Status.MAX_ITERATIONS,
+        mesh = Mesh(turned_rest(self.rest, warp), self.faces)
+        ends = mesh.rest[mesh.edges]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        state = scene_on(Specimen(mesh, self.held), self.rig).state(self.positions)
+        drape = DrapeResult(
+            fabric=fabric, rig=self.rig, mesh=mesh, held=self.held, state=state, laws=Laws(),
+            extra=(), touches=False, edge=float(lengths.mean()), status=Status.MAX_ITERATIONS,
             message="captured", residual=math.inf, step=math.inf, positive_definite=False,
             self_intersections=0, iterations=0, seconds=0.0, time_spent={})
+        contact = possible_contact(drape).value(state.q)
+        return replace(drape, touches=0 < contact < math.inf)
 
     def settle(
         self, fabric: Fabric, *, warp: float = 0.0, laws: Laws | None = None,
@@ -259,8 +264,9 @@ class CapturedProblem:
             near = self.shape.as_drape(cloth.fabric)
         elif self.best is not None:
             near = self.best.drape
-        near = replace(near, rest=turned_rest(self.shape.rest, cloth.warp))
-        return follow(near, cloth.fabric, laws=cloth.laws, extra=self._springs, options=SETTLING)
+        near = replace(near, mesh=near.mesh.with_rest(turned_rest(self.shape.rest, cloth.warp)))
+        return follow(near, cloth.fabric, laws=cloth.laws, extra=self._springs, options=SETTLING,
+                      keep=True)
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best one simulated."""
@@ -269,7 +275,7 @@ class CapturedProblem:
         if here is None:
             return None
         began = time.perf_counter()
-        moves = cloth_moves(here.drape, here.cloth, self.free, springs=self._springs)
+        moves = cloth_moves(here.drape, here.cloth, self.free)
         self.effort.seconds["derivatives"] += time.perf_counter() - began
         if moves is None:
             return None
@@ -285,14 +291,12 @@ class CapturedProblem:
         return np.array([math.log(cloth.membrane / USUAL_MEMBRANE) / self._spread])
 
 
-def cloth_moves(
-    drape: DrapeResult, cloth: Cloth, free: np.ndarray, *, springs: Sequence[Energy] = ()
-) -> np.ndarray | None:
+def cloth_moves(drape: DrapeResult, cloth: Cloth, free: np.ndarray) -> np.ndarray | None:
     """Derivatives (n, V, 3) of a drape's vertices by the unknowns ``free`` (11,) of ``cloth``.
 
-    ``springs`` are what holds it. None where the equilibrium has no derivatives.
+    None where the equilibrium has no derivatives.
     """
-    tangent = Tangent.of(drape, laws=cloth.laws, extra=springs)
+    tangent = Tangent.of(drape)
     if not tangent.ok:
         return None
     moves = list(tangent_sensitivities(
@@ -309,12 +313,13 @@ def cloth_moves(
 
 def _curving(tangent: Tangent, cloth: Cloth, k: int) -> np.ndarray:
     """(V, 3) derivatives by one component of the natural curvature."""
-    mesh, active = tangent.scene.mesh, tangent.scene.active
+    own = tangent.cloth
     pushes = []
     for sign in (1, -1):
         curvature = np.array(cloth.curvature)
         curvature[k] += sign * _CURVATURE_STEP
         law = NaturallyCurved(tuple(curvature.tolist()))
-        pushes.append(forces([law(mesh, active, fabric=tangent.fabric)], tangent.q))
+        bending = law(own.scene.mesh, own.scene.active, fabric=own.fabric)
+        pushes.append(forces([bending], tangent.q, own.potential.unknowns))
     push = (pushes[0] - pushes[1]) / (2 * _CURVATURE_STEP)
     return -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)

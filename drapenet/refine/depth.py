@@ -35,8 +35,8 @@ FOCAL = "log_focal"
 _SCALES = dict(zip((*POSE, *TABLE, FOCAL),
                    (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03, 0.01), strict=True))
 """Sensible changes, rad and m; of the focal length, relative."""
-SPACING = 3e-3
-"""m, of the finest mesh that views are refined on."""
+EDGE = 2.5e-3
+"""m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class DepthWeights:
         border_sigma: px, the same of the silhouette's border; border_limit: px.
         stride: of the depth pixels compared, in rows and columns.
         jump: m, depths further apart within 3 x 3 pixels are a jump.
-        patch: px, side of a patch whose errors count as one measurement, on a mesh with a spacing
-            of :data:`SPACING`. Noise of neighbours is alike, and what a mesh does to folds even
-            more so: with a spacing of 5, 4 and 3 mm its errors of the moduli, on views without
-            noise (benchmarks.refine_bias), and those of noise with one independent pixel in 100
-            are together as with one in some 700, 200 and 170.
+        patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
+            :data:`EDGE` at the rim. Noise of neighbours is alike, and what a mesh does to folds
+            even more so: on grids with a spacing of 5, 4 and 3 mm its errors of the moduli, on
+            views without noise (benchmarks.refine_bias), and those of noise with one independent
+            pixel in 100 are together as with one in some 700, 200 and 170.
     """
 
     sigma: float = 1e-3
@@ -64,12 +64,12 @@ class DepthWeights:
     jump: float = 12e-3
     patch: float = 14.0
 
-    def on_mesh(self, spacing: float) -> "DepthWeights":
-        """The weights for cloth on a mesh whose vertices lie ``spacing`` apart, m.
+    def on_mesh(self, edge: float) -> "DepthWeights":
+        """The weights for cloth on a mesh with edges of ``edge``, m, at the rim.
 
-        Independent pixels are taken to be as many as the mesh has cells, in proportion.
+        Independent pixels are taken to be as many as the mesh has triangles, in proportion.
         """
-        return replace(self, patch=self.patch * spacing / SPACING)
+        return replace(self, patch=self.patch * edge / EDGE)
 
 
 @dataclass(frozen=True)

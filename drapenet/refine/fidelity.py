@@ -48,7 +48,6 @@ class Fidelity:
 
 def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
     """How far ``drape``, settled from ``shape`` on the same mesh, is from it."""
-    drape = replace(drape, rest=shape.rest)  # the axes of the warp are of no interest here
     gap = 1e3 * np.linalg.norm(drape.positions - shape.positions, axis=1)
     hanging = shape.hanging
     rig = shape.rig
@@ -57,10 +56,10 @@ def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
         all_mm=float(gap.mean()),
         largest_mm=float(gap.max()),
         surface_mm=float(1e3 * surface_distance(shape, drape.positions)[hanging].mean()),
-        curvature=compare(shape, drape).curvature,
+        curvature=compare(shape, replace(shape, positions=drape.positions)).curvature,
         coefficient=100 * drape_coefficient(drape.positions, drape.faces, rig),
         captured_coefficient=100 * drape_coefficient(shape.positions, shape.faces, rig),
-        folds=fold_count(drape.positions, drape.rest, rig),
+        folds=fold_count(drape.positions, shape.rest, rig),
         captured_folds=fold_count(shape.positions, shape.rest, rig),
     )
 

@@ -12,9 +12,7 @@ from drapenet.refine.shape_search import surface_springs
 from sim.drape import DrapeResult
 from sim.energies.bending_friction import BendingFriction
 from sim.energies.midedge import MidEdgeBending
-from sim.scene import State
 from sim.sensitivity import follow
-from sim.sensitivity.tangent import scene_of
 
 
 def drapes_with_friction(
@@ -32,9 +30,8 @@ def drapes_with_friction(
     start = shape.as_drape(cloth.fabric, cloth.warp)
     held = follow(start, cloth.fabric, laws=cloth.laws, extra=[surface_springs(start)],
                   options=SETTLING)
-    scene = scene_of(held)
-    origin = MidEdgeBending(scene.mesh, scene.active, fabric=cloth.fabric).curvatures(
-        State(held.positions, held.rotations).unknowns)
+    scene = held.scene
+    origin = MidEdgeBending(scene.mesh, scene.active, fabric=cloth.fabric).curvatures(held.state.q)
     return [held, *(
         follow(held, cloth.fabric, options=SETTLING,
                laws=replace(cloth.laws, bending=BendingFriction(torque, origin)))

@@ -10,18 +10,17 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
 from drapenet.refine.objective import NUISANCE_REACH, Linearised, Objective, value
-from sim import sensitivity
 from sim.drape import DrapeResult
+from sim.energies.base import Energy
 from sim.laws import Laws
-from sim.material import MICRO, Fabric, is_admissible
-from sim.sensitivity import Sensitivities
+from sim.material import MICRO, is_admissible
+from sim.sensitivity import Sensitivities, follow, sensitivities
 
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
 RATIO_RANGE = (-10e-3, 2e-3)  # m; 99 of 100 fabrics of the prior lie within
@@ -29,19 +28,6 @@ MEMBRANE_RANGE = (math.log(0.05), math.log(20.0))  # times the law's own stiffne
 ALPHA_SCALE = 1.0  # of log alpha: what counts as 1
 RATIO_SCALE = 2e-3  # m
 MEMBRANE = "log_membrane"
-
-
-class Simulator(Protocol):
-    """Makes equilibria and their derivatives; the module :mod:`sim.sensitivity` is one."""
-
-    def follow(
-        self, result: DrapeResult, fabric: Fabric, *, laws: Laws | None = None,
-        sensitivities: Sensitivities | None = None,
-    ) -> DrapeResult: ...
-
-    def sensitivities(
-        self, result: DrapeResult, *, laws: Laws | None = None, parameters: Sequence[str] = ...
-    ) -> Sensitivities: ...
 
 
 @dataclass(frozen=True)
@@ -87,16 +73,16 @@ class DrapeProblem:
     """The unknowns of one specimen's refinement (:class:`.optimisers.LeastSquares`).
 
     Args:
-        drape: an equilibrium of ``theta`` on the mesh that the objective knows.
+        drape: an equilibrium of ``theta`` on the mesh that the objective knows; its laws are those
+            of all simulations.
         theta: (6,) where to start; drawn in to the bounds.
         objective: what is compared.
         nuisance: (K,) first values of its parameters; its own unless given.
         membrane: whether the membrane's stiffness is free.
-        laws: of the simulation, as those of ``drape``.
         prior: known beforehand; None for nothing.
         origin: where every simulation starts; None: at the best drape so far. The captured shape,
             where it is known.
-        simulator: of the cloth; free unless given.
+        springs: energies that hold the simulated cloth, ``drape`` among it.
 
     Attributes:
         names: (n,) of the unknowns.
@@ -117,14 +103,12 @@ class DrapeProblem:
         *,
         nuisance: np.ndarray | None = None,
         membrane: bool = False,
-        laws: Laws | None = None,
         prior: GaussianPrior | None = None,
         origin: DrapeResult | None = None,
-        simulator: Simulator = sensitivity,
+        springs: Sequence[Energy] = (),
     ) -> None:
         self.objective, self.prior, self.origin = objective, prior, origin
-        self._simulator = simulator
-        self._laws, self._membrane = laws or Laws(), membrane
+        self._springs, self._laws, self._membrane = tuple(springs), drape.laws, membrane
         self._first = drape, np.array(theta, dtype=np.float64)
         own = objective.start if nuisance is None else np.asarray(nuisance, dtype=np.float64)
         extra = [MEMBRANE] if membrane else []
@@ -199,8 +183,9 @@ class DrapeProblem:
         near = self.origin or (drape if self.best is None else self.best.drape)
         self.solves += 1
         known = self._known[1] if self._known and self._known[0] is near else None
-        new = self._timed("simulation", self._simulator.follow, near, fabric_from_theta(theta),
-                          laws=self._laws_at(log_membrane), sensitivities=known)
+        new = self._timed("simulation", follow, near, fabric_from_theta(theta), keep=True,
+                          laws=self._laws_at(log_membrane), extra=self._springs,
+                          sensitivities=known)
         if not new.converged:
             self.failures.append(f"{new.status.value}: {new.message}")
             return None
@@ -211,8 +196,7 @@ class DrapeProblem:
         if self._known is None or self._known[0] is not trial.drape:
             self.derivatives += 1
             parameters = ("log_alpha", "ratio", *(["membrane"] if self._membrane else []))
-            found = self._timed("derivatives", self._simulator.sensitivities, trial.drape,
-                                laws=self._laws_at(trial.log_membrane), parameters=parameters)
+            found = self._timed("derivatives", sensitivities, trial.drape, parameters=parameters)
             if not found.ok:
                 self.failures.append(found.message)
             self._known = trial.drape, found

@@ -19,8 +19,7 @@ from drapenet.refine.scan import Cloud, rotation
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.mesh import edges_of
-from sim.scene import Rig, State
-from sim.sensitivity.tangent import scene_of
+from sim.scene import Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """Bends as easily as the softest real fabrics: it irons no fold out."""
@@ -46,12 +45,12 @@ class Registered:
 
 
 def register(
-    cloud: Cloud, rig: Rig, *, resolution: int, turn: float = 0.0, held: float = 1.0
+    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0
 ) -> Registered:
     """A mesh of the specimen on the scan ``cloud``; z up, the plate's centre the origin.
 
     Args:
-        resolution: vertices across the mesh.
+        edge: length of the mesh's edges at the plate's rim, m.
         turn: rad, direction of the mesh's first rest axis on the plate. A scan does not tell it.
         held: see :class:`.captured.CapturedShape`.
     """
@@ -59,20 +58,19 @@ def register(
     # Which side a scanned normal points to is not known.
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
-    laid = captured_shape(SOFT, points, normals, rig=rig, resolution=resolution)
-    state, _ = pulled(scene_of(laid), SOFT, State(laid.positions, laid.rotations), points, normals,
-                      laws=Laws(), pulls=[FIRMLY])
-    shape = CapturedShape(state.positions @ back.T, laid.rest, laid.faces, rig, held)
+    laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
+    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
+    shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
     return Registered(shape, distances(cloud, shape.positions))
 
 
-def laid_anew(shape: CapturedShape, *, resolution: int) -> Registered:
+def laid_again(shape: CapturedShape, *, edge: float) -> Registered:
     """A registered scan once more, on a mesh of its own, the rest axes where they were."""
     plate = ~shape.hanging
     flat, rest = (points @ [1.0, 1j] for points in (shape.positions[plate, :2], shape.rest[plate]))
     turn = float(np.angle(np.vdot(rest, flat)))
-    return register(Cloud.of_mesh(shape.positions, shape.faces), shape.rig, resolution=resolution,
-                    turn=turn, held=shape.held_share)
+    return register(Cloud.of_mesh(shape.positions, shape.faces), shape.rig, edge=edge, turn=turn,
+                    held=shape.held_share)
 
 
 def edge_strain(shape: CapturedShape) -> float:

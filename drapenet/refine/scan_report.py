@@ -15,7 +15,7 @@ from data.scans import LARGEST_SCAN, read_scan
 from drapenet.output import require_output, write_estimate, write_report
 from drapenet.refine.captured import CapturedShape, Cloth, Settled
 from drapenet.refine.fidelity import fidelity
-from drapenet.refine.register import SLID, edge_strain, laid_anew, register
+from drapenet.refine.register import SLID, edge_strain, laid_again, register
 from drapenet.refine.scan import Cloud
 from drapenet.refine.shape_search import Found, scan_objective, search_cloth
 from drapenet.table import moduli_table
@@ -26,7 +26,7 @@ SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 3
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
 LEAST_HELD = 0.5
-RESOLUTION = 51  # vertices across the mesh that a scan is registered to
+EDGE = 4e-3  # m, at the rim of the mesh that a scan is registered to
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 _APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
 _ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
@@ -35,7 +35,7 @@ _FOREIGN = 0.1  # ... and more than this share of them does not go
 
 def refine_scan(
     path: Path, *, rig: str = _START, held: float = 1.0, solves: int = 25,
-    resolution: int = RESOLUTION,
+    edge: float = EDGE,
 ) -> tuple[dict[str, Any], CapturedShape, Found]:
     """The content of ``estimate.json``, the captured shape and what the search has found.
 
@@ -45,7 +45,7 @@ def refine_scan(
         rig: name of the rig.
         held: see :class:`.captured.CapturedShape`.
         solves: simulations at most.
-        resolution: vertices across the mesh that a scan is registered to.
+        edge: m, at the rim of the mesh that a scan is registered to.
 
     Raises:
         InputError: no such scan, a share out of range, or none of the simulations ended.
@@ -54,7 +54,7 @@ def refine_scan(
         raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
     prior = load_prior("gaussian")
     start = Cloth(prior.mean.copy())
-    shape, registration = read_shape(path, Rig.from_name(rig), held=held, resolution=resolution)
+    shape, registration = read_shape(path, Rig.from_name(rig), held=held, edge=edge)
     with tqdm(total=solves, desc="refining", unit="drape") as bar:
         def report(count: int, least: float) -> None:
             bar.set_postfix_str(f"misfit {least:.4g}", refresh=False)
@@ -88,7 +88,7 @@ def refine_scan(
 
 
 def read_shape(
-    path: Path, rig: Rig, *, held: float = 1.0, resolution: int = RESOLUTION
+    path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE
 ) -> tuple[CapturedShape, dict[str, Any] | None]:
     """The captured shape of a scan, and what ``estimate.json`` says of its registration.
 
@@ -97,7 +97,7 @@ def read_shape(
     """
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
-        found, strain = register(cloud, rig, resolution=resolution, held=held), None
+        found, strain = register(cloud, rig, edge=edge, held=held), None
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
@@ -109,7 +109,7 @@ def read_shape(
         strain = edge_strain(own)
         if strain < SLID:
             return own, None
-        found = laid_anew(own, resolution=resolution)
+        found = laid_again(own, edge=edge)
     apart = float(found.distance[found.shape.hanging].mean())
     if apart > _APART:
         raise InputError(f"{path}: a specimen of {rig.name} cannot be laid on this surface, it "

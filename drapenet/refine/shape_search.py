@@ -34,7 +34,6 @@ from drapenet.refine.optimisers import Limits, Status, minimise
 from drapenet.refine.registered import RobustPositions
 from drapenet.refine.scan import Outline, border_edges, outline
 from sim.drape import DrapeResult
-from sim.sensitivity.tangent import scene_of
 
 PULL = 0.05
 """Force of the springs at 1 mm, over the cloth's weight. Simulated scans give the same moduli with
@@ -81,7 +80,7 @@ def scan_objective(shape: CapturedShape) -> Objective:
 
 def surface_springs(captured: DrapeResult, pull: float = PULL) -> Springs:
     """What holds a cloth to a captured shape while its moduli are estimated."""
-    return plane_springs(scene_of(captured), captured.positions, pull=pull)
+    return plane_springs(captured.scene, captured.positions, pull=pull)
 
 
 def search_cloth(

@@ -27,24 +27,26 @@ from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
 from drapenet.refine.attraction import captured_shape
 from drapenet.refine.depth import DepthViews, DepthWeights
-from drapenet.refine.held import HeldCloth
+from drapenet.refine.held import springs_to_surface
 from drapenet.refine.objective import fit_nuisances, value
 from drapenet.refine.optimisers import Limits, Outcome, Status, minimise
 from drapenet.refine.problem import DrapeProblem, Trial
 from drapenet.refine.uncertainty import Uncertainty, laplace
 from sim.drape import DrapeResult, drape
+from sim.energies.base import Energy
 from sim.material import is_admissible
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import follow
-from sim.specimens import make_specimen
 
 FREE_ROUNDS = (4, 5)
 """Simulations of each Levenberg-Marquardt of free cloth."""
 HELD_ROUNDS = ((8, 0.3), (4, 0.1))
 """The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
-COARSE, FINE = 41, 101
-"""Vertices a side until the last round, where folds and pose are found as well, and in it."""
+COARSE, FINE = 4e-3, 2.5e-3
+"""m, edges at the plate's rim until the last round, where folds and pose are found as well, and in
+it."""
 SPREAD = (0.0, 0.7, -0.7)
 """What is added to log alpha for the starts."""
 SHAPES = ("captured", "sine", "fold")
@@ -92,7 +94,7 @@ def refine_views(
     *,
     turns: Sequence[float],
     rig: Rig | None = None,
-    resolution: int = FINE,
+    edge: float = FINE,
     seed: int = 0,
     shape: str = "captured",
     prior: GaussianPrior | None = None,
@@ -108,20 +110,20 @@ def refine_views(
         views: (4, H, W) z-depth, m, background 0.
         camera: of all of them, as well as it is known.
         turns: possible directions of the warp in the first view, rad; all are tried.
-        resolution: vertices a side of the specimen in the last round, before it :data:`COARSE` at
-            most; seed: of its meshes, and of the other shapes.
+        edge: m, at the rim of the specimen's mesh in the last round, before it :data:`COARSE` at
+            least; seed: of its meshes, and of the other shapes.
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
         prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
         weights: of the pixels; on coarser meshes they count less (:meth:`.DepthWeights.on_mesh`).
     """
     began = time.perf_counter()
     meshes = {}
-    for vertices in {min(resolution, COARSE), resolution}:
-        specimen = {"rig": rig or Rig(), "resolution": vertices, "seed": seed}
-        faces = make_specimen(**specimen).mesh.faces
-        own = (weights or DepthWeights()).on_mesh(specimen["rig"].specimen_size / (vertices - 1))
-        meshes[vertices] = _Mesh(specimen, DepthViews(views, camera, faces, weights=own))
-    rounds = meshes[min(resolution, COARSE)], meshes[resolution]
+    for level in (max(edge, COARSE), edge):
+        specimen = make_specimen(rig or Rig(), edge=level, topology=seed % TOPOLOGIES)
+        own = (weights or DepthWeights()).on_mesh(level)
+        meshes[level] = _Mesh(rig or Rig(), level, seed, DepthViews(
+            views, camera, specimen.mesh.faces, weights=own))
+    rounds = meshes[max(edge, COARSE)], meshes[edge]
     run = _Run(rounds[0], np.asarray(theta, np.float64), prior, progress)
     try:
         for initial in dict.fromkeys((shape, *SHAPES)):
@@ -153,9 +155,11 @@ def refine_views(
 
 @dataclass(frozen=True)
 class _Mesh:
-    """Keys of the specimen, and the objective that knows its triangles."""
+    """What a specimen and its mesh are made from, and the objective that knows its triangles."""
 
-    specimen: dict
+    rig: Rig
+    edge: float
+    seed: int
     objective: DepthViews
 
 
@@ -189,7 +193,8 @@ class _Run:
                 shape = self.shape(self.mesh, self.theta, nuisance)
             else:
                 self.simulations += 1
-                shape = drape(fabric_from_theta(self.theta), start=initial, **self.mesh.specimen)
+                shape = drape(fabric_from_theta(self.theta), start=initial, rig=self.mesh.rig,
+                              edge=self.mesh.edge, seed=self.mesh.seed)
             for theta in wide:
                 self.release(shape, theta, nuisance)
 
@@ -198,7 +203,7 @@ class _Run:
         self.simulations += 1
         self.report()
         return captured_shape(fabric_from_theta(theta), *mesh.objective.points(nuisance),
-                              **mesh.specimen)
+                              rig=mesh.rig, edge=mesh.edge, topology=mesh.seed % TOPOLOGIES)
 
     def release(self, shape: DrapeResult, theta: np.ndarray, nuisance: np.ndarray) -> None:
         """Let ``shape`` go with the fabric ``theta``, and keep it if it is the best."""
@@ -264,8 +269,8 @@ class _Run:
         # Pulled from afar, the specimen may end entangled; the best drape has the folds as well.
         for own, shape in ((mesh, self.shape(mesh, trial.theta, trial.nuisance)),
                            (self.mesh, trial.drape)):
-            cloth = HeldCloth.to_surface(shape, *points, pull=pull)
-            found, first = (self.held_trial(cloth, own, shape, theta, trial.nuisance)
+            springs = springs_to_surface(shape, *points, pull=pull)
+            found, first = (self.held_trial(springs, own, shape, theta, trial.nuisance)
                             for theta in (trial.theta, self.theta))
             trials = [t for t in (found, first) if t is not None]
             if trials:
@@ -276,7 +281,7 @@ class _Run:
         # Values with other springs are not compared.
         self.mesh, self.best = own, min(trials, key=lambda t: t.value)
         self.start_value = math.inf if first is None else first.value
-        self.held = self.problem(self.best, simulator=cloth)
+        self.held = self.problem(self.best, springs=[springs])
         self.improve(self.held, evaluations)
 
     def weigh_prior(self) -> None:
@@ -293,18 +298,18 @@ class _Run:
             self.best = self.refit(self.problem(self.best)).best or self.best
 
     def held_trial(
-        self, cloth: HeldCloth, mesh: _Mesh, shape: DrapeResult, theta: np.ndarray,
+        self, springs: Energy, mesh: _Mesh, shape: DrapeResult, theta: np.ndarray,
         nuisance: np.ndarray,
     ) -> Trial | None:
         """The fabric ``theta`` held to the surface; None where that does not converge."""
         if not is_admissible(*from_theta(theta)):
             return None
         self.simulations += 1
-        held = cloth.follow(shape, fabric_from_theta(theta))
+        held = follow(shape, fabric_from_theta(theta), extra=[springs], keep=True)
         self.report()
         if not held.converged:
             return None
-        return self.refit(self.problem(held, theta, nuisance, mesh, simulator=cloth)).best
+        return self.refit(self.problem(held, theta, nuisance, mesh, springs=[springs])).best
 
     def conclude(self) -> None:
         """The free drape of what was found, and how certain it is."""

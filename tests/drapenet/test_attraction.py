@@ -10,13 +10,13 @@ from drapenet.refine.depth import DepthViews
 from sim.drape import drape
 from sim.energies.hinge_stencils import find_hinges, hinge_angles
 from sim.material import MICRO, Fabric
+from sim.mesh.specimens import make_specimen
 from sim.scene import Rig, Scene
-from sim.specimens import make_specimen
 
 
 @pytest.fixture
 def scene() -> Scene:
-    specimen = make_specimen(Rig(), resolution=21)
+    specimen = make_specimen(Rig(), edge=8e-3)
     return Scene(mesh=specimen.mesh, held=specimen.held, obstacles=())
 
 
@@ -44,10 +44,10 @@ def test_cloth_that_is_not_crumpled_stays_as_it_is(scene: Scene) -> None:
 
 def test_soft_cloth_takes_the_captured_folds() -> None:
     fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
-    truth = drape(fabric, resolution=41, seed=3)
+    truth = drape(fabric, edge=4e-3, seed=3)
     camera, turn = CameraRig.load().nominal(), 0.4
     views = render_views(truth.positions, truth.faces, camera, turn)
-    specimen = {"rig": Rig(), "resolution": 41, "seed": 5}
+    specimen = {"rig": Rig(), "edge": 4e-3, "topology": 5}
     objective = DepthViews(views, camera, make_specimen(**specimen).mesh.faces, turn=turn)
     shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
     seen = objective.render(shape.positions, objective.start)

@@ -27,7 +27,7 @@ TURN = 0.4
 
 @pytest.fixture(scope="module")
 def draped():
-    return drape(FABRIC, resolution=17)
+    return drape(FABRIC, edge=8e-3)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_combinations_are_independent_and_ordered(information):
 
 
 def test_a_drape_without_derivatives_says_so():
-    result = drape(FABRIC, resolution=13, options=NewtonOptions(max_iterations=1))
+    result = drape(FABRIC, edge=0.01, options=NewtonOptions(max_iterations=1))
     found = depth_information(result, CAM)
     assert not found.ok and "no equilibrium" in found.message
     assert np.isnan(bounds(found.covariance())).all()

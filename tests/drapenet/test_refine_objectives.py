@@ -7,7 +7,7 @@ import pytest
 
 from data.cameras import Camera, CameraRig
 from data.render import render_views
-from drapenet.refine.depth import FOCAL, POSE, SPACING, TABLE, DepthViews, DepthWeights
+from drapenet.refine.depth import EDGE, FOCAL, POSE, TABLE, DepthViews, DepthWeights
 from drapenet.refine.guided import surface_positions
 from drapenet.refine.objective import (
     Linearised,
@@ -135,7 +135,7 @@ def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
     positions, faces = dome()
     views = render_views(positions - [0, 0, 2e-4], faces, camera, 0.0)
     fine, coarse = (DepthViews(views, camera, faces, weights=DepthWeights(
-        border_sigma=np.inf).on_mesh(spacing)) for spacing in (SPACING, 2 * SPACING))
+        border_sigma=np.inf).on_mesh(edge)) for edge in (EDGE, 2 * EDGE))
     costs = [value(d.residuals(positions, d.start)) for d in (fine, coarse)]
     assert costs[0] > 1.0
     assert costs[0] == pytest.approx(4 * costs[1])

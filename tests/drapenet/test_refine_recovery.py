@@ -17,7 +17,7 @@ from drapenet.refine import views as views_refinement
 from drapenet.refine.attraction import Springs
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.guided import square_turn
-from drapenet.refine.held import HeldCloth
+from drapenet.refine.held import springs_to_vertices
 from drapenet.refine.optimisers import Limits, Status, minimise
 from drapenet.refine.problem import ALPHA_RANGE, DrapeProblem
 from drapenet.refine.registered import VertexPositions
@@ -26,8 +26,8 @@ from drapenet.refine.views import refine_views
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
 from sim.newton import NewtonOptions
-from sim.scene import Rig, State
-from sim.sensitivity import follow
+from sim.scene import Rig
+from sim.sensitivity import follow, sensitivities
 from sim.sensitivity.tangent import possible_contact
 
 THETA = to_theta(np.array([60.0, 45.0, 35.0]) * MICRO, np.array([-120.0, -90.0, -70.0]) * 1e-9)
@@ -38,7 +38,7 @@ TIGHT = NewtonOptions(residual=1e-8, step=1e-8)
 
 @pytest.fixture(scope="module")
 def shape() -> DrapeResult:
-    result = drape(fabric_from_theta(THETA), resolution=17, seed=1)
+    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=1)
     assert result.converged
     return result
 
@@ -49,7 +49,7 @@ def away(shape: DrapeResult) -> DrapeResult:
 
 
 def test_a_registered_drape_gives_its_moduli(shape: DrapeResult, away: DrapeResult) -> None:
-    origin = replace(shape, rotations=np.zeros_like(shape.rotations))
+    origin = shape.at(shape.positions)
     problem = DrapeProblem(away, AWAY, VertexPositions(shape.positions), origin=origin)
     found = minimise(problem, limits=Limits(evaluations=15, target=1e-4))
     assert found.evaluations <= 10 and problem.solves == found.evaluations - 1
@@ -72,18 +72,16 @@ def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult
 
 
 def test_a_failed_simulation_is_a_rejected_step_and_is_recorded(
-    shape: DrapeResult, away: DrapeResult
+    shape: DrapeResult, away: DrapeResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Fragile:
-        sensitivities = staticmethod(problems.sensitivity.sensitivities)
-        calls = 0
+    made = []
 
-        def follow(self, *args: object, **more: object) -> DrapeResult:
-            self.calls += 1
-            result = follow(*args, **more)
-            return replace(result, status=result.status.SADDLE) if self.calls == 1 else result
+    def fragile(*args: object, **more: object) -> DrapeResult:
+        made.append(follow(*args, **more))
+        return replace(made[0], status=made[0].status.SADDLE) if len(made) == 1 else made[-1]
 
-    problem = DrapeProblem(away, AWAY, VertexPositions(shape.positions), simulator=Fragile())
+    monkeypatch.setattr(problems, "follow", fragile)
+    problem = DrapeProblem(away, AWAY, VertexPositions(shape.positions))
     found = minimise(problem, limits=Limits(evaluations=4))
     assert len(problem.failures) == 1
     assert found.value < found.trace[0].value
@@ -132,26 +130,26 @@ def test_springs_have_exact_derivatives() -> None:
     slope = (springs.value(q + step * move) - springs.value(q - step * move)) / (2 * step)
     assert (springs.gradient(q) * move[springs.dofs]).sum() == pytest.approx(slope)
     bend = (springs.gradient(q + step * move) - springs.gradient(q - step * move)) / (2 * step)
-    hessian = np.einsum("nij,nj->ni", springs.hessian(q, 0.0), move[springs.dofs])
+    hessian = np.einsum("nij,nj->ni", springs.hessian(q), move[springs.dofs])
     assert hessian == pytest.approx(bend)
-    assert np.array_equal(springs.hessian(q, 1.0), springs.hessian(q, 0.0))
+    assert np.array_equal(springs.hessian(q, convex=True), springs.hessian(q))
 
 
 def test_held_cloth_has_the_derivatives_of_its_equilibria(
     shape: DrapeResult, away: DrapeResult
 ) -> None:
-    cloth = HeldCloth.to_vertices(shape)
-    held = cloth.follow(away, fabric_from_theta(AWAY))
+    springs = [springs_to_vertices(shape)]
+    held = follow(away, fabric_from_theta(AWAY), extra=springs)
     assert held.converged
     gap, free = (np.linalg.norm(d.positions - shape.positions, axis=1).mean()
                  for d in (held, away))
     assert gap < 0.5 * free
-    found = cloth.sensitivities(held)
+    found = sensitivities(held)
     for k, size in ((1, 1e-4), (3, 1e-7)):
         step = np.zeros(6)
         step[k] = size
         plus, minus = (
-            cloth.follow(held, fabric_from_theta(AWAY + sign * step), options=TIGHT)
+            follow(held, fabric_from_theta(AWAY + sign * step), extra=springs, options=TIGHT)
             for sign in (1, -1))
         difference = (plus.positions - minus.positions) / (2 * size)
         error = np.linalg.norm(found.positions[k] - difference) / np.linalg.norm(difference)
@@ -162,20 +160,20 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 def test_held_cloth_that_touches_itself_feels_it() -> None:
     alpha = np.array([2.0, 2.2, 1.8]) * MICRO
     theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
-    soft = drape(fabric_from_theta(theta), resolution=31, seed=2, start="fold")
-    assert soft.converged and "self-contact" in soft.message
-    cloth = HeldCloth.to_vertices(soft)
-    same = cloth.follow(replace(soft, rotations=np.zeros_like(soft.rotations)), soft.fabric)
+    soft = drape(fabric_from_theta(theta), edge=6e-3, seed=2, start="fold")
+    assert soft.converged and soft.touches
+    springs = [springs_to_vertices(soft)]
+    same = follow(soft.at(soft.positions), soft.fabric, extra=springs)
     assert np.abs(same.positions - soft.positions).max() < 1e-6  # springs stand idle
     other = theta + np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
-    held = cloth.follow(soft, fabric_from_theta(other), options=TIGHT)
-    q = State(held.positions, held.rotations).unknowns
-    assert held.converged and possible_contact(held).value(q) > 0
-    found = cloth.sensitivities(held)
+    held = follow(soft, fabric_from_theta(other), extra=springs, options=TIGHT)
+    assert held.converged and possible_contact(held).value(held.state.q) > 0
+    found = sensitivities(held)
     assert found.ok
     step = np.array([1e-4, 0, 0, 0, 0, 0])
-    plus, minus = (cloth.follow(held, fabric_from_theta(other + sign * step), options=TIGHT)
-                   for sign in (1, -1))
+    plus, minus = (
+        follow(held, fabric_from_theta(other + sign * step), extra=springs, options=TIGHT)
+        for sign in (1, -1))
     difference = (plus.positions - minus.positions) / 2e-4
     error = np.linalg.norm(found.positions[0] - difference) / np.linalg.norm(difference)
     assert error < 1e-2
@@ -193,15 +191,15 @@ def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
 
 @pytest.mark.slow
 def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
-    truth = drape(fabric_from_theta(THETA), resolution=41, start="fold", seed=5)
+    truth = drape(fabric_from_theta(THETA), edge=4e-3, start="fold", seed=5)
     camera = CameraRig.load().nominal()
     views = render_views(truth.positions, truth.faces, camera, 1.0)
     prior = load_prior("gaussian")
     values = []
-    found = refine_views(views, camera, prior.mean, turns=[1.02], resolution=51, seed=2,
+    found = refine_views(views, camera, prior.mean, turns=[1.02], edge=3e-3, seed=2,
                          prior=prior,
                          progress=lambda _, value: values.append(value))
-    assert found.drape.resolution == found.best.drape.resolution == 51
+    assert found.drape.edge == found.best.drape.edge == 3e-3
     assert found.best.value <= found.start_value
     assert found.status is not Status.INTERRUPTED and found.uncertainty is not None
     gap, first = (np.abs(theta[:3] - THETA[:3]) for theta in (found.best.theta, prior.mean))
@@ -214,7 +212,7 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
 def test_an_interrupted_refinement_hands_back_the_best_so_far(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    truth = drape(fabric_from_theta(THETA), resolution=31, seed=5)
+    truth = drape(fabric_from_theta(THETA), edge=6e-3, seed=5)
     camera = CameraRig.load().nominal()
     views = render_views(truth.positions, truth.faces, camera, 1.0)
 
@@ -222,11 +220,11 @@ def test_an_interrupted_refinement_hands_back_the_best_so_far(
         if simulations >= 6 and math.isfinite(value):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(views_refinement, "COARSE", 21)
-    found = refine_views(views, camera, AWAY, turns=[1.0], resolution=26, progress=stop)
+    monkeypatch.setattr(views_refinement, "COARSE", 8e-3)
+    found = refine_views(views, camera, AWAY, turns=[1.0], edge=7e-3, progress=stop)
     assert found.status is Status.INTERRUPTED
     assert found.best.value <= found.start_value
     # The objective knows the mesh of the drape that is handed back.
-    assert found.drape.resolution == 21
+    assert found.drape.edge == 8e-3
     seen = found.objective.render(found.drape.positions, found.best.nuisance)
     assert np.median(np.abs(seen - views)[(seen > 0) & (views > 0)]) < 2e-3

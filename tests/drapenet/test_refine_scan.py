@@ -6,8 +6,8 @@ import pytest
 from common.errors import InputError
 from drapenet.refine.descriptor import GridSpectrum, PhaseFree, RingSpectrum, interpolation
 from drapenet.refine.scan import Chamfer, Cloud, Hem, Outline, Placed, border_edges, outline
+from sim.mesh.specimens import Specimen, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
-from sim.specimens import Specimen, make_specimen
 
 
 def waves(
@@ -23,12 +23,12 @@ def waves(
 
 @pytest.fixture(scope="module")
 def disc() -> Specimen:
-    return make_specimen(DISC_RIG, mesh="structured", resolution=31)
+    return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
 @pytest.fixture(scope="module")
 def cloud() -> Cloud:
-    fine = make_specimen(DISC_RIG, mesh="structured", resolution=61)
+    fine = make_specimen(DISC_RIG, edge=4.5e-3, grading=1.0)
     return Cloud.of_mesh(waves(fine.mesh.rest), fine.mesh.faces)
 
 
@@ -133,7 +133,7 @@ def test_ring_spectrum_knows_no_turn_and_no_mirror_but_the_folds(disc: Specimen)
 
 @pytest.mark.parametrize("kind", [RingSpectrum, GridSpectrum])
 def test_description_derivatives(kind: type) -> None:
-    specimen = make_specimen(Rig(), mesh="perturbed", resolution=21)
+    specimen = make_specimen(Rig(), edge=8e-3)
     rng = np.random.default_rng(2)
     rest = specimen.mesh.rest
     positions = np.column_stack([rest, 0.02 * np.sin(40 * rest[:, 0]) * np.cos(30 * rest[:, 1])])
@@ -151,7 +151,7 @@ def test_description_derivatives(kind: type) -> None:
 
 
 def test_grid_spectrum_forgets_the_phase_only() -> None:
-    specimen = make_specimen(Rig(), mesh="structured", resolution=49)
+    specimen = make_specimen(Rig(), edge=5e-3, grading=1.0)
     rest = specimen.mesh.rest
 
     def wave(phase: float, height: float) -> np.ndarray:
