@@ -56,7 +56,8 @@ def tangled(fabric, **settings):
     """The same, its first corner pulled through the cloth opposite to it, with every second."""
     result = cone(fabric, **settings)
     if settings["start"] == "fold":
-        result.positions[0] = result.positions[-1] + [-0.03, -0.03, 0.05]
+        first, last = result.rest.sum(axis=1).argmin(), result.rest.sum(axis=1).argmax()
+        result.positions[first] = result.positions[last] + [-0.03, -0.03, 0.05]
     return result
 
 
