@@ -7,6 +7,7 @@ edge length as its size field) make the triangles nearly equilateral.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -125,7 +126,7 @@ def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
         return centre + half * out / np.linalg.norm(out, axis=1, keepdims=True)
     corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a)
-             for a, b in zip(corners[:-1], corners[1:], strict=True))
+             for a, b in pairwise(corners))
     return np.concatenate([_spread(side, outline, rng) for side in sides])
 
 

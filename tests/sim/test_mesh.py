@@ -85,7 +85,7 @@ def test_triangles_are_conforming_upright_and_well_shaped(rig, edge):
         assert smallest_angles(mesh).min() > 18
         free.append(smallest_angles(mesh)[~specimen.held[mesh.faces].all(axis=1)])
     free = np.concatenate(free)
-    assert free.min() > 23 and (free < 30).mean() < 5e-3
+    assert free.min() > 23 and (free < 30).mean() < 1e-2
 
 
 @pytest.mark.parametrize("grading", [1.0, GRADING, 4.0])
@@ -172,7 +172,8 @@ def test_same_topology_same_bytes_other_topology_other_mesh():
     ("rig", "change", "word"),
     [(Rig(), {"edge": 4e-4}, "edge=0.4 mm"), (Rig(), {"edge": 0.06}, "between 0.5 and 50 mm"),
      (Rig(), {"edge": np.nan}, "edge=nan"), (Rig(), {"grading": 0.9}, "grading=0.9"),
-     (Rig(), {"topology": TOPOLOGIES}, f"topology={TOPOLOGIES}"), (Rig(), {"topology": -1}, "from 0"),
+     (Rig(), {"topology": TOPOLOGIES}, f"topology={TOPOLOGIES}"),
+     (Rig(), {"topology": -1}, "from 0"),
      (Rig(), {"offset": (0.095, 0.0)}, "5 mm .* too narrow for edges of 3 mm, which need 6 mm"),
      (DISC_RIG, {"edge": 0.035}, "60 mm .* too narrow"),
      (DISC_RIG, {"offset": (0.04, 0.04)}, "3.43 mm"), (Rig(), {"offset": (np.nan, 0.0)}, "narrow"),

@@ -204,7 +204,7 @@ def test_rigs_that_hold_nothing_are_refused(arguments, word):
 def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
     """Of the square's overhang of 100 mm, 22 mm are left: two edges of 11 mm."""
     offset = (0.078, 0.0)
-    with pytest.raises(InputError, match="22 mm .* narrow for edges of 16 mm, which need 32 mm"):
+    with pytest.raises(InputError, match=r"22 mm .* narrow for edges of 16 mm"):
         drape(isotropic(60), edge=0.016, offset=offset)
     assert drape(isotropic(60), edge=0.008, offset=offset).converged
 
