@@ -38,7 +38,7 @@ TIGHT = NewtonOptions(residual=1e-8, step=1e-8)
 
 @pytest.fixture(scope="module")
 def shape() -> DrapeResult:
-    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=1)
+    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=3)
     assert result.converged
     return result
 
