@@ -1,17 +1,20 @@
 """Contact with rigid obstacles: the cylinder under the plate, a tester's ramp.
 
-Obstacles are convex. Each says, for any points, how deep they lie inside it; one energy turns
+Obstacles are convex. Each gives, for any points, how deep they lie inside it; one energy turns
 depth into pressure.
 """
 
 from dataclasses import dataclass
 from typing import Protocol
 
-import numba
 import numpy as np
 
 from sim.energies.base import Energy
 from sim.energies.remember import Remembered
+
+RIM_RADIUS = 5e-4
+"""m, to which the rim of the plate is rounded. On a sharp rim the nearest surface would change from
+top to side at a touch; cloth presses in by less than this."""
 
 
 class Obstacle(Protocol):
@@ -23,30 +26,61 @@ class Obstacle(Protocol):
         A concave function that changes by at most the distance moved.
         """
 
-    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the surface nearest to points (N, 3): outward normals (N, 3) and radii (N,), m.
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) outward normals of the surface nearest to points (N, 3): less the depth's slope."""
 
-        Radii are those of the surface's curvature about the vertical, infinite where it is flat.
-        """
+    def bends(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3, 3) second derivatives of the depth, 1/m; negative semi-definite."""
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards."""
+    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards.
+
+    Its rim is rounded to ``rim`` (m).
+    """
 
     radius: float
+    rim: float = RIM_RADIUS
 
     def depths(self, points: np.ndarray) -> np.ndarray:
-        x, y, z = points.T
-        return np.minimum(self.radius - np.hypot(x, y), -z)
+        _, outwards, upwards = self._from_rim(points)
+        corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
+        return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
 
-    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        distance, across, along = self._profile(points)
+        x, y, _ = points.T
+        safe = np.where(distance > 0, distance, 1.0)
+        return np.stack([x / safe * across, y / safe * across, along], axis=1)
+
+    def bends(self, points: np.ndarray) -> np.ndarray:
+        distance, across, along = self._profile(points)
+        x, y, _ = points.T
+        safe = np.where(distance > 0, distance, 1.0)
+        _, outwards, upwards = self._from_rim(points)
+        # Round the axis, with the distance from it; round the rim, where top and side meet.
+        around = np.stack([-y / safe, x / safe, np.zeros(len(points))], axis=1)
+        over = np.stack([-x / safe * along, -y / safe * along, across], axis=1)
+        rounded = (outwards > 0) & (upwards > 0)
+        on_rim = np.where(rounded, 1 / np.where(rounded, np.hypot(outwards, upwards), 1.0), 0.0)
+        return -((across / safe)[:, None, None] * around[:, :, None] * around[:, None, :]
+                 + on_rim[:, None, None] * over[:, :, None] * over[:, None, :])
+
+    def _from_rim(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances from the axis, and from the circle that the rim is rounded about: out, up."""
         x, y, z = points.T
         distance = np.hypot(x, y)
-        sideways = self.radius - distance < -z
-        safe = np.where(distance > 0, distance, 1.0)
-        normal = np.stack([x / safe * sideways, y / safe * sideways, 1.0 - sideways], axis=1)
-        return normal, np.where(sideways, safe, np.inf)
+        return distance, distance - (self.radius - self.rim), z + self.rim
+
+    def _profile(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances from the axis, and the normals' parts away from it and upwards."""
+        distance, outwards, upwards = self._from_rim(points)
+        rounded = (outwards > 0) & (upwards > 0)
+        size = np.where(rounded, np.hypot(outwards, upwards), 1.0)
+        sideways = outwards > upwards
+        return (distance, np.where(rounded, outwards / size, sideways),
+                np.where(rounded, upwards / size, ~sideways))
 
 
 @dataclass(frozen=True)
@@ -62,12 +96,14 @@ class Ramp:
         x, _, z = points.T
         return np.minimum(-z, -(x * np.sin(self.angle) + z * np.cos(self.angle)))
 
-    def normals(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def normals(self, points: np.ndarray) -> np.ndarray:
         x, _, z = points.T
         sloping = -(x * np.sin(self.angle) + z * np.cos(self.angle)) < -z
         slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
-        normal = np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
-        return normal, np.full(len(x), np.inf)
+        return np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
+
+    def bends(self, points: np.ndarray) -> np.ndarray:
+        return np.zeros((len(points), 3, 3))
 
 
 class ObstacleContact(Energy):
@@ -110,7 +146,7 @@ class ObstacleContact(Energy):
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         touching, points, depth = self._contacts(q)
-        normal, _ = self.obstacle.normals(points)
+        normal = self.obstacle.normals(points)
         force = -(self.share * self.scale[touching] * depth**2)[:, None] * normal
         result = np.zeros(self.dofs.shape)
         result[touching] = np.tile(force, self.dofs.shape[1] // 3)
@@ -118,11 +154,14 @@ class ObstacleContact(Energy):
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         touching, points, depth = self._contacts(q)
-        normal, radius = self.obstacle.normals(points)
-        scale = self.share**2 * self.scale[touching]
+        normal = self.obstacle.normals(points)
+        scale = (self.share**2 * self.scale[touching] * depth)[:, None, None]
+        block = 2.0 * scale * normal[:, :, None] * normal[:, None, :]
+        if not convex:
+            # The surface's curvature: cloth that slides along it is pushed in another direction.
+            block += scale * depth[:, None, None] * self.obstacle.bends(points)
         count = self.dofs.shape[1] // 3
         result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
-        block = _hessian(depth, normal, np.full_like(radius, np.inf) if convex else radius, scale)
         result[touching] = np.tile(block, (1, count, count))
         return result
 
@@ -136,21 +175,3 @@ class ObstacleContact(Energy):
         depth = self.obstacle.depths(points)
         touching = np.flatnonzero(depth > 0.0)
         return touching, points[touching], depth[touching]
-
-
-@numba.njit(cache=True)
-def _hessian(depth, normal, radius, scale):
-    result = np.zeros((len(depth), 3, 3))
-    for a in range(len(depth)):
-        stiffness = 2.0 * scale[a] * depth[a]
-        for i in range(3):
-            for j in range(3):
-                result[a, i, j] = stiffness * normal[a, i] * normal[a, j]
-        # Curvature of the surface: along its tangent, force/radius, pushing outwards.
-        bend = -scale[a] * depth[a] ** 2 / radius[a]
-        tx, ty = -normal[a, 1], normal[a, 0]
-        result[a, 0, 0] += bend * tx * tx
-        result[a, 0, 1] += bend * tx * ty
-        result[a, 1, 0] += bend * tx * ty
-        result[a, 1, 1] += bend * ty * ty
-    return result

@@ -16,7 +16,7 @@ from sim.scene import Rig
 
 SCANS = Path(__file__).parents[2] / ".." / "shared" / "scans"
 needs_scans = pytest.mark.skipif(not SCANS.exists(), reason="the scans are not here")
-RIG = Rig(name="disc", specimen_size=0.300, plate_diameter=0.180)
+RIG = Rig(specimen_size=0.300, plate_diameter=0.180)
 
 
 def scan_arrays() -> dict[str, np.ndarray]:
