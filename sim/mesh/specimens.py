@@ -19,7 +19,6 @@ LONGEST = 0.020
 """Length, m, to which edges grow at most, so that coarse meshes hold the folds of a start."""
 DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
 EDGES_PER_LENGTH = 5.5
-_STEP = 2.5  # of the edges' length from one mesh of a drape to the next
 COARSEST = 0.013
 """Longest edges at the rim, m, that a drape is started on."""
 BORROWED_COARSEST = 0.0065
@@ -151,12 +150,11 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 
 
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
-    """Edges at the rim, m, of the meshes a drape is solved on; each has edges
-    2.5 times shorter than the one before.
+    """Edges at the rim, m, of the meshes a drape is solved on; they halve each time.
 
     None but the last has edges above ``coarsest``.
     """
     levels = [edge]
-    while _STEP * levels[0] <= coarsest:
-        levels.insert(0, _STEP * levels[0])
+    while 2 * levels[0] <= coarsest:
+        levels.insert(0, 2 * levels[0])
     return levels

@@ -218,7 +218,7 @@ def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
     assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.012)
 
 
-def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
-    assert coarse_to_fine(0.002) == pytest.approx([0.0125, 0.005, 0.002])
-    assert coarse_to_fine(0.0025, 0.0065) == pytest.approx([0.00625, 0.0025])
+def test_levels_halve_the_edges():
+    assert coarse_to_fine(0.0025) == [0.01, 0.005, 0.0025]
+    assert coarse_to_fine(0.0025, 0.0065) == [0.005, 0.0025]
     assert coarse_to_fine(0.02) == [0.02]
