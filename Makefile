@@ -68,7 +68,7 @@ bench: $(STAMP)  ## all timings on this machine, one JSON: docs/validation/bench
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the same JSON
-	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 resolutions=0,101 batches=1,16,64,256 \
+	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 edges_mm=0,2 batches=1,16,64,256 \
 	  out=docs/validation/batched_gpu.json
 	$(BIN)/python -m benchmarks.render out=docs/validation/render_gpu.json
 	$(BIN)/python -m benchmarks.report
