@@ -25,7 +25,7 @@ from drapenet.table import format_table
 
 def infer(
     capture: Capture, header: Header, *, refine: str = "none", drapes: int = 2,
-    resolution: int = 0,
+    edge: float = 0.0,
 ) -> tuple[dict, bytes | None]:
     """The content of ``estimate.json`` and, unless ``drapes`` is 0, the bytes of ``report.png``."""
     # Imported here because torch takes seconds, and a bad capture should be told at once.
@@ -48,7 +48,7 @@ def infer(
         from drapenet.refine.views import FINE
 
         refined = refine_capture(estimate, capture, views, camera, rig=Rig.from_name(header.rig),
-                                 known=belief(prediction, header), resolution=resolution or FINE)
+                                 known=belief(prediction, header), edge=edge or FINE)
         estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
     if refined:
@@ -59,11 +59,11 @@ def infer(
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:
-            from drapenet.resimulate import RESOLUTION, resimulate
+            from drapenet.resimulate import EDGE, resimulate
 
             drape = resimulate(
                 estimate.fabric, views, camera, rig=Rig.from_name(header.rig),
-                resolution=resolution or RESOLUTION, drapes=drapes)
+                edge=edge or EDGE, drapes=drapes)
         if drape:
             from drapenet.limits import add_limits
 
@@ -89,7 +89,7 @@ def infer(
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/infer.yaml``."""
     config = parse_overrides(read_config("infer"), argv)
-    unused = ("checkpoint", "drapes", "resolution") if config["scan"] else ("held",)
+    unused = ("checkpoint", "drapes", "edge_mm") if config["scan"] else ("held",)
     given = {word.partition("=")[0] for word in argv}
     if wrong := [key for key in unused if key in given]:
         raise InputError(f"{wrong[0]}= has no effect with "
@@ -115,7 +115,7 @@ def main(argv: list[str]) -> None:
     require_output(out)
 
     content, picture = infer(capture, header, refine=config["refine"], drapes=config["drapes"],
-                             resolution=config["resolution"])
+                             edge=config["edge_mm"] * 1e-3)
     write_estimate(out, content, format_table(content))
     if picture is not None:
         write_report(out, picture)

@@ -11,9 +11,8 @@ Keys (``key=value``):
     start        initial shape: sine or fold
     borrow       drape.npz of another fabric on the same rig to start from, in place of start
     seed         of the initial shape and of the triangulation
-    mesh         structured, perturbed or unstructured
-    resolution   vertices a side, or across the disc, 8 to 401; 0 chooses by the fabric's bending
-                 length
+    edge_mm      length of the mesh's edges at the plate's rim, 1 to 50; 0 chooses by the fabric's
+                 bending length
     offset       specimen's centre off the plate's axis along warp,weft in mm
     out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
                  rest, positions, faces, held; see data/drape_file.py)
@@ -44,8 +43,7 @@ DEFAULTS = {
     "start": "sine",
     "borrow": "",
     "seed": 0,
-    "mesh": "perturbed",
-    "resolution": 0,
+    "edge_mm": 0.0,
     "offset": [0.0, 0.0],
     "out": "outputs/drape",
 }
@@ -70,11 +68,10 @@ def main(argv: list[str]) -> None:
     result = drape(
         fabric,
         rig=Rig.from_name(config["rig"]),
-        resolution=config["resolution"] or None,
+        edge=config["edge_mm"] * 1e-3 or None,
         start=config["start"],
         borrowed=read_borrowed(Path(config["borrow"])) if config["borrow"] else None,
         seed=config["seed"],
-        mesh=config["mesh"],
         offset=tuple(1e-3 * v for v in config["offset"]),
     )
     summary = summarise(result, config)
@@ -101,13 +98,14 @@ def summarise(result: DrapeResult, config: dict) -> dict:
             "beta_nN_m2": dict(zip(DIRECTIONS, config["beta"], strict=True)),
             "density_g_m2": config["density"],
             **{key: config[key]
-               for key in ("rig", "borrow", "seed", "mesh")},
+               for key in ("rig", "borrow", "seed")},
             "start": None if config["borrow"] else config["start"],
-            "resolution": result.resolution,
+            "edge_mm": round(1e3 * result.edge, 6),
             "offset_mm": config["offset"],
         },
         "status": result.status.value,
         "message": result.message,
+        "coarser_meshes": [status.value for status in result.coarse],
         "residual": result.residual,
         "last_step_mm": result.step,
         "positive_definite": result.positive_definite,

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from sim.equivalent import equivalent_modulus, hang_mesh
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from common.cli import run_command
 from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.equivalent import equivalent_modulus, hang_mesh
 from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
 from sim.initial import interpolate_positions
 from sim.laws import Laws

@@ -16,9 +16,8 @@ from data.cameras import Camera, CameraRig
 from data.dataset import DrapeDataset
 from data.rasterise import camera_tensors, render_batch
 from data.render import VIEWS
-from data.shards import LENGTH_UNIT, unpack_diagonals
+from data.shards import LENGTH_UNIT, Shard
 from data.splits import SplitDataset, finished_manifest
-from sim.mesh import grid_faces
 
 
 @dataclass(frozen=True)
@@ -127,22 +126,22 @@ class FreshDataset(SplitDataset):
         return self._noise(views, intrinsics, generator)
 
     def _load(self) -> None:
-        """Keep of each drape its counts (V, 3) int16 and its diagonals (cells,) bool."""
-        self._counts, self._diagonals = [], []
-        columns = self._read("resolution", "positions", "diagonals").values()
-        for resolution, positions, diagonals in (row for part in zip(*columns, strict=True)
-                                                 for row in zip(*part, strict=True)):
-            cells = unpack_diagonals(diagonals, resolution).ravel()
-            # A copy: a part of the array would keep all of it.
-            counts = positions[: resolution**2].copy()
-            self._counts.append(torch.from_numpy(counts).to(self.device))
-            self._diagonals.append(torch.from_numpy(cells).to(self.device))
-        # The two ways to cut each cell of a mesh, by its number of cells: (cells, 6).
-        self._cuts = {}
-        for cells in {len(row) for row in self._diagonals}:
-            whole = np.ones((round(cells**0.5),) * 2, dtype=bool)
-            self._cuts[cells] = [torch.from_numpy(grid_faces(cut).reshape(-1, 6)).to(self.device)
-                                 for cut in (whole, ~whole)]
+        """Keep of each drape its counts (V, 3) int16 and which triangulation (F, 3) it has."""
+        self._counts, self._mesh, self._triangulations = [], [], []
+        known: dict[bytes, int] = {}
+        columns = self._read("vertices", "positions", "mesh")
+        for file, *parts in zip(self._rows, *columns.values(), strict=True):
+            with Shard(self.root / file) as shard:
+                meshes = [faces.astype(np.int32) for faces in shard.triangulations()]
+            places = [known.setdefault(faces.tobytes(), len(known)) for faces in meshes]
+            for place, faces in zip(places, meshes, strict=True):
+                if place == len(self._triangulations):
+                    self._triangulations.append(torch.from_numpy(faces).to(self.device))
+            for vertices, positions, mesh in zip(*parts, strict=True):
+                # A copy: a part of the array would keep all of it.
+                counts = positions[:vertices].copy()
+                self._counts.append(torch.from_numpy(counts).to(self.device))
+                self._mesh.append(places[mesh])
 
     def _drapes(self, drapes: Sequence[int], mirror: Sequence[bool]) -> torch.Tensor:
         """Vertices (B, V, 3), m, of drapes or their mirror images; zeros follow short rows."""
@@ -153,9 +152,8 @@ class FreshDataset(SplitDataset):
 
     def _faces(self, drapes: Sequence[int]) -> torch.Tensor:
         """Triangles (B, F, 3) of drapes; after short rows such as are a single point."""
-        faces = [torch.where(row[:, None], *self._cuts[len(row)]).reshape(-1, 3)
-                 for row in (self._diagonals[drape] for drape in drapes)]
-        return pad_sequence(faces, batch_first=True)
+        faces = [self._triangulations[self._mesh[drape]] for drape in drapes]
+        return pad_sequence(faces, batch_first=True).long()
 
 
 def open_views(

@@ -116,7 +116,7 @@ damaged shards anew; asked for more drapes, it extends the dataset. The files de
 number of workers, parts and machines nor on interruptions.
 
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
-    python -m data.generate out=outputs/small drapes=16 resolution=31 dataset=fresh
+    python -m data.generate out=outputs/small drapes=16 edge_mm=5 dataset=fresh
 
 A drape takes about 2 s of one core, and 20 kB without views, 300 kB with eight sets of them. What a
 dataset holds is shown by python -m data.inspect OUT.

@@ -25,13 +25,6 @@ class DatasetOptions:
 
 
 @dataclass
-class SolverOptions:
-    """The group ``solver``; see ``configs/solver``."""
-
-    jitter: float = 0.15
-
-
-@dataclass
 class PriorOptions:
     """The group ``prior``; see ``configs/prior``."""
 
@@ -48,9 +41,8 @@ class Options:
     part: int = 0
     parts: int = 1
     seed: int = 0
-    resolution: int = 0
+    edge_mm: float = 0.0
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
-    solver: SolverOptions = field(default_factory=SolverOptions)
     prior: PriorOptions = field(default_factory=PriorOptions)
     rig: Any = None
 
@@ -72,8 +64,7 @@ def config_from_options(options: Options) -> DatasetConfig:
         prior=load_prior(options.prior.file),
         rig=Rig.from_name(cameras.name),
         cameras=cameras,
-        resolution=options.resolution,
-        jitter=options.solver.jitter,
+        edge=options.edge_mm * 1e-3,
         drapes_per_shard=dataset.drapes_per_shard,
         compression=dataset.compression,
     )

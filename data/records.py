@@ -21,9 +21,9 @@ from data.sampling import (
     plan_drape,
     stream,
 )
-from data.shards import DEPTH_UNIT, LENGTH_UNIT, Layout, fields, pack_diagonals, to_counts
+from data.shards import DEPTH_UNIT, FACES, LENGTH_UNIT, Layout, fields, to_counts
 from sim.material import Fabric
-from sim.mesh import check_resolution
+from sim.mesh.specimens import EDGES
 from sim.scene import Rig
 
 Solver = Callable[..., object]
@@ -47,9 +47,8 @@ class DatasetConfig:
         prior: distribution of the fabrics.
         rig: specimen and plate.
         cameras: camera, with its jitter.
-        resolution: vertices along a side of the specimen; 0: chosen for each fabric, see
-            :func:`sim.drape.default_resolution`.
-        jitter: perturbation of the rest triangulation, in edges.
+        edge: length of the meshes' edges at the plate's rim, m; 0: chosen for each fabric, see
+            :func:`sim.mesh.specimens.default_edge`.
         drapes_per_shard: drapes in a file.
         compression: gzip level, 1 to 9.
     """
@@ -59,8 +58,7 @@ class DatasetConfig:
     prior: Prior
     rig: Rig
     cameras: CameraRig
-    resolution: int = 0
-    jitter: float = 0.15
+    edge: float = 0.0
     drapes_per_shard: int = 16
     compression: int = 4
 
@@ -68,10 +66,9 @@ class DatasetConfig:
         for name in ("drapes", "drapes_per_shard"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}={getattr(self, name)} must be at least 1")
-        if self.resolution:
-            check_resolution(self.resolution)
-        if not 0 <= self.jitter <= 0.3:
-            raise InputError(f"jitter={self.jitter} must lie between 0 and 0.3 edges")
+        if self.edge and not EDGES[0] <= self.edge <= EDGES[1]:
+            raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
+                             f"fabric, or {1e3 * EDGES[0]:g} to {1e3 * EDGES[1]:g} mm")
         if not 1 <= self.compression <= 9:
             raise InputError(f"compression={self.compression} must lie between 1 and 9")
         if not self.rig.has_plate or self.rig.specimen != "square":
@@ -101,7 +98,7 @@ class DatasetConfig:
             "prior": prior_content(self.prior),
             "rig": self.rig.as_dict(),
             "cameras": _plain(asdict(self.cameras)),
-            "solver": {"resolution": self.resolution, "jitter": self.jitter},
+            "solver": {"edge_mm": round(1e3 * self.edge, 6)},
             "storage": {
                 "drapes_per_shard": self.drapes_per_shard,
                 "compression": self.compression,
@@ -155,10 +152,11 @@ def simulate(
         # As stored, so that the shard alone is enough to repeat the drape.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
-    resolution = config.resolution or _own_resolution(fabric, config.rig)
+    edge = config.edge or _own_edge(fabric, config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
-             for name, field in fields(config.layout, resolution).items()}
+             for name, field in fields(config.layout, 0).items()}
     record = empty | {
+        FACES: np.zeros((0, 3), np.int32),
         "index": plan.index,
         "fabric": plan.fabric,
         "theta": plan.theta,
@@ -169,7 +167,7 @@ def simulate(
         "lender": -1 if lender is None else lender["index"],
         "seed": plan.seed,
         "offset": plan.offset,
-        "resolution": resolution,
+        "edge": edge,
         "orientations": plan.orientations,
         "turns": plan.turns,
         "residual": np.nan,
@@ -180,10 +178,9 @@ def simulate(
         result = solver(
             fabric,
             rig=config.rig,
-            resolution=resolution,
+            edge=edge,
             seed=plan.seed,
             offset=tuple(plan.offset),
-            jitter=config.jitter,
             **start,
         )
     except ACCIDENTS as error:
@@ -194,7 +191,8 @@ def simulate(
         record |= {
             "positions": to_counts(result.positions, unit=LENGTH_UNIT, dtype=np.int16),
             "rest": to_counts(result.rest, unit=LENGTH_UNIT, dtype=np.int16),
-            "diagonals": pack_diagonals(result.diagonals),
+            "vertices": len(result.rest),
+            FACES: result.faces,
         }
     except OverflowError as error:
         if result.converged:
@@ -212,12 +210,12 @@ def _accident(error: Exception) -> dict:
     return _outcome("exception", f"{type(error).__name__}: {error}")
 
 
-def _own_resolution(fabric: Fabric, rig: Rig) -> int:
-    """The mesh that the simulator chooses for a fabric."""
+def _own_edge(fabric: Fabric, rig: Rig) -> float:
+    """The mesh that the simulator chooses for a fabric: its edges at the rim, m."""
     # Imported here like the solver, see load_solver.
-    from sim.drape import default_resolution
+    from sim.mesh.specimens import default_edge
 
-    return default_resolution(fabric, rig)
+    return default_edge(fabric, rig)
 
 
 def load_solver() -> Solver:

@@ -19,9 +19,8 @@ from common.errors import InputError, one_line
 from common.files import replace_shared_file
 from data.progress import over_shards
 from data.render import VIEWS
-from sim.mesh import grid_faces
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 DEPTH_UNIT = 1e-4  # m per count of stored depth
@@ -53,18 +52,19 @@ class Field:
     meaning: str
 
 
-MESH = ("positions", "rest", "diagonals")
+POINTS = ("positions", "rest")
 """Arrays whose row is as long as a drape's own mesh asks; in a file, zeros follow."""
+FACES = "faces"
+"""The array of a shard's triangulations, each once; after the triangles of one follow zeros."""
 
 
-def fields(layout: Layout, resolution: int) -> dict[str, Field]:
-    """The arrays of a shard; each has the drape in the shard as its first axis.
+def fields(layout: Layout, vertices: int) -> dict[str, Field]:
+    """The arrays of a shard that have the drape in the shard as their first axis.
 
     Args:
-        resolution: vertices along a side of the specimen, n; of a shard, of its finest one.
+        vertices: of the drape's mesh, V; of a shard, of its finest one.
     """
-    n, k = resolution, layout.orientations
-    vertices, cells = n * n, (n - 1) ** 2
+    k = layout.orientations
     image = (VIEWS, layout.height, layout.width)
     return {
         "index": Field("i8", (), "", "position of the drape in the dataset"),
@@ -83,10 +83,11 @@ def fields(layout: Layout, resolution: int) -> dict[str, Field]:
         "iterations": Field("i4", (), "", "Newton iterations"),
         "drape_coefficient": Field("f8", (), "1", "of the drape; NaN unless converged"),
         "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
-        "resolution": Field("i4", (), "", "vertices along a side of the drape's own mesh"),
+        "edge": Field("f8", (), "m", "length of the mesh's edges at the plate's rim"),
+        "vertices": Field("i4", (), "", "vertices of the drape's own mesh"),
+        "mesh": Field("i4", (), "", "the drape's triangulation among those of the shard"),
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
-        "diagonals": Field("u1", (-(-cells // 8),), "bits", "diagonal of each cell, packbits"),
         "rendered": Field("u1", (), "", "1 where the views are valid, else they are zeros"),
         "orientations": Field("f8", (k,), "rad", "warp in view 0, counter-clockwise from above"),
         "turns": Field("f8", (k, VIEWS), "rad", "turntable beyond k quarter turns in view k"),
@@ -106,17 +107,6 @@ def to_counts(values: np.ndarray, *, unit: float, dtype: type[np.integer]) -> np
     return counts.astype(dtype)
 
 
-def pack_diagonals(diagonals: np.ndarray) -> np.ndarray:
-    """Bits ((n-1)²/8,) uint8, rounded up, of the diagonals (n-1, n-1) bool."""
-    return np.packbits(np.asarray(diagonals, dtype=bool).ravel())
-
-
-def unpack_diagonals(packed: np.ndarray, resolution: int) -> np.ndarray:
-    """The inverse of :func:`pack_diagonals`."""
-    cells = resolution - 1
-    return np.unpackbits(packed, count=cells * cells).astype(bool).reshape(cells, cells)
-
-
 SHARDS = "shard_*.h5"
 """Pattern of :func:`shard_name`."""
 
@@ -133,10 +123,11 @@ def write_shard(
     layout: Layout,
     attributes: Mapping[str, str | int | float],
 ) -> None:
-    """Write ``records`` (one mapping from each name of :func:`fields` to its row) to ``path``.
+    """Write ``records`` to ``path``.
 
-    The mesh of a record has the record's own resolution. The file appears under its name only when
-    it is complete; several processes may write it.
+    A record maps each name of :func:`fields` but "mesh" to its row, and "faces" to its triangles
+    (F, 3). The file appears under its name only when it is complete; several processes may write
+    it.
 
     Raises:
         InputError: the system refuses to write.
@@ -158,16 +149,27 @@ def shard_bytes(
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        own = [fields(layout, int(record["resolution"])) for record in records]
-        finest = max(int(record["resolution"]) for record in records)
+        places, meshes = _distinct([record[FACES] for record in records])
+        rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
+        own = [fields(layout, int(record["vertices"])) for record in rows]
+        finest = max(int(record["vertices"]) for record in rows)
         for name, field in fields(layout, finest).items():
-            for record, expected in zip(records, own, strict=True):
+            for record, expected in zip(rows, own, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
                                      f"{expected[name].shape}")
-            _write_field(file, name, field, [record[name] for record in records], layout)
+            _write_field(file, name, field, [record[name] for record in rows], layout)
+        most = max(len(mesh) for mesh in meshes)
+        _write_field(file, FACES, Field("i4", (most, 3), "", ""), meshes, layout)
     content = memory.getbuffer()[SEAL_SIZE:]
     return _seal(hashlib.sha256(content).hexdigest()) + content
+
+
+def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
+    """Which of the distinct triangulations each one is, and these."""
+    places: dict[bytes, int] = {}
+    which = [places.setdefault(np.asarray(f, np.int32).tobytes(), len(places)) for f in faces]
+    return which, [faces[which.index(place)] for place in range(len(places))]
 
 
 def _write_field(
@@ -183,7 +185,7 @@ def _write_field(
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
-        data[(i, slice(len(row))) if name in MESH else i] = row
+        data[(i, slice(len(row))) if name in (*POINTS, FACES) else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
@@ -285,12 +287,14 @@ class Shard:
 
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) of a drape."""
-        resolution = int(self._file["resolution"][row])
-        vertices = slice(resolution**2)
+        vertices = slice(int(self._file["vertices"][row]))
         positions = self._file["positions"][row, vertices] * LENGTH_UNIT
         rest = self._file["rest"][row, vertices] * LENGTH_UNIT
-        diagonals = unpack_diagonals(self._file["diagonals"][row], resolution)
-        return positions, rest, grid_faces(diagonals)
+        return positions, rest, self.triangulations()[self._file["mesh"][row]]
+
+    def triangulations(self) -> list[np.ndarray]:
+        """Triangles (F, 3) of each of the shard's triangulations."""
+        return [faces[faces.any(axis=1)].astype(np.int64) for faces in self._file[FACES][:]]
 
 
 MANIFEST = "dataset.json"

@@ -113,7 +113,7 @@ def make_dataset(header: Header, root: Path, config: dict) -> None:
     """Make or complete the dataset that the command line asks for; InputError if a fabric of it may
     have been seen.
     """
-    words = [f"{key}={config[key]}" for key in ("drapes", "seed", "resolution", "prior")]
+    words = [f"{key}={config[key]}" for key in ("drapes", "seed", "edge_mm", "prior")]
     words += ["dataset.starts_per_fabric=1",
               f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)

@@ -33,7 +33,7 @@ DEFAULTS = {
     "beta": [-96.0, -60.0, -44.0],  # nN·m², likewise: beta/alpha is -2 mm
     "density": 210.0,            # g/m²
     "warp_direction": 25.0,      # degrees, in the first view
-    "resolution": 51,            # vertices along a side of the specimen
+    "edge_mm": 3.0,              # edges of the mesh at the plate's rim
     "sensor": "smooth",          # noise, a file of configs/sensor
     "seed": 2022,                # of the folds, the camera and the noise
 }
@@ -57,7 +57,7 @@ def main(argv: list[str]) -> None:
         noise = replace(noise, eight_bit_probability=0.0)
     fabric = Fabric(alpha=np.array(config["alpha"]) * MICRO, beta=np.array(config["beta"]) * NANO,
                     density=density)
-    result = drape(fabric, rig=Rig.from_name(rig.name), resolution=config["resolution"],
+    result = drape(fabric, rig=Rig.from_name(rig.name), edge=1e-3 * config["edge_mm"],
                    seed=config["seed"])
     if not result.converged:
         raise InputError(f"the drape did not converge ({result.message}); try another seed")

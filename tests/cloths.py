@@ -17,16 +17,13 @@ from data.shards import (
     write_manifest,
     write_shard,
 )
-from sim.mesh import draped_square
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig
 
 
-def skirt(fabric, *, rig, resolution, start, seed, offset, jitter):
+def skirt(fabric, *, rig, edge, start, seed, offset):
     """In place of the solver: five folds, the deeper the softer, which lean to one side."""
-    mesh, _, cells = draped_square(
-        size=rig.specimen_size, plate_radius=rig.plate_radius, resolution=resolution,
-        offset=offset, jitter=jitter, seed=seed,
-    )
+    mesh = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset).mesh
     radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
     reach = np.maximum(radius - rig.plate_radius, 0)
     depth = 0.6 / (1 + fabric.alpha.mean() / 20e-6)
@@ -35,20 +32,20 @@ def skirt(fabric, *, rig, resolution, start, seed, offset, jitter):
     positions = np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach])
     return SimpleNamespace(
         status="converged", converged=True, message="", positions=positions, rest=mesh.rest,
-        faces=mesh.faces, diagonals=cells, residual=1e-5, iterations=1,
+        faces=mesh.faces, residual=1e-5, iterations=1,
     )
 
 
 def write_dataset(
     root: Path, *, drapes: int, orientations: int = 0, rig: CameraRig | None = None,
-    resolution: int = 15,
+    edge: float = 0.012,
     **sampling: object,
 ) -> Path:
     """Drapes of one fabric each, in shards of 16, with ``orientations`` stored sets of views."""
     config = DatasetConfig(
         drapes=drapes, prior=load_prior("gaussian"), rig=Rig(), cameras=rig or CameraRig.load(),
         sampling=SamplingConfig(orientations=orientations, starts_per_fabric=1, **sampling),
-        resolution=resolution,
+        edge=edge,
     )
     root.mkdir(parents=True)
     for shard in range(config.shards):

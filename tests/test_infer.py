@@ -125,7 +125,7 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
 
 @pytest.mark.parametrize(("word", "message"), [
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
-    ("resolution=3", "resolution"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
+    ("edge_mm=0.3", "edge=0.3 mm"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
     ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
     ("refine=scan", "none or depth")])
 def test_bad_words_are_one_line(
@@ -203,7 +203,7 @@ def test_estimate_says_what_it_is(
 
 
 def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -> None:
-    infer.main(words(capture, checkpoint, "drapes=1", "resolution=17"))
+    infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12"))
     out = capture.parent / "out"
     content = json.loads((out / "estimate.json").read_text())
     assert content["resimulation"]["statuses"] == ["converged"]
@@ -224,7 +224,7 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("drapenet.report.draw_report", interrupted)
-    infer.main(words(capture, checkpoint, "drapes=1", "resolution=17"))
+    infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12"))
     out = capture.parent / "out"
     assert [file.name for file in out.iterdir()] == ["estimate.json"]
     content = json.loads((out / "estimate.json").read_text())
@@ -234,7 +234,7 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
 
 def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
-    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth", "resolution=41"])
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth", "edge_mm=4"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     refined = content["refined"]
     assert refined["misfit"] <= refined["misfit_before"]
@@ -281,7 +281,7 @@ def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
     folder = tmp_path / "capture"
     write_capture(folder, views=twill.views[:, ::-1], intrinsics=twill.intrinsics,
                   density=twill.density)
-    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=1", "resolution=17"])
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=1", "edge_mm=12"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     for doubt in ("check that the pictures are upright", "check the pictures, their intrinsics"):
         assert any(doubt in warning for warning in content["warnings"])

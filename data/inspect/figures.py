@@ -9,7 +9,7 @@ import numpy as np
 from data.fabrics import THETA_NAMES
 from data.prior import prior_from_content, sample_admissible
 from data.progress import over_shards
-from data.shards import MESH, Shard
+from data.shards import FACES, POINTS, Shard
 from sim.material import MICRO
 from sim.measures import maximum_stretch
 from sim.self_contact import self_intersections
@@ -203,6 +203,6 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
 def _disk(drapes: Drapes) -> dict[str, int]:
     """Bytes of the shards by part."""
     used = dict(drapes.bytes)
-    parts = {"views": used.pop("views"), "meshes": sum(used.pop(name) for name in MESH),
+    parts = {"views": used.pop("views"), "meshes": sum(used.pop(name) for name in (*POINTS, FACES)),
              "file structure": used.pop("other")}
     return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}

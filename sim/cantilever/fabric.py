@@ -11,36 +11,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from common.errors import InputError
-from sim.cantilever.curves import fit_bezier
+from sim.cantilever.bezier import fit_bezier
 from sim.cantilever.regression import Estimate, regress
 from sim.cantilever.table import match
-from sim.cantilever.tester import hang
-from sim.laws import Laws
+from sim.cantilever.tester import simulate_strips
 from sim.material import DIRECTIONS, Fabric, is_admissible
-from sim.newton import Status
 from sim.scene import GRAVITY
 
-ANGLES = {"warp": 0.0, "bias": np.pi / 4, "weft": np.pi / 2}
 METHODS = {"regression": regress, "table": match}
-CELLS = 20
-"""Along the bending length of a simulated strip's direction; they err by 1 % in alpha."""
-
-CELLS_ACROSS = 10
-
 ROUNDS = 6
 LARGEST_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
 CLOSE = 0.05  # enough: 0.5 % in alpha and 0.05 mm in beta/alpha
 Strips = Mapping[str, Sequence[np.ndarray]]
 """Curves (N, 2), m, of one or several strips of each direction."""
-
-
-def bending_length(alpha: float, density: float) -> float:
-    """(alpha/rho g)^(1/3), m, of a modulus N·m and a density kg/m².
-
-    Strips of 1.5 and 2.5 of it, which fall 0.4 and 1.5 times as far as they reach if the law is
-    linear, tell alpha and beta well.
-    """
-    return float((alpha / (density * GRAVITY)) ** (1 / 3))
 
 
 def estimate(
@@ -65,8 +48,8 @@ def estimate(
         raise InputError("the density must be positive, in g/m²")
     found = {}
     for direction, curves in strips.items():
-        if direction not in ANGLES:
-            raise InputError(f"'{direction}' is not one of {', '.join(ANGLES)}")
+        if direction not in DIRECTIONS:
+            raise InputError(f"'{direction}' is not one of {', '.join(DIRECTIONS)}")
         try:
             found[direction] = METHODS[method](
                 curves, weight=density * GRAVITY, slope=slope, degree=degree
@@ -85,55 +68,13 @@ def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
         raise InputError(f"a fabric needs strips of all three directions; no {missing[0]}")
-    return Fabric(
-        alpha=np.array([estimates[d].alpha for d in DIRECTIONS]),
-        beta=np.array([estimates[d].beta for d in DIRECTIONS]),
-        density=density,
-    )
-
-
-def simulate_strips(
-    fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float = 0.03,
-    slope: float = 0.0, cells: int = CELLS, seed: int = 0, guided: bool = False,
-    laws: Laws | None = None,
-) -> dict[str, list[np.ndarray]]:
-    """Curves of simulated strips of ``lengths`` (m) by direction.
-
-    Args:
-        width: m.
-        slope, guided: see :func:`sim.cantilever.tester.hang`; guided strips are cylinders, and
-            a few cells across them are enough.
-        cells: along the bending length of the strip's direction.
-        seed: of the triangulation.
-        laws: of bending and membrane.
-
-    Raises:
-        InputError: a strip does not reach equilibrium.
-    """
-    strips: dict[str, list[np.ndarray]] = {}
-    for direction, each in lengths.items():
-        alpha = fabric.alpha[DIRECTIONS.index(direction)]
-        spacing = bending_length(alpha, fabric.density) / cells
-        for length in each:
-            edge = length / np.ceil(length / spacing)
-            hung = hang(
-                fabric, angle=ANGLES[direction], slope=slope, length=length, edge=edge,
-                width=3 * edge if guided else width, across=3 if guided else CELLS_ACROSS,
-                diagonals="random", seed=seed, guided=guided, laws=laws,
-            )
-            if hung.result.status is not Status.CONVERGED:
-                raise InputError(
-                    f"the simulated {direction} strip of {1e3 * length:.0f} mm does not settle: "
-                    f"{hung.result.message}"
-                )
-            strips.setdefault(direction, []).append(hung.curve)
-    return strips
+    moduli = np.array([[estimates[d].alpha, estimates[d].beta] for d in DIRECTIONS])
+    return Fabric(*moduli.T, density=density)
 
 
 def correct(
     strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = ROUNDS,
-    method: str = "table", slope: float = 0.0, degree: int | None = None,
-    width: float = 0.03,
+    width: float = 0.03, method: str = "table", slope: float = 0.0, degree: int | None = None,
 ) -> Fabric:
     """Moduli whose simulated strips give the estimates that the measured strips gave.
 
@@ -160,8 +101,8 @@ def correct(
         direction: [fit_bezier(c, degree=degree, slope=slope)[0].length for c in strips[direction]]
         for direction in DIRECTIONS
     }
-    target = _unknowns(estimates)
-    at, response = target, np.eye(len(target))
+    target = at = _unknowns(estimates)
+    response = np.eye(len(target))
     best, least, last = fabric, np.inf, None
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
@@ -180,8 +121,7 @@ def correct(
         while not is_admissible(*_moduli(at + move)):
             move = move / 2
         at = at + move
-        alpha, beta = _moduli(at)
-        fabric = Fabric(alpha=alpha, beta=beta, density=density)
+        fabric = Fabric(*_moduli(at), density=density)
     return best
 
 

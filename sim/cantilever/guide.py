@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from sim.energies.base import Energy
 from sim.mesh import Mesh
 
 
-class GuidedSides:
+class GuidedSides(Energy):
     """Penalty on whatever is not a cylinder across the strip.
 
     A strip cut off the yarn directions twists when it bends, and one with a Poisson effect
@@ -30,21 +31,17 @@ class GuidedSides:
         sides = 3 * vertices + np.flatnonzero(border)
         stops = np.stack([sides, np.full(len(sides), -1)], axis=1)
         self.dofs = np.concatenate([ties, stops])
+        self._signs = np.where(self.dofs >= 0, [1.0, -1.0], 0.0)
         self._stiffness = np.repeat([stiffness, stiffness * edge**2], [len(ties), len(stops)])
 
     def _differences(self, q: np.ndarray) -> np.ndarray:
-        return q[self.dofs[:, 0]] - np.where(self.dofs[:, 1] >= 0, q[self.dofs[:, 1]], 0.0)
+        return (self._signs * q[self.dofs]).sum(axis=1)
 
     def value(self, q: np.ndarray) -> float:
         return float(0.5 * self._stiffness @ self._differences(q) ** 2)
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        pull = self._stiffness * self._differences(q)
-        return np.stack([pull, np.where(self.dofs[:, 1] >= 0, -pull, 0.0)], axis=1)
+        return (self._stiffness * self._differences(q))[:, None] * self._signs
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        present = (self.dofs >= 0).astype(np.float64) * [1.0, -1.0]
-        return self._stiffness[:, None, None] * present[:, :, None] * present[:, None, :]
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return self._stiffness[:, None, None] * self._signs[:, :, None] * self._signs[:, None, :]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from common.errors import InputError
-from sim.cantilever.curves import fit_bezier
+from sim.cantilever.bezier import Bezier, fit_bezier
 from sim.material import torque
 
 SAMPLES = 256
@@ -50,34 +50,19 @@ class Estimate:
 
     @property
     def bounded(self) -> bool:
-        """Whether beta/alpha is where its search ends, so that the curves do not tell beta."""
+        """Whether beta/alpha is where its search ends, so that the curves do not fix beta."""
         return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
 
-    @property
-    def reduced_curvature(self) -> float:
-        """Largest -beta kappa/alpha; far below 0.1 the curves say little about beta."""
-        return -self.beta / self.alpha * self.curvature
 
-
-def torque_and_curvature(
-    curve: np.ndarray,
-    *,
-    weight: float,
-    slope: float = 0.0,
-    degree: int | None = None,
-    samples: int = SAMPLES,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Torque (samples,), N, and curvature (samples,), 1/m, from the clamp to the free end.
+def torque_and_curvature(bezier: Bezier, *, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Torque, N, and curvature, 1/m, (:data:`SAMPLES`,) each, from the clamp to the free end.
 
     Args:
-        curve: (N, 2) m, reach and drop.
+        bezier: through the deflection curve, see :func:`sim.cantilever.bezier.fit_bezier`.
         weight: rho g, N/m².
-        slope, degree: see :func:`sim.cantilever.curves.fit_bezier`.
     """
-    bezier, _ = fit_bezier(curve, degree=degree, slope=slope)
-    t = bezier.evenly(samples)
-    points = bezier.at(t)
-    return weight * moment_beyond(points), bezier.curvature(t)
+    t = bezier.evenly(SAMPLES)
+    return weight * moment_beyond(bezier.at(t)), bezier.curvature(t)
 
 
 def moment_beyond(points: np.ndarray) -> np.ndarray:
@@ -97,7 +82,6 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
     Raises:
         InputError: the torque does not grow with the curvature.
     """
-    curvature = np.asarray(curvature)
     sign, kappa = np.sign(curvature), np.abs(curvature)
 
     def project(ratio: float) -> tuple[float, float]:
@@ -119,22 +103,21 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
 
 
 def regress(
-    curves: Sequence[np.ndarray],
-    *,
-    weight: float,
-    slope: float = 0.0,
-    degree: int | None = None,
+    curves: Sequence[np.ndarray], *, weight: float, slope: float = 0.0, degree: int | None = None
 ) -> Estimate:
     """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
 
     Strips of several lengths widen the range of curvatures; each sample counts alike.
-    ``weight``, ``slope``, ``degree`` as for :func:`torque_and_curvature`.
+
+    Args:
+        weight: rho g, N/m².
+        slope, degree: see :func:`sim.cantilever.bezier.fit_bezier`.
 
     Raises:
         InputError: the torque does not follow the curvature as a law's does.
     """
-    samples = [torque_and_curvature(c, weight=weight, slope=slope, degree=degree) for c in curves]
-    moment, curvature = (np.concatenate(part) for part in zip(*samples, strict=True))
+    fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
+    moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     alpha, beta, misfit = fit_law(curvature, moment)
     if misfit > LARGEST_MISFIT:
         raise InputError(f"{NO_STRIP}; or take method=table, which stands more noise "

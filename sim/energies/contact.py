@@ -10,6 +10,7 @@ from typing import Protocol
 import numba
 import numpy as np
 
+from sim.energies.base import Energy
 from sim.energies.remember import Remembered
 
 
@@ -69,7 +70,7 @@ class Ramp:
         return normal, np.full(len(x), np.inf)
 
 
-class ObstacleContact:
+class ObstacleContact(Energy):
     """Penalty A p d³/(3 s²) on the depth d inside an obstacle of some of the cloth's points.
 
     Pressure p at depth s supports the cloth, so that depths stay of the order of s; the cube
@@ -115,18 +116,15 @@ class ObstacleContact:
         result[touching] = np.tile(force, self.dofs.shape[1] // 3)
         return result
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         touching, points, depth = self._contacts(q)
         normal, radius = self.obstacle.normals(points)
         scale = self.share**2 * self.scale[touching]
         count = self.dofs.shape[1] // 3
         result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
-        block = _hessian(depth, normal, radius, scale, convexity)
+        block = _hessian(depth, normal, np.full_like(radius, np.inf) if convex else radius, scale)
         result[touching] = np.tile(block, (1, count, count))
         return result
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
 
     def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
@@ -141,7 +139,7 @@ class ObstacleContact:
 
 
 @numba.njit(cache=True)
-def _hessian(depth, normal, radius, scale, convexity):
+def _hessian(depth, normal, radius, scale):
     result = np.zeros((len(depth), 3, 3))
     for a in range(len(depth)):
         stiffness = 2.0 * scale[a] * depth[a]
@@ -149,7 +147,7 @@ def _hessian(depth, normal, radius, scale, convexity):
             for j in range(3):
                 result[a, i, j] = stiffness * normal[a, i] * normal[a, j]
         # Curvature of the surface: along its tangent, force/radius, pushing outwards.
-        bend = -(1.0 - convexity) * scale[a] * depth[a] ** 2 / radius[a]
+        bend = -scale[a] * depth[a] ** 2 / radius[a]
         tx, ty = -normal[a, 1], normal[a, 0]
         result[a, 0, 0] += bend * tx * tx
         result[a, 0, 1] += bend * tx * ty

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from sim.energies.base import Energy
 from sim.mesh import Mesh
 
 
-class Gravity:
+class Gravity(Energy):
     """Potential of the vertices' weights, sum of m g z (J); one element per vertex.
 
     Args:
@@ -24,8 +25,5 @@ class Gravity:
     def gradient(self, q: np.ndarray) -> np.ndarray:
         return self.weights[:, None]
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return np.zeros((len(self.weights), 1, 1))
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
+    def hessian(self, q: np.ndarray, convex: bool = False) -> None:
+        return None

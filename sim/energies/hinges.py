@@ -10,6 +10,7 @@ the free side alone: H is then the height of the free triangle, not the sum of t
 
 import numpy as np
 
+from sim.energies.base import Energy
 from sim.energies.hinge_stencils import (
     HingeStencils,
     chain_gradient,
@@ -19,7 +20,7 @@ from sim.energies.hinge_stencils import (
 from sim.material import SOFTENING_LIMIT
 
 
-class DihedralBending:
+class DihedralBending(Energy):
     """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3).
 
     theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
@@ -47,22 +48,19 @@ class DihedralBending:
         _, torque, _ = self._work(angle)
         return chain_gradient(q, self.dofs, self._areas * self._spread * np.sign(angle) * torque)
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         # The torque always grows, so that only the turning of the hinges is indefinite.
         angle = hinge_angles(q, self.dofs)
         _, torque, tangent = self._work(angle)
         slope = self._areas * self._spread * np.sign(angle) * torque
         bend = self._areas * self._spread**2 * tangent
-        return chain_hessian(q, self.dofs, (1.0 - convexity) * slope, bend)
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
+        return chain_hessian(q, self.dofs, 0.0 * slope if convex else slope, bend)
 
     def _work(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return work_of_bending(self._spread * np.abs(angle), self._alpha, self._beta)
 
 
-class QuadraticBending:
+class QuadraticBending(Energy):
     """Energy 3 gamma / ((H0 + H1) e) |K x|² of N hinges (Bergou et al. 2006; Feng et al., Eq. 4).
 
     x are a hinge's four corners, e and H as in :class:`DihedralBending`. The weights K vanish on
@@ -89,11 +87,8 @@ class QuadraticBending:
         force = 2 * self._scale[:, None] * self._folds(q)
         return (self._weights[:, :, None] * force[:, None, :]).reshape(-1, 12)
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         return self._hessian
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
 
     def _folds(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) K x, m."""

@@ -3,14 +3,12 @@
 import numba
 import numpy as np
 
-from sim.energies.base import blend_eigenvalue
+from sim.energies.base import Energy
 from sim.energies.strain import triangle_elements
 from sim.mesh import Mesh
 
-_blend = numba.njit(inline="always")(blend_eigenvalue)
 
-
-class CorotationalMembrane:
+class CorotationalMembrane(Energy):
     """Energy A (mu |F - R|² + lambda/2 tr(R^T F - I)²) of every triangle (section 4.1).
 
     F (3, 2) is the deformation gradient, R its closest isometry, A the rest area. In terms of
@@ -40,11 +38,8 @@ class CorotationalMembrane:
     def gradient(self, q: np.ndarray) -> np.ndarray:
         return _gradient(q, self.dofs, self.shape, self.areas, self.mu, self.lam)
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        return _hessian(q, self.dofs, self.shape, self.areas, self.mu, self.lam, convexity)
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return _hessian(q, self.dofs, self.shape, self.areas, self.mu, self.lam, convex)
 
     def stretches(self, q: np.ndarray) -> np.ndarray:
         """(N, 2) singular values of the deformation gradients, larger first."""
@@ -143,7 +138,7 @@ def _gradient(q, dofs, shape, areas, mu, lam):
 
 
 @numba.njit(cache=True)
-def _hessian(q, dofs, shape, areas, mu, lam, convexity):
+def _hessian(q, dofs, shape, areas, mu, lam, convex):
     # The Hessian of an isotropic energy by F has a known eigenbasis: scalings u_i v_i, a twist,
     # a flip, and the two out-of-plane rotations n v_i, whose eigenvalues are stress/stretch.
     result = np.empty((len(dofs), 9, 9))
@@ -157,10 +152,13 @@ def _hessian(q, dofs, shape, areas, mu, lam, convexity):
         p1 = 2.0 * mu * (s1 - 1.0) + lam * trace
         p2 = 2.0 * mu * (s2 - 1.0) + lam * trace
         value[0] = value[1] = 2.0 * mu + lam
-        value[2] = _blend((p1 + p2) / (s1 + s2), convexity)
+        value[2] = (p1 + p2) / (s1 + s2)
         value[3] = 2.0 * mu
-        value[4] = _blend(p1 / s1, convexity)
-        value[5] = _blend(p2 / max(s2, 1e-12), convexity)
+        value[4] = p1 / s1
+        value[5] = p2 / max(s2, 1e-12)
+        if convex:
+            for k in range(6):
+                value[k] = max(value[k], 0.0)
         for a in range(3):
             w1 = v[0, 0] * shape[t, a, 0] + v[0, 1] * shape[t, a, 1]
             w2 = v[1, 0] * shape[t, a, 0] + v[1, 1] * shape[t, a, 1]

@@ -156,7 +156,8 @@ def derivatives(s, law, g, h):
                 + a * (bend * du[i] * du[j] + slope * ddu)
             )
     if law.base_b > law.rho_b:
-        _, force, stiffness = _returned(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b, law.u_c)
+        _, force, stiffness = _returned(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b,
+                                        law.u_c)
         g[2] += 2.0 * force * np.sign(s[2])
         h[2, 2] += 4.0 * stiffness
     if law.base_w > law.rho_w and s[0] != s[1]:

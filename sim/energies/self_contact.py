@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from common.errors import InputError, one_line
+from sim.energies.base import Energy
 from sim.mesh import Mesh
 
 _HALF_WAY = 3.0 * np.log(4.0) + 4.5
@@ -37,7 +38,7 @@ def import_ipctk() -> ModuleType:
     return ipctk
 
 
-class SelfContact:
+class SelfContact(Energy):
     """Barrier -w k d̂ (s² - 1)² log s², s = d/d̂ < 1, on pairs of primitives at the distance d.
 
     A pair is a vertex and a triangle, or two edges (faded out where they are parallel), without
@@ -97,9 +98,8 @@ class SelfContact:
             result[: self._vertices, :3] = gradient.reshape(-1, 3)
         return result
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
-        exact, convex, _ = self._both_hessians(q)
-        return (1.0 - convexity) * exact + convexity * convex
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return self._both_hessians(q)[int(convex)]
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """False when the cloth would pass through itself on the way, or end close to doing so.

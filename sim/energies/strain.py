@@ -5,6 +5,7 @@ from typing import Protocol
 import numba
 import numpy as np
 
+from sim.energies.base import Energy
 from sim.mesh import Mesh
 
 
@@ -40,7 +41,7 @@ def triangle_elements(
     return dofs, mesh.areas[active], np.concatenate([-inverse.sum(1, keepdims=True), inverse], 1)
 
 
-class StrainMembrane:
+class StrainMembrane(Energy):
     """Rest area times the energy of a :class:`StrainLaw`, for every triangle.
 
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the
@@ -64,16 +65,13 @@ class StrainMembrane:
         stress = self.law.stress(self.strains(q))
         return _gradient(q, self.dofs, self._shape, self._areas, stress)
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         strain = self.strains(q)
         stress, tangent = self.law.stress(strain), self.law.tangent(strain)
-        if convexity > 0.0:
-            stress = stress + convexity * _negative_part_of_stress(stress)
-            tangent = tangent + convexity * _negative_part(tangent)
+        if convex:
+            stress = stress + _negative_part_of_stress(stress)
+            tangent = tangent + _negative_part(tangent)
         return _hessian(q, self.dofs, self._shape, self._areas, stress, tangent)
-
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return True
 
     def strains(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) Green strains E_uu, E_vv, 2 E_uv of the triangles."""

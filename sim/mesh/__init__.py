@@ -1,17 +1,7 @@
-"""Meshes: topology, grids, meshes graded at a plate's rim; specimens are `sim.mesh.specimens`."""
+"""Meshes: topology, grids, meshes graded at a plate's rim; specimens: `sim.mesh.specimens`."""
 
 from sim.mesh.grid import DIAGONALS, choose_diagonals, grid_faces, grid_points, strip
 from sim.mesh.topology import Mesh, adjacency, edges_of, smooth, vertex_normals
 
-__all__ = [
-    "DIAGONALS",
-    "Mesh",
-    "adjacency",
-    "choose_diagonals",
-    "edges_of",
-    "grid_faces",
-    "grid_points",
-    "smooth",
-    "strip",
-    "vertex_normals",
-]
+__all__ = ["DIAGONALS", "Mesh", "adjacency", "choose_diagonals", "edges_of", "grid_faces",
+           "grid_points", "smooth", "strip", "vertex_normals"]

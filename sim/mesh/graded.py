@@ -7,13 +7,14 @@ edge length as its size field) make the triangles nearly equilateral.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import Delaunay
 
 from sim.mesh.topology import Mesh, doubled_areas
 
-GROWTH = 0.15
+GROWTH = 0.1
 """Growth of the edges' length with the distance from the rim."""
 _GROWTH_HELD = 0.6  # the same on the plate, where triangles store no energy
 _SHAKE = 0.3  # largest random move of a point before relaxation, in edges
@@ -77,21 +78,16 @@ def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.nd
         The mesh, and how many of its vertices lie on the plate: the first ones, the rim's first.
     """
     radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
-    rim = _circle(radius, corners, rng)
-    border = _border(outline, rng)
-    inner = _rings(outline, rng, radius, -1)
-    outer = _rings(outline, rng, radius, 1)
-    fixed = np.concatenate([rim, border])
-    moving = np.concatenate([inner, outer])
-    points = np.concatenate([fixed, moving])
+    parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
+             _rings(outline, rng, radius, 1), _border(outline, rng)]
+    rim, held, free, _ = np.cumsum([len(part) for part in parts])
+    points = np.concatenate(parts)
     for _ in range(_ROUNDS):
-        relaxed = _relaxed(points, _delaunay(points), outline)[len(fixed):]
-        points[len(fixed):] = _kept_clear(relaxed, outline, radius, len(inner))
+        relaxed = _relaxed(points, _delaunay(points), outline)[rim:free]
+        points[rim:free] = _kept_clear(relaxed, outline, radius, held - rim)
     # Rounded, so that the last bits of a processor's sine do not choose between triangulations.
-    points[len(rim):] = points[len(rim):].round(9)
-    parts = np.split(points, np.cumsum([len(rim), len(border), len(inner)]))
-    points = np.concatenate([parts[0], parts[2], parts[1], parts[3]])
-    return Mesh(rest=points, faces=_delaunay(points)), len(rim) + len(inner)
+    points[rim:] = points[rim:].round(9)
+    return Mesh(rest=points, faces=_delaunay(points)), int(held)
 
 
 def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -126,10 +122,11 @@ def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
     if outline.shape == "disc":
         fine = centre + _circle(half, 4000, rng)
         place = _spread(np.concatenate([fine, fine[:1]]), outline, rng)
-        return centre + half * _unit(place - centre)
+        out = place - centre
+        return centre + half * out / np.linalg.norm(out, axis=1, keepdims=True)
     corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a)
-             for a, b in zip(corners[:-1], corners[1:], strict=True))
+             for a, b in pairwise(corners))
     return np.concatenate([_spread(side, outline, rng) for side in sides])
 
 
@@ -140,10 +137,6 @@ def _spread(curve: np.ndarray, outline: Outline, rng: np.random.Generator) -> np
     count = max(1, round(edges[-1]))
     place = np.arange(count) + np.append(0, rng.uniform(-_SHAKE, _SHAKE, count - 1) / 2)
     return np.stack([np.interp(place * edges[-1] / count, edges, curve[:, k]) for k in range(2)], 1)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-300)
 
 
 def _delaunay(points: np.ndarray) -> np.ndarray:
@@ -183,4 +176,4 @@ def _kept_clear(points: np.ndarray, outline: Outline, radius: float, inside: int
     clear = _CLEAR * outline.edge
     wanted = np.append(np.minimum(distance[:inside], radius - clear),
                        np.maximum(distance[inside:], radius + clear))
-    return wanted[:, None] * _unit(points)
+    return points * (wanted / distance.clip(1e-300))[:, None]

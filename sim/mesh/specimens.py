@@ -13,15 +13,18 @@ from sim.scene import GRAVITY, Rig
 
 TOPOLOGIES = 8
 """Meshes of one size, alike but for their random numbers; drapes share them."""
-GRADING = 10 / 3
+GRADING = 4.0
 """Edges at the hem over edges at the rim."""
+LONGEST = 0.020
+"""Length, m, to which edges grow at most, so that coarse meshes hold the folds of a start."""
 DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
-EDGES_PER_LENGTH = 6
-COARSEST = 0.020
+EDGES_PER_LENGTH = 5.5
+_STEP = 2.5  # of the edges' length from one mesh of a drape to the next
+COARSEST = 0.013
 """Longest edges at the rim, m, that a drape is started on."""
-BORROWED_COARSEST = 0.0125
+BORROWED_COARSEST = 0.0065
 """The same for a borrowed drape, whose folds have to survive."""
-EDGES = (1e-3, 5e-2)
+EDGES = (5e-4, 5e-2)
 """Lengths of edges at the rim, m: least, for memory and time; most, for a plate of its shape."""
 SHARED_OFFSET = 0.2
 """Largest offset, in widths of the overhang, that moves a base mesh; beyond it, triangles on the
@@ -52,17 +55,16 @@ def make_specimen(
 ) -> Specimen:
     """Mesh the specimen of ``rig``.
 
-    An offset moves the points of a base mesh: those of plate and rim stay, those of the border
-    move by the full offset, and those between in proportion. So specimens that differ by their
-    offset alone share their faces, up to :data:`SHARED_OFFSET`.
+    An offset up to :data:`SHARED_OFFSET` moves the points of a base mesh, whose faces are shared:
+    those of plate and rim stay, those of the border move by all of it, others in proportion.
 
     Args:
         edge: length of the edges at the plate's rim, m, within :data:`EDGES`. Without a plate,
             of all edges.
         topology: which of the :data:`TOPOLOGIES` random meshes.
         offset: specimen's centre from the plate's axis, m.
-        grading: edges at the hem over ``edge``, at least 1; they grow by 15 % per edge until
-            then. Edges on the plate grow faster, they store no energy.
+        grading: edges at the hem over ``edge``, at least 1; they grow by 10 % per edge until
+            then, or to :data:`LONGEST`. Edges on the plate grow faster, they store no energy.
 
     Raises:
         InputError: arguments that make no mesh.
@@ -110,7 +112,8 @@ def _base_specimen(
 ) -> Specimen:
     """A specimen around ``centre``, triangulated for that place."""
     outline = Outline(shape=rig.specimen, size=rig.specimen_size, plate_radius=rig.plate_radius,
-                      centre=centre, edge=edge, largest=grading * edge)
+                      centre=centre, edge=edge,
+                      largest=max(edge, min(grading * edge, LONGEST)))
     mesh, count = graded_mesh(outline, np.random.default_rng(topology))
     if rig.has_plate:
         return Specimen(mesh, np.arange(len(mesh.rest)) < count)
@@ -138,8 +141,8 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 
     The longest of these that goes :data:`EDGES_PER_LENGTH` times into the bending length
     (alpha/rho g)^⅓ of the softest direction, because softer cloth makes narrower folds; few
-    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 6.7 to
-    13.3 mm.
+    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 8 to
+    16 mm.
     """
     length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
     fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
@@ -148,11 +151,12 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 
 
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
-    """Edges at the rim, m, of the meshes a drape is solved on; they halve each time.
+    """Edges at the rim, m, of the meshes a drape is solved on; each has edges
+    2.5 times shorter than the one before.
 
     None but the last has edges above ``coarsest``.
     """
     levels = [edge]
-    while 2 * levels[0] <= coarsest:
-        levels.insert(0, 2 * levels[0])
+    while _STEP * levels[0] <= coarsest:
+        levels.insert(0, _STEP * levels[0])
     return levels

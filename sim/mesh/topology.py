@@ -36,9 +36,8 @@ class Mesh:
     @cached_property
     def vertex_areas(self) -> np.ndarray:
         """(V,) a third of the area of the triangles around each vertex, m²."""
-        return np.bincount(
-            self.faces.ravel(), np.repeat(self.areas / 3, 3), minlength=len(self.rest)
-        )
+        shares = np.repeat(self.areas / 3, 3)
+        return np.bincount(self.faces.ravel(), shares, minlength=len(self.rest))
 
     @cached_property
     def _edge_tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

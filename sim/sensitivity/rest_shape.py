@@ -7,7 +7,6 @@ sheets come under a force, not how large it is. This is left out, forwards and b
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from sim.cloth import Cloth
 from sim.scene import Rig

@@ -27,7 +27,7 @@ def run(*words: str) -> subprocess.CompletedProcess:
 
 
 def test_writes_mesh_picture_and_figures(tmp_path):
-    done = run("alpha=60,60,60", "resolution=16", f"out={tmp_path}")
+    done = run("alpha=60,60,60", "edge_mm=12", f"out={tmp_path}")
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "drape.json", "drape.npz", "drape.ply", "drape.png"]
@@ -46,7 +46,7 @@ def test_writes_mesh_picture_and_figures(tmp_path):
 @pytest.mark.parametrize(
     "words",
     [["alpha=20,20"], ["alpha=20,x,20"], ["alpha=-1,20,20"], ["density=0"], ["density=0.21"],
-     ["colour=red"], ["resolution=2"], ["rig=table"], ["alpha"], ["start=wild"], ["offset=1"]],
+     ["colour=red"], ["edge_mm=0.2"], ["rig=table"], ["alpha"], ["start=wild"], ["offset=1"]],
     ids=lambda words: words[0],
 )
 def test_mistakes_end_with_one_line_and_code_2(tmp_path, words):
@@ -65,7 +65,7 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
 
 
 def test_figures_of_a_failure_are_json(tmp_path):
-    main(["alpha=1e300,1e300,1e300", "resolution=16", f"out={tmp_path}"])
+    main(["alpha=1e300,1e300,1e300", "edge_mm=12", f"out={tmp_path}"])
 
     def refuse(word: str) -> None:
         raise ValueError(word)
@@ -148,7 +148,7 @@ def test_ctrl_c_in_a_compiled_function_is_ctrl_c(ctrl_c):
 
 def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path, ctrl_c):
     command = [sys.executable, "-m", "data.generate", f"out={tmp_path / 'set'}", "drapes=400",
-               "resolution=21", "dataset.drapes_per_shard=4", "dataset.orientations=2", "workers=2"]
+               "edge_mm=10", "dataset.drapes_per_shard=4", "dataset.orientations=2", "workers=2"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                            start_new_session=True)
     time.sleep(4.0)

@@ -7,17 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from sim.mesh import draped_square
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
 
 FAIL_SEED_MODULUS = 5  # the fake solver fails where the seed is a multiple
 
 
-def cone(fabric, *, rig, resolution, start, seed, offset, jitter):
+def cone(fabric, *, rig, edge, start, seed, offset):
     """Cloth that slopes down from the plate, the steeper the softer; some fail, by their seed."""
-    mesh, _, cells = draped_square(
-        size=rig.specimen_size, plate_radius=rig.plate_radius, resolution=resolution,
-        offset=offset, jitter=jitter, seed=seed,
-    )
+    mesh = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset).mesh
     reach = np.maximum(np.linalg.norm(mesh.rest, axis=1) - rig.plate_radius, 0)
     slope = 1 / (1 + fabric.alpha.mean() / 20e-6)
     positions = np.column_stack([mesh.rest, -slope * reach])
@@ -26,7 +23,7 @@ def cone(fabric, *, rig, resolution, start, seed, offset, jitter):
         status="max_iterations" if failed else "converged",
         converged=not failed,
         message="the fake gave up" if failed else "",
-        positions=positions, rest=mesh.rest, faces=mesh.faces, diagonals=cells,
+        positions=positions, rest=mesh.rest, faces=mesh.faces,
         residual=0.5 if failed else 1e-5, iterations=seed % 50,
     )
 
@@ -59,7 +56,8 @@ def tangled(fabric, **settings):
     """The same, its first corner pulled through the cloth opposite to it, with every second."""
     result = cone(fabric, **settings)
     if settings["start"] == "fold":
-        result.positions[0] = result.positions[-1] + [-0.03, -0.03, 0.05]
+        first, last = result.rest.sum(axis=1).argmin(), result.rest.sum(axis=1).argmax()
+        result.positions[first] = result.positions[last] + [-0.03, -0.03, 0.05]
     return result
 
 

@@ -7,7 +7,7 @@ import pytest
 from common.errors import InputError
 from data.generate import main
 
-SMALL = ["drapes=4", "resolution=9", "dataset=fresh", "dataset.drapes_per_shard=1", "workers=1"]
+SMALL = ["drapes=4", "edge_mm=20", "dataset=fresh", "dataset.drapes_per_shard=1", "workers=1"]
 
 
 def files(folder):

@@ -17,7 +17,7 @@ from data.render import VIEWS, DepthRenderer, render_views
 from data.sensor import SensorNoise
 from data.shards import Shard
 from data.view_order import reorder_axis, reorder_views
-from sim.drape import default_resolution
+from sim.mesh.specimens import DEFAULT_EDGES, default_edge
 from sim.scene import Rig
 
 RIG = CameraRig.load()
@@ -96,15 +96,16 @@ def test_labels_are_the_directions_in_the_pictures(tmp_path):
 
 
 def test_drapes_of_different_meshes_make_one_batch(tmp_path):
-    folder = cloths.write_dataset(tmp_path / "own", drapes=12, resolution=0, seed=3)
+    folder = cloths.write_dataset(tmp_path / "own", drapes=12, edge=0.0, seed=3)
     dataset = FreshDataset(folder)
-    sizes = dataset.columns("resolution")["resolution"]
-    assert len(set(sizes.tolist())) > 2 and sizes.min() == 41
+    sizes = dataset.columns("edge")["edge"]
+    assert len(set(sizes.tolist())) > 1 and set(sizes.tolist()) <= set(DEFAULT_EDGES)
+    assert len(dataset._triangulations) == len(set(dataset._mesh)) < 12  # each kept once
     for (name, row), size, theta in zip(dataset.places, sizes, dataset.theta, strict=True):
-        assert size == default_resolution(fabric_from_theta(theta), Rig())
+        assert size == default_edge(fabric_from_theta(theta), Rig())
         with Shard(folder / name) as shard:
             positions, rest, faces = shard.mesh(row)
-        assert len(positions) == len(rest) == size**2 and len(faces) == 2 * (size - 1) ** 2
+        assert len(positions) == len(rest) == faces.max() + 1
         # The specimen reaches from edge to edge: no row of the mesh is missing or of zeros.
         np.testing.assert_allclose(np.ptp(rest, axis=0), 0.3, atol=2e-5)
     views = dataset.batch(range(12))["views"]

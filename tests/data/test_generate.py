@@ -19,7 +19,7 @@ from data.generate import generate_dataset, main
 from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig, plan_drape
-from data.shards import LENGTH_UNIT, Shard, unpack_diagonals
+from data.shards import LENGTH_UNIT, Shard
 from sim.linear import SparsePattern, available_solvers, make_solver, pardiso
 from sim.scene import Rig
 
@@ -39,8 +39,7 @@ def small_config(drapes=10, **sampling):
         prior=load_prior("gaussian"),
         rig=Rig(),
         cameras=small_rig(),
-        resolution=9,
-        jitter=0.1,
+        edge=0.02,
         drapes_per_shard=4,
     )
 
@@ -97,11 +96,11 @@ def test_drapes_without_views_are_those_of_a_dataset_with_views(finished, tmp_pa
     generate(tmp_path, small_config(orientations=0), renderer=None)
     for file in sorted(tmp_path.glob("shard_*.h5")):
         with Shard(file) as drapes, Shard(finished[0] / file.name) as with_views:
-            for name in ("index", "theta", "status", "folds", "positions", "rest", "diagonals"):
+            for name in ("index", "theta", "status", "folds", "positions", "rest", "mesh"):
                 np.testing.assert_array_equal(drapes.column(name), with_views.column(name))
             assert drapes.column("views").shape == (len(drapes), 0, 4, 18, 24)
             assert not drapes.column("rendered").any()
-    main([f"out={tmp_path / 'real'}", "dataset=fresh", "drapes=1", "resolution=15", "workers=1"])
+    main([f"out={tmp_path / 'real'}", "dataset=fresh", "drapes=1", "edge_mm=12", "workers=1"])
     size = (tmp_path / "real" / "shard_00000.h5").stat().st_size
     assert f"{size / 1e3:.1f} kB a drape" in capsys.readouterr().out
 
@@ -227,8 +226,8 @@ def test_a_run_ends_before_it_spoils_what_another_has_made_meanwhile(finished, t
 def test_another_configuration_is_refused(tmp_path):
     generate(tmp_path, small_config(drapes=1))
     before = files(tmp_path)
-    with pytest.raises(InputError, match=r"sampling\.drift, solver\.resolution\)"):
-        generate(tmp_path, replace(small_config(drapes=1, drift=0.001), resolution=10))
+    with pytest.raises(InputError, match=r"sampling\.drift, solver\.edge_mm\)"):
+        generate(tmp_path, replace(small_config(drapes=1, drift=0.001), edge=0.025))
     assert files(tmp_path) == before
 
 
@@ -307,11 +306,11 @@ def test_stored_mesh_is_the_solvers():
     record = make_record(1, config, solver=fake_drapes.cone, renderer=fake_drapes.Stripes)
     plan = plan_drape(1, config=config.sampling, prior=config.prior)
     result = fake_drapes.cone(
-        fabric_from_theta(plan.theta), rig=config.rig, resolution=9, start=plan.start,
-        seed=plan.seed, offset=tuple(plan.offset), jitter=config.jitter)
+        fabric_from_theta(plan.theta), rig=config.rig, edge=config.edge, start=plan.start,
+        seed=plan.seed, offset=tuple(plan.offset))
     error = np.abs(record["positions"] * LENGTH_UNIT - result.positions).max()
     assert error <= 0.5001 * LENGTH_UNIT
-    np.testing.assert_array_equal(unpack_diagonals(record["diagonals"], 9), result.diagonals)
+    np.testing.assert_array_equal(record["faces"], result.faces)
 
 
 def test_workers_are_processes_of_one_thread(tmp_path, monkeypatch):
@@ -341,13 +340,12 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["shapes=3"], "shapes"),
         (["dataset=huge"], "views8"),
         (["dataset.starts=[flat]"], "starts"),
-        (["resolution=4"], "resolution=4"),
+        (["edge_mm=0.4"], "edge_mm=0.4: .* 1 to 50 mm"),
         (["workers=0"], "workers=0"),
         (["part=2", "parts=2"], "part=2 of parts=2"),
         (["parts=0"], "parts=0"),
         (["launcher=slurm", "parts=4"], "--multirun"),
         (["seed=-1"], "seed=-1"),
-        (["solver.jitter=2"], "jitter=2"),
         (["prior.file=nowhere.json"], "nowhere.json"),
         (["rig=moon"], "moon"),
         (["rig.name=disc300_support180"], "rig.name=disc300_support180"),
@@ -378,7 +376,7 @@ def test_command_line_ends_with_code_2_and_one_line(tmp_path):
 def test_help_names_every_key(capsys):
     main(["--help"])
     text = capsys.readouterr().out
-    for key in ("out:", "drapes:", "workers:", "seed:", "resolution:", "orientations:",
+    for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "orientations:",
                 "starts_per_fabric:", "parts:", "rig.camera:", "dataset=views8, the default",
                 "dataset=fresh\n    Drapes only", "launcher=slurm\n    Jobs of a Slurm"):
         assert key in text

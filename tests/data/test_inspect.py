@@ -24,7 +24,7 @@ from data.inspect.pictures import contact_sheet, mosaic, take_shots, views_repor
 from data.sampling import plan_drape
 from data.shards import Shard, json_digest, read_manifest, verified_digest, write_manifest
 from sim.measures import maximum_stretch
-from sim.specimens import make_specimen
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
 
 ROOT = Path(__file__).parents[2]
 
@@ -103,10 +103,10 @@ def test_strain_is_that_of_the_solvers_mesh(bare):
     config = small_config(orientations=0)
     for index in np.flatnonzero(converged)[:5].tolist():
         plan = plan_drape(index, config=config.sampling, prior=config.prior)
-        settings = {"rig": config.rig, "resolution": config.resolution, "seed": plan.seed,
-                    "offset": tuple(plan.offset), "jitter": config.jitter}
-        drape = fake_drapes.cone(fabric_from_theta(plan.theta), start=plan.start, **settings)
-        specimen = make_specimen(**settings)
+        settings = {"rig": config.rig, "edge": config.edge, "offset": tuple(plan.offset)}
+        drape = fake_drapes.cone(fabric_from_theta(plan.theta), start=plan.start, seed=plan.seed,
+                                 **settings)
+        specimen = make_specimen(topology=plan.seed % TOPOLOGIES, **settings)
         exact = maximum_stretch(drape.positions, drape.rest, drape.faces, specimen.held)
         assert exact > 0.02
         assert drapes.stretch[index] == pytest.approx(exact, abs=1e-3)

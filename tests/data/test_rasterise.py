@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch.nn.utils.rnn import pad_sequence
 
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -17,7 +18,9 @@ from data.rasterise import (
 )
 from data.rasterise_cpu import rasterise_arrays
 from data.render import DepthRenderer
-from sim.mesh import draped_square, grid_faces
+from sim.mesh import grid_faces
+from sim.mesh.specimens import make_specimen
+from sim.scene import Rig
 
 HEIGHT, WIDTH = 90, 120
 INTRINSICS = torch.tensor([[150.0, 140.0, 59.5, 44.5]], dtype=torch.float64)
@@ -49,10 +52,9 @@ def wall(depth_of, extent: float = 0.35):
     return [(x, y, depth_of(x, y)) for x, y in corners], [[0, 1, 2], [0, 2, 3]]
 
 
-def skirt(resolution: int, folds: int, seed: int = 0):
+def skirt(edge: float, folds: int, topology: int = 0):
     """Cloth that hangs from the plate in folds, so that it hides a part of itself."""
-    mesh, _, _ = draped_square(size=0.3, plate_radius=0.05, resolution=resolution,
-                               offset=(0, 0), jitter=0.15, seed=seed)
+    mesh = make_specimen(Rig(), edge=edge, topology=topology).mesh
     radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
     reach = np.maximum(radius - 0.05, 0)
     out = np.minimum(radius, 0.05 + 0.5 * reach * (1 + 0.7 * np.sin(folds * angle)))
@@ -60,21 +62,22 @@ def skirt(resolution: int, folds: int, seed: int = 0):
     return torch.from_numpy(positions), torch.from_numpy(mesh.faces)
 
 
-def batch(drapes: int, resolution: int = 21):
+def batch(drapes: int, edge: float = 0.01):
     """Drapes of different meshes and cameras, four views each: arguments of render_batch."""
     rig, rng = CameraRig.load(), np.random.default_rng(5)
     cameras = [rig.sample(rng).resized(WIDTH, HEIGHT) for _ in range(drapes)]
-    positions, faces = zip(*(skirt(resolution, 5 + k, seed=k) for k in range(drapes)), strict=True)
+    positions, faces = zip(*(skirt(edge, 5 + k, topology=k) for k in range(drapes)), strict=True)
     intrinsics, poses = camera_tensors(cameras)
     angles = torch.from_numpy(rng.uniform(0, 2 * np.pi, (drapes, 4)))
     settings = {"angles": angles, "intrinsics": intrinsics, "world_to_camera": poses,
                 "height": HEIGHT, "width": WIDTH}
-    return torch.stack(positions), torch.stack(faces), settings, cameras
+    return (pad_sequence(positions, batch_first=True), pad_sequence(faces, batch_first=True),
+            settings, cameras)
 
 
 @both
 def test_pictures_are_those_of_the_ray_caster(method):
-    positions, faces, settings, cameras = batch(6, resolution=26)
+    positions, faces, settings, cameras = batch(6, edge=0.008)
     points = camera_points(positions.float(), settings["angles"], settings["world_to_camera"])
     views = method(points, faces, settings["intrinsics"][:, None].expand(-1, 4, -1),
                    height=HEIGHT, width=WIDTH)

@@ -15,31 +15,29 @@ from data.shards import (
     Layout,
     Shard,
     fields,
-    pack_diagonals,
     read_manifest,
     to_counts,
-    unpack_diagonals,
     verified_digest,
     write_manifest,
     write_shard,
 )
-from sim.mesh import grid_faces
 
-LAYOUT, RESOLUTION = Layout(orientations=3, height=6, width=8), 9
+LAYOUT, VERTICES = Layout(orientations=3, height=6, width=8), 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
 
 
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(LAYOUT, RESOLUTION).items():
+    for name, field in fields(LAYOUT, VERTICES).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
             record[name] = rng.normal(size=field.shape)
         else:
             record[name] = rng.integers(0, 100, field.shape)
-    return record | {"resolution": RESOLUTION}
+    faces = rng.integers(0, VERTICES, (60 + 10 * seed, 3))
+    return record | {"vertices": VERTICES, "mesh": seed, "faces": faces}
 
 
 @pytest.fixture
@@ -52,7 +50,7 @@ def shard(tmp_path):
 
 def test_every_field_comes_back(shard):
     assert len(shard) == 2
-    for name in fields(LAYOUT, RESOLUTION):
+    for name in fields(LAYOUT, VERTICES):
         rows = shard.column(name)
         for row, seed in enumerate((0, 1)):
             expected = random_record(seed)[name]
@@ -81,26 +79,32 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
     rng = np.random.default_rng(0)
     positions = rng.uniform(-0.2, 0.2, (81, 3))
     rest = rng.uniform(-0.15, 0.15, (81, 2))
-    diagonals = rng.random((8, 8)) < 0.5
     record = random_record(0) | {
         "positions": to_counts(positions, unit=1e-5, dtype=np.int16),
         "rest": to_counts(rest, unit=1e-5, dtype=np.int16),
-        "diagonals": pack_diagonals(diagonals),
     }
     write_shard(tmp_path / "s.h5", [record], layout=LAYOUT, attributes=ATTRIBUTES)
     with Shard(tmp_path / "s.h5") as shard:
         back = shard.mesh(0)
     assert np.abs(back[0] - positions).max() <= 0.5001e-5
     assert np.abs(back[1] - rest).max() <= 0.5001e-5
-    np.testing.assert_array_equal(back[2], grid_faces(diagonals))
+    np.testing.assert_array_equal(back[2], record["faces"])
 
 
-@pytest.mark.parametrize("resolution", [8, 9, 41])
-def test_diagonals_are_packed_without_loss(resolution):
-    diagonals = np.random.default_rng(1).random((resolution - 1, resolution - 1)) < 0.5
-    packed = pack_diagonals(diagonals)
-    assert len(packed) == -(-((resolution - 1) ** 2) // 8)
-    np.testing.assert_array_equal(unpack_diagonals(packed, resolution), diagonals)
+def test_each_triangulation_is_stored_once(tmp_path):
+    records = [random_record(seed) for seed in (0, 1, 0)]
+    small = {"vertices": 7, "positions": records[0]["positions"][:7],
+             "rest": records[0]["rest"][:7], "faces": np.array([[0, 1, 2]])}
+    lost = {"vertices": 0, "positions": np.zeros((0, 3)), "rest": np.zeros((0, 2)),
+            "faces": np.zeros((0, 3))}
+    records += [records[0] | small, records[0] | lost]
+    write_shard(tmp_path / "s.h5", records, layout=LAYOUT, attributes=ATTRIBUTES)
+    with Shard(tmp_path / "s.h5") as shard:
+        assert shard.column("mesh").tolist() == [0, 1, 0, 2, 3]
+        for row, record in enumerate(records):
+            positions, rest, faces = shard.mesh(row)
+            assert len(positions) == len(rest) == record["vertices"]
+            np.testing.assert_array_equal(faces, record["faces"])
 
 
 @pytest.mark.parametrize("value", [0.328, -0.328, np.nan, np.inf])
@@ -138,7 +142,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 3, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 4, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -173,7 +177,7 @@ def test_manifest(tmp_path):
                 finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (2, 7)}
+    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (3, 7)}
     for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError, match=complaint) as refusal:
@@ -184,4 +188,4 @@ def test_manifest(tmp_path):
 def test_the_documentation_lists_every_field():
     text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `(\w+)` \| (?:u?int|float|text)", text, flags=re.MULTILINE)
-    assert documented == list(fields(LAYOUT, RESOLUTION))
+    assert documented == list(fields(LAYOUT, VERTICES))

@@ -12,7 +12,7 @@ from sim.initial import interpolate_positions
 from sim.material import Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count
 from sim.mesh import strip
-from sim.mesh.specimens import default_edge, make_specimen
+from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene, State
 
 
@@ -204,6 +204,21 @@ def test_rigs_that_hold_nothing_are_refused(arguments, word):
 def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
     """Of the square's overhang of 100 mm, 22 mm are left: two edges of 11 mm."""
     offset = (0.078, 0.0)
-    with pytest.raises(InputError, match="22 mm .* narrow for edges of 16 mm"):
+    with pytest.raises(InputError, match=r"22 mm .* narrow for edges of 16 mm"):
         drape(isotropic(60), edge=0.016, offset=offset)
     assert drape(isotropic(60), edge=0.008, offset=offset).converged
+
+
+def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
+    chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (1000, 100, 20, 10, 3, 0.1)]
+    assert chosen == sorted(chosen, reverse=True)
+    assert chosen == [0.004, 0.004, 0.003, 0.0025, 0.002, 0.002]
+    assert 5.5 * 0.003 <= (20e-6 / (0.3 * 9.81)) ** (1 / 3) < 5.5 * 0.004
+    assert default_edge(isotropic(20).at_density(0.1), Rig()) == 0.003
+    assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.012)
+
+
+def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
+    assert coarse_to_fine(0.002) == pytest.approx([0.0125, 0.005, 0.002])
+    assert coarse_to_fine(0.0025, 0.0065) == pytest.approx([0.00625, 0.0025])
+    assert coarse_to_fine(0.02) == [0.02]

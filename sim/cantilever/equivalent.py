@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, gamma_of_aspect_ratio
-from sim.equilibrium import find_equilibrium
+from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
+from sim.cantilever.tester import fabric_of_gamma, hang_mesh
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
-from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import Scene, State
+from sim.newton import Status
+from sim.scene import State
 
 _MOST_STRIPS = 12
 _LEAST_REACH = 1e-3  # of the length; a free end that hangs closer to the clamp says nothing
@@ -28,14 +28,12 @@ class EquivalentModulus:
 
     Attributes:
         ratio: hinge modulus over the physical alpha.
-        gamma: rho g L³/alpha of the strip that was compared, with the physical alpha.
         mismatch: relative difference of the stiffness that is left.
         found: whether ``mismatch`` is below the tolerance.
         message: why not, in words; else how many strips it took.
     """
 
     ratio: float
-    gamma: float
     mismatch: float
     found: bool
     message: str
@@ -64,58 +62,35 @@ def equivalent_modulus(
     """
     laws = laws or Laws(bending="hinge_linear")
     elastica(gamma)  # refuses a gamma out of range before any work
-    length = free_length(mesh)
+    length = float(mesh.rest[:, 0].max())
+    if not length > 0:
+        raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
     state = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
     ratio, mismatch = 1.0, np.inf
     for strips in range(1, _MOST_STRIPS + 1):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        end, state, result = hang_mesh(mesh, held, fabric, state, laws=laws)
+        state, result = hang_mesh(mesh, held, fabric, state, laws=laws)
         if result.status is not Status.CONVERGED:
-            return EquivalentModulus(ratio, gamma, mismatch, False, result.message)
+            return EquivalentModulus(ratio, mismatch, False, result.message)
+        end = free_end(mesh, state)
         if not (end[0] > _LEAST_REACH * length and end[1] > 0):
-            return EquivalentModulus(ratio, gamma, mismatch, False, "the strip folds under itself")
+            return EquivalentModulus(ratio, mismatch, False, "the strip folds under itself")
         # The stiffness shows in the gamma that a physical strip of this shape would have; it is
         # nearly proportional to the modulus, so that a few corrections by its error suffice.
         try:
             apparent = gamma_of_aspect_ratio(aspect_ratio(end))
         except InputError as error:
-            return EquivalentModulus(ratio, gamma, mismatch, False, str(error))
+            return EquivalentModulus(ratio, mismatch, False, str(error))
         mismatch = abs(apparent / gamma - 1)
         if mismatch < tolerance:
-            return EquivalentModulus(ratio, gamma, mismatch, True, f"{strips} strips")
+            return EquivalentModulus(ratio, mismatch, True, f"{strips} strips")
         ratio *= apparent / gamma
-    return EquivalentModulus(ratio, gamma, mismatch, False, f"no match in {strips} strips")
+    return EquivalentModulus(ratio, mismatch, False, f"no match in {strips} strips")
 
 
-def free_length(mesh: Mesh) -> float:
-    """Length, m, of a strip along +x beyond its clamp at x = 0.
-
-    Raises:
-        InputError: there is none.
-    """
-    length = float(mesh.rest[:, 0].max())
-    if not length > 0:
-        raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
-    return length
-
-
-def hang_mesh(
-    mesh: Mesh, held: np.ndarray, fabric: Fabric, start: State, *, laws: Laws
-) -> tuple[np.ndarray, State, NewtonResult]:
-    """Let a strip along +x hang from its clamp.
-
-    Args:
-        mesh, held: as for :func:`equivalent_modulus`.
-        start: state next to which the equilibrium is sought.
-
-    Returns:
-        Mean (reach, drop) (2,) of the free end, m, the state, and the solver's result.
-    """
-    options = NewtonOptions(residual=1e-6, step=1e-6)
-    state, result = find_equilibrium(
-        Scene(mesh=mesh, held=held), fabric, start, laws=laws, options=options
-    )
-    length = free_length(mesh)
-    end = state.positions[mesh.rest[:, 0] > (1 - 1e-9) * length].mean(axis=0)
-    return np.array([end[0], -end[2]]), state, result
+def free_end(mesh: Mesh, state: State) -> np.ndarray:
+    """Mean (reach, drop) (2,), m, of the free end of a strip along +x."""
+    x = mesh.rest[:, 0]
+    end = state.positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
+    return np.array([end[0], -end[2]])

@@ -34,11 +34,11 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from sim.cantilever.curves import read_curve
 
 from common.cli import check_density, parse_overrides, run_command
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
-from sim.cantilever.curves import read_curve
 from sim.cantilever.elastica import aspect_ratio, elastica
 from sim.cantilever.fabric import METHODS, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE

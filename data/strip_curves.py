@@ -1,0 +1,94 @@
+"""Measured deflection curves of cantilever strips: CSV files, checked and turned upright."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError, one_line
+
+COLUMNS = ("x_mm", "y_mm")
+FEWEST_POINTS = 12
+LARGEST_FILE = 1 << 20  # bytes
+SHORTEST, LONGEST = 5e-3, 2.0  # m
+BENT_UP = 0.05
+"""Quadratic coefficient of a parabola through a curve, in units of the chord of its ends, that no
+error of reading a nearly straight strip makes."""
+
+
+def read_curve(path: str | Path) -> np.ndarray:
+    """Read a curve (N, 2), m, from a CSV file whose header names the columns x_mm and y_mm.
+
+    The first row is the clamp's edge, the last the free end. The axes may point either way:
+    a strip reaches away from its clamp and hangs below it.
+
+    Raises:
+        InputError: no such file, no such columns, a cell that is no number, too few points,
+            points out of order or listed from the free end, or not the size and shape of a
+            hanging strip.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path} is larger than 1 MB; a deflection curve is not")
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [(reader.line_num, row) for reader in [csv.reader(file, skipinitialspace=True)]
+                    for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise InputError(f"cannot read the curve {path}: {reason}") from None
+    header = [cell.strip() for cell in rows[0][1]] if rows else []
+    if not set(COLUMNS) <= set(header):
+        raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "
+                         "separated by commas")
+    x, y = (header.index(name) for name in COLUMNS)
+    points = []
+    for line, row in rows[1:]:
+        try:
+            points.append((float(row[x]), float(row[y])))
+        except (ValueError, IndexError):
+            raise InputError(f"{path}, line {line}: expected numbers, in mm") from None
+    try:
+        return oriented_curve(np.array(points).reshape(-1, 2) * 1e-3)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def oriented_curve(points: np.ndarray) -> np.ndarray:
+    """A curve (N, 2), m, moved to start at 0 with reach and drop positive.
+
+    Raises:
+        InputError: as for :func:`read_curve`.
+    """
+    if (places := len(np.unique(points, axis=0))) < FEWEST_POINTS:
+        raise InputError(f"{places} different points are too few; give {FEWEST_POINTS} or more")
+    if not np.isfinite(points).all():
+        raise InputError("all coordinates must be finite numbers")
+    curve = points - points[0]
+    length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
+    span = np.linalg.norm(np.ptp(curve, axis=0))
+    if not SHORTEST <= span <= LONGEST:
+        raise InputError(f"a curve that spans {1e3 * span:.6g} mm is no strip's, "
+                         f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; are its columns in mm?")
+    reach, drop = curve[-1]
+    if abs(reach) < 1e-3 * span or drop == 0:
+        raise InputError("the free end must lie beside and below the clamp's edge")
+    # A smooth hanging strip is at most reach + drop long; more is disorder.
+    if length > 3 * (abs(reach) + abs(drop)):
+        raise InputError("the points are out of order; list them from the clamp to the free end")
+    curve = curve * np.sign([reach, drop])
+    if _bends_up(curve):
+        raise InputError("the curve begins steeply and ends level; list its points from the "
+                         "clamp's edge to the free end")
+    return curve
+
+
+def _bends_up(curve: np.ndarray) -> bool:
+    """Whether a curve (N, 2) of positive reach and drop surely bends up from its first point on.
+
+    A strip's weight bends it down all along; listed from the free end to the clamp it bends up.
+    """
+    x, y = curve[-1] / np.linalg.norm(curve[-1]) ** 2
+    along, below = curve @ [x, y], curve @ [-y, x]
+    (bend, _, _), covariance = np.polyfit(along, below, 2, cov=True)
+    return bool(-bend > max(BENT_UP, 4 * np.sqrt(covariance[0, 0])))
