@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow test-slurm lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
+.PHONY: help setup demo test test-slow test-slurm perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -36,6 +36,9 @@ test-slow: $(STAMP)  ## tests that take minutes
 
 test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets installed and started
 	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
+
+perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
+	$(BIN)/python -m benchmarks.perturbed
 
 lint: $(STAMP)  ## style
 	$(BIN)/ruff check .
@@ -65,7 +68,7 @@ bench: $(STAMP)  ## all timings on this machine, one JSON: docs/validation/bench
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the same JSON
-	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 resolutions=0,101 batches=1,16,64,256 \
+	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 edges_mm=0,2 batches=1,16,64,256 \
 	  out=docs/validation/batched_gpu.json
 	$(BIN)/python -m benchmarks.render out=docs/validation/render_gpu.json
 	$(BIN)/python -m benchmarks.report

@@ -3,7 +3,7 @@
 First, drapes a second by worker processes that make each on its own and are there (they stay
 between calls), against one core that makes one after the other, on the fabrics of
 ``benchmarks.speed``; in turn, several times, and the shortest of each reported. Then drapes
-minimised together, on a CPU or a GPU: time a drape against batch size and resolution, where it
+minimised together, on a CPU or a GPU: time a drape against batch size and mesh, where it
 goes, memory, and whether the same drapes come out.
 
 Keys (``key=value``):
@@ -13,9 +13,9 @@ Keys (``key=value``):
     seed         of the fabrics
     workers      processes
     repeats      rounds of the first part
-    resolution   vertices a side in the first part; 0: as the simulator chooses by itself
+    edge_mm      edges at the rim in the first part; 0: as the simulator chooses by itself
     batches      drapes minimised together; 0 to leave the second part out
-    resolutions  of the drapes minimised together; 0 as above
+    edges_mm     the same of the drapes minimised together
     threads      of the drapes minimised together, on a CPU
     check        drapes compared with the CPU's: on a GPU those minimised together there, on a
                  CPU those made each on its own
@@ -31,13 +31,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from sim.batch import drape_batch
 
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from benchmarks.speed import peak_memory, prior_fabrics
 from common.cli import run_command
 from common.errors import InputError
 from common.workers import worker_pool
-from sim.batched.drape import drape_batch
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 
@@ -47,9 +47,9 @@ DEFAULTS = {
     "seed": 77,
     "workers": 2,
     "repeats": 9,
-    "resolution": 0,
+    "edge_mm": 0.0,
     "batches": [1, 4, 16],
-    "resolutions": [41],
+    "edges_mm": [4.0],
     "threads": 1,
     "check": 4,
     "out": str(REPORTS / "batched.json"),
@@ -58,20 +58,20 @@ SAME = 1e-6  # m, between vertices of the same drape
 
 
 def throughput(
-    fabrics: list[Fabric], *, resolution: int | None, workers: int, repeats: int
+    fabrics: list[Fabric], *, edge_mm: float, workers: int, repeats: int
 ) -> dict:
     """One core against several, in turn: whole rounds over the fabrics, and their ratio."""
-    drape(fabrics[0], resolution=41)  # compiles or loads the kernels
+    drape(fabrics[0], edge=4e-3)  # compiles or loads the kernels
+    edge = 1e-3 * edge_mm or None
     start = start_seconds(fabrics[0], workers)
     single, several = [], []
     for repeat in range(repeats):
         began, busy = time.perf_counter(), time.process_time()
-        alone = [drape(fabric, resolution=resolution, seed=seed)
-                 for seed, fabric in enumerate(fabrics)]
+        alone = [drape(fabric, edge=edge, seed=seed) for seed, fabric in enumerate(fabrics)]
         single.append((time.perf_counter() - began, time.process_time() - busy))
         start_seconds(fabrics[0], workers)  # processes are there
         began = time.perf_counter()
-        made = drape_batch(fabrics, resolution=resolution, workers=workers)
+        made = drape_batch(fabrics, edge=edge, workers=workers)
         several.append(time.perf_counter() - began)
         print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
               f"{workers} processes {several[-1]:.1f} s", flush=True)
@@ -99,7 +99,7 @@ def throughput(
 def start_seconds(fabric: Fabric, workers: int) -> float:
     """Seconds until worker processes are at work; they stay for the next call."""
     began = time.perf_counter()
-    made = drape_batch([fabric] * workers, resolution=16, workers=workers)
+    made = drape_batch([fabric] * workers, edge=0.01, workers=workers)
     return time.perf_counter() - began - max(result.seconds for result in made)
 
 
@@ -108,10 +108,10 @@ def apart(a: DrapeResult, b: DrapeResult) -> float:
     return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
 
 
-def together(fabrics: list[Fabric], *, resolution: int | None, device: str, threads: int) -> dict:
+def together(fabrics: list[Fabric], *, edge_mm: float, device: str, threads: int) -> dict:
     """Figures of drapes minimised together, all at once, kernels and analysis at hand."""
     torch.set_num_threads(threads)
-    settings = {"resolution": resolution, "device": device, "together": True}
+    settings = {"edge": 1e-3 * edge_mm or None, "device": device, "together": True}
     drape_batch(fabrics[:1], **settings)
     if device != "cpu":
         torch.cuda.reset_peak_memory_stats()
@@ -125,7 +125,7 @@ def together(fabrics: list[Fabric], *, resolution: int | None, device: str, thre
     activities["outside Newton's method"] = max(seconds - activities.pop("total"), 0.0)
     return {
         "batch": len(fabrics),
-        "resolution": resolution or "default",
+        "edge_mm": edge_mm or "default",
         "seconds_per_drape": seconds / len(fabrics),
         # Cloth that meets itself is finished one drape after the other, on the CPU.
         "of_that_self_contact": finished_alone(made) / len(fabrics),
@@ -141,16 +141,17 @@ def finished_alone(made: list[DrapeResult]) -> float:
     """Seconds of the drapes that the sparse solver finished, beyond their shares of the batch's."""
     least = {}
     for result in made:
-        least[result.resolution] = min(result.seconds, least.get(result.resolution, np.inf))
-    return sum(result.seconds - least[result.resolution] for result in made)
+        least[result.edge] = min(result.seconds, least.get(result.edge, np.inf))
+    return sum(result.seconds - least[result.edge] for result in made)
 
 
-def agreement(fabrics: list[Fabric], *, resolution: int | None, device: str) -> dict:
+def agreement(fabrics: list[Fabric], *, edge_mm: float, device: str) -> dict:
     """Drapes minimised together on ``device``, against the CPU's."""
-    found = drape_batch(fabrics, resolution=resolution, device=device, together=True)
+    edge = 1e-3 * edge_mm or None
+    found = drape_batch(fabrics, edge=edge, device=device, together=True)
     # On a CPU both ways differ in rounding from the first step on, and by the rough factors of
     # single drapes, so that some fabrics may find other folds.
-    expected = drape_batch(fabrics, resolution=resolution, together=device != "cpu", workers=1)
+    expected = drape_batch(fabrics, edge=edge, together=device != "cpu", workers=1)
     distances = [apart(*pair) for pair in zip(found, expected, strict=True)]
     return {
         "drapes": len(fabrics),
@@ -175,7 +176,7 @@ def main(argv: list[str]) -> None:
         report["gpu"] = torch.cuda.get_device_name()
     if config["drapes"]:
         report["each_on_its_own"] = part = throughput(
-            fabrics[: config["drapes"]], resolution=config["resolution"] or None,
+            fabrics[: config["drapes"]], edge_mm=config["edge_mm"],
             workers=config["workers"], repeats=config["repeats"])
         print(f"each on its own, {part['drapes']} drapes: one core "
               f"{part['drapes_per_second_one_core']:.3f} a second, {part['workers']} processes "
@@ -186,10 +187,9 @@ def main(argv: list[str]) -> None:
               f"largest difference {part['largest_difference_m']:.1e} m\n")
     if batches:
         report["together"] = rows = []
-        for n in config["resolutions"]:
+        for edge_mm in config["edges_mm"]:
             for count in batches:
-                settings = {"resolution": n or None, "device": device,
-                            "threads": config["threads"]}
+                settings = {"edge_mm": edge_mm, "device": device, "threads": config["threads"]}
                 if device == "cpu":  # a fresh process, for its peak memory
                     with worker_pool(1) as pool:
                         rows.append(pool.submit(together, fabrics[:count], **settings).result())
@@ -198,16 +198,15 @@ def main(argv: list[str]) -> None:
         print(f"together, device={device}")
         activities = list(rows[0]["share_by_activity"])
         print(table(
-            ["vertices a side", "batch", "ms a drape", "of that self-contact", "converged",
+            ["edges at the rim, mm", "batch", "ms a drape", "of that self-contact", "converged",
              *(f"{name}, %" for name in activities), "peak memory, GiB"],
-            [[row["resolution"], row["batch"], round(1e3 * row["seconds_per_drape"]),
+            [[row["edge_mm"], row["batch"], round(1e3 * row["seconds_per_drape"]),
               round(1e3 * row["of_that_self_contact"]), row["converged"],
               *(round(100 * row["share_by_activity"][name]) for name in activities),
               row["peak_memory_GiB"]] for row in rows]))
     if config["check"]:
         report["agreement"] = same = agreement(
-            fabrics[: config["check"]], resolution=config["resolutions"][0] or None,
-            device=device)
+            fabrics[: config["check"]], edge_mm=config["edges_mm"][0], device=device)
         print(f"\n{same['same_shape']} of {same['drapes']} drapes are the CPU's to {SAME:.0e} m; "
               "distances, m: " + ", ".join(f"{d:.1e}" for d in same["distances_m"]))
     write_report(Path(config["out"]), report)

@@ -6,8 +6,8 @@ of single drapes: residuals, agreement on which matrices are positive definite, 
 Keys (``key=value``):
 
     matrices     Hessians of the residual's check; more than the largest batch
-    vertices     a side, of the check
-    resolutions  vertices a side, of the timing
+    edge_mm      edges at the rim of their mesh
+    edges_mm     the same of the timing
     batches      samples at a time
     threads      of the batched solver; the other one has a single thread
     repeats      of each timing, of which the fastest counts
@@ -25,7 +25,7 @@ import ctypes  # noqa: E402
 import resource  # noqa: E402
 import time  # noqa: E402
 from collections.abc import Callable  # noqa: E402
-from dataclasses import dataclass  # noqa: E402
+from dataclasses import dataclass, replace  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import matplotlib  # noqa: E402
@@ -34,7 +34,6 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
-from sim.specimens import make_specimen  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -49,23 +48,21 @@ from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.drape import drape  # noqa: E402
-from sim.energies.base import SeldomEnergy  # noqa: E402
-from sim.equilibrium import build_potential  # noqa: E402
-from sim.grid_unknowns import GridUnknowns  # noqa: E402
-from sim.initial import initial_positions  # noqa: E402
+from sim.cloth import Cloth  # noqa: E402
+from sim.drape import drape, scene_on, start_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
-from sim.linear.multifrontal import LEAF, Analysis, BatchedCholesky, analyse  # noqa: E402
-from sim.linear.nested_dissection import dissect  # noqa: E402
+from sim.linear.multifrontal import Analysis, BatchedCholesky, analyse  # noqa: E402
+from sim.material import REFERENCE_DENSITY  # noqa: E402
+from sim.mesh.specimens import TOPOLOGIES, make_specimen  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
 from sim.potential import Potential  # noqa: E402
-from sim.scene import Rig, Scene, State  # noqa: E402
+from sim.scene import Rig  # noqa: E402
 from sim.sensitivity.parameters import hessian_product  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
-    "vertices": 51,
-    "resolutions": [51, 101],
+    "edge_mm": 4.0,
+    "edges_mm": [4.0, 2.0],
     "batches": [1, 4, 16],
     "threads": [1, 2],
     "repeats": 4,
@@ -77,109 +74,91 @@ STAGES = (0, 3, 10, 400)  # Newton steps on the final mesh; the last reach equil
 
 @dataclass(frozen=True)
 class Sample:
-    """A drape's Hessians, in the frames of its edges.
+    """A drape's Hessians.
 
     Attributes:
-        potential, y: whose and where.
-        pattern: of its own m unknowns.
-        exact, convex: CSR data.
-        rows: (m,) of the shared numbering.
+        potential, q: whose and where.
+        exact, convex: CSR data in the potential's pattern.
     """
 
     potential: Potential
-    y: np.ndarray
-    pattern: SparsePattern
+    q: np.ndarray
     exact: np.ndarray
     convex: np.ndarray
-    rows: np.ndarray
 
-    def residual(self, inside: np.ndarray, rhs: np.ndarray, convexity: float) -> float:
-        """Relative residual of a solution in frames (m,), for a right-hand side by unknowns (m,).
+    def residual(self, x: np.ndarray, rhs: np.ndarray, *, convex: bool) -> float:
+        """Relative residual of a solution x (m,) for a right-hand side (m,).
 
-        The Hessian is summed from the energies' own blocks by unknowns, which know of no frames.
+        The Hessian is summed from the energies' own blocks.
         """
-        q = self.potential.full(self.y)
-        move = np.zeros(len(q))
-        move[self.potential.free_part(np.arange(len(q)))] = self.potential.out_of_frames(
-            self.y, inside)
-        product = hessian_product(self.potential.energies, q, move, convexity=convexity)
-        error = self.potential.free_part(product) - rhs
+        potential = self.potential
+        product = hessian_product(potential.energies, self.q, potential.all_unknowns(x),
+                                  convex=convex)
+        error = potential.free_unknowns(product) - rhs
         return float(np.linalg.norm(error) / np.linalg.norm(rhs))
 
 
-def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnknowns, list[Sample]]:
-    """Hessians of ``count`` fabrics of the prior on meshes of their own, stage after stage.
+@dataclass(frozen=True)
+class Samples:
+    """Hessians on one mesh: their pattern, the places (m, 2) of their unknowns, and each one."""
 
-    But for those of cloth that feels the limit of folds.
-    """
-    prior, rig = load_prior("gaussian"), Rig()
-    specimens = [make_specimen(rig, resolution=n, seed=seed) for seed in range(count)]
-    free = np.any([~specimen.held for specimen in specimens], axis=0)
-    unknowns = GridUnknowns((n, n), free.reshape(n, n))
-    samples = []
-    for seed, specimen in enumerate(specimens):
-        fabric = fabric_from_theta(
-            sample_admissible(prior, stream(77, Stream.FABRIC, seed))[0]
-        ).at_density(0.3)
-        mesh, held = specimen.mesh, specimen.held
-        steps = stages[seed % len(stages)]
+    pattern: SparsePattern
+    places: np.ndarray
+    drapes: list[Sample]
+
+    def data(self, kind: str) -> np.ndarray:
+        """(B, nnz) data of the Hessians, ``kind`` "exact" or "convex"."""
+        return np.stack([getattr(sample, kind) for sample in self.drapes])
+
+
+def make_samples(count: int, edge_mm: float, stages: tuple[int, ...]) -> Samples:
+    """Hessians of ``count`` fabrics of the prior on one mesh, stage after stage."""
+    prior, rig, edge = load_prior("gaussian"), Rig(), 1e-3 * edge_mm
+    specimen = make_specimen(rig, edge=edge)
+    scene, mesh = scene_on(specimen, rig), specimen.mesh
+    drapes = []
+    for number in range(count):
+        theta, _ = sample_admissible(prior, stream(77, Stream.FABRIC, number))
+        fabric = fabric_from_theta(theta).at_density(REFERENCE_DENSITY)
+        steps = stages[number % len(stages)]
+        seed = TOPOLOGIES * number  # all on the first triangulation
         if steps:
             options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=steps)
-            result = drape(fabric, rig=rig, resolution=n, seed=seed, options=options)
-            state = State(result.positions, result.rotations)
+            state = drape(fabric, rig=rig, edge=edge, seed=seed, options=options).state
         else:
-            rng = np.random.default_rng(seed)
-            positions = initial_positions(mesh.rest, rig=rig, start="sine", rng=rng)
-            positions[held] = rig.place(mesh.rest[held])
-            state = State.at(mesh, positions)
-        scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
-        potential = build_potential(scene, fabric, state)
-        q = state.unknowns
-        chosen = potential.free_part(np.arange(len(q)))
-        mask = np.zeros(len(q), dtype=bool)
-        mask[chosen] = True
-        y = potential.free_part(q)
-        if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
-            continue  # its matrix has another pattern
-        (pattern, exact), (_, convex) = (potential.hessian(y, c) for c in (0.0, 1.0))
-        samples.append(Sample(potential, y, pattern, exact, convex,
-                              unknowns.rows(mesh, mask)[chosen]))
-    return unknowns, samples
+            state = scene.state(
+                start_positions(specimen, rig, coarse=None, start="sine", seed=seed))
+        potential = Cloth(scene, fabric).potential
+        exact, convex = (potential.hessian(state.q, c) for c in (0.0, 1.0))
+        drapes.append(Sample(potential, state.q, exact, convex))
+    middles = mesh.rest[mesh.edges].mean(axis=1)
+    places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), middles])
+    free = potential.free_unknowns(np.arange(potential.unknowns))
+    return Samples(potential.pattern, places[free], drapes)
 
 
-def embedded(unknowns: GridUnknowns, samples: list[Sample], kind: str) -> np.ndarray:
-    """(B, nnz) data of the samples' Hessians, ``kind`` "exact" or "convex"."""
-    return np.stack([
-        unknowns.embed(sample.pattern, getattr(sample, kind), sample.rows) for sample in samples
-    ])
-
-
-def check(unknowns: GridUnknowns, samples: list[Sample], device: str) -> dict:
+def check(samples: Samples, device: str) -> dict:
     """Residuals of convex Hessians; which exact ones are positive definite for both solvers."""
-    solver = BatchedCholesky(analyse(unknowns.pattern, unknowns.places, device=device))
+    solver = BatchedCholesky(analyse(samples.pattern, samples.places, device=device))
     rng = np.random.default_rng(0)
     residuals, definite, agree = [], 0, 0
-    for first in range(0, len(samples), 10):
-        part = samples[first : first + 10]
+    for first in range(0, len(samples.drapes), 10):
+        part = replace(samples, drapes=samples.drapes[first : first + 10])
         for kind in ("convex", "exact"):
-            values = embedded(unknowns, part, kind)
-            found = solver.factorise(torch.from_numpy(values).to(device)).tolist()
-            right = [rng.standard_normal(len(sample.rows)) for sample in part]
-            rhs = np.zeros((len(part), unknowns.size))
-            for row, sample, own in zip(rhs, part, right, strict=True):
-                row[sample.rows] = sample.potential.into_frames(sample.y, own)
+            values = torch.from_numpy(part.data(kind)).to(device)
+            found = solver.factorise(values).tolist()
+            rhs = rng.standard_normal((len(part.drapes), len(samples.places)))
             x = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
-            for k, sample in enumerate(part):
+            for k, sample in enumerate(part.drapes):
                 if found[k]:
-                    residuals.append(sample.residual(x[k][sample.rows], right[k],
-                                                     float(kind == "convex")))
+                    residuals.append(sample.residual(x[k], rhs[k], convex=kind == "convex"))
                 if kind == "exact":
                     definite += found[k]
-                    agree += found[k] == make_solver(sample.pattern).factorise(sample.exact)
+                    agree += found[k] == make_solver(samples.pattern).factorise(sample.exact)
                 elif not found[k]:
                     residuals.append(np.inf)
     return {
-        "matrices": len(samples),
+        "matrices": len(samples.drapes),
         "systems_solved": len(residuals),
         "largest_residual": float(max(residuals)),
         "median_residual": float(np.median(residuals)),
@@ -190,19 +169,12 @@ def check(unknowns: GridUnknowns, samples: list[Sample], device: str) -> dict:
 
 def counts(analysis: Analysis, pattern: SparsePattern) -> dict:
     """What the analysis says of a factorisation."""
-    fronts = analysis.fronts
     return {
-        "unknowns": fronts.size,
+        "unknowns": analysis.fronts.size,
         "matrix_entries": len(pattern.indices),
-        "factor_entries": fronts.factor_entries,
-        "largest_front": fronts.largest,
-        "front_sizes": fronts.distinct_sizes,
-        "heights": len(fronts.levels),
-        "groups": len(analysis.groups),
-        "calls": analysis.calls,
-        "gflop": fronts.flops / 1e9,
-        "gflop_carried_out": analysis.padded_flops / 1e9,
-        "index_MiB": analysis.index_bytes / 2**20,
+        "factor_entries": analysis.fronts.factor_entries,
+        "largest_front": analysis.fronts.largest,
+        "gflop": analysis.fronts.flops / 1e9,
     }
 
 
@@ -218,25 +190,25 @@ def fastest(work: list[Callable[[], object]], repeats: int) -> list[float]:
 
 
 def time_batches(
-    unknowns: GridUnknowns, samples: list[Sample], analysis: Analysis, config: dict
+    edge_mm: float, samples: Samples, analysis: Analysis, config: dict
 ) -> list[dict]:
     """Milliseconds a sample for each batch size and number of threads, both solvers."""
-    sample, device = samples[0], config["device"]
+    sample, device = samples.drapes[0], config["device"]
     # Several at a time, so that memory set free before cannot hide them.
     began = _resident()
-    others = [make_solver(sample.pattern) for _ in range(4)]
+    others = [make_solver(samples.pattern) for _ in range(4)]
     for other in others:
         other.factorise(sample.convex)
     other_memory = (_resident() - began) / len(others)
     del others
-    data = embedded(unknowns, samples, "convex")
-    right = np.ones(len(sample.rows))
+    data = samples.data("convex")
+    right = np.ones(len(samples.places))
     rows = []
     for threads in config["threads"]:
         torch.set_num_threads(threads)
         for batch in config["batches"]:
             values = torch.from_numpy(data[np.arange(batch) % len(data)]).to(device)
-            rhs = torch.ones(batch, unknowns.size, dtype=torch.float64, device=device)
+            rhs = torch.ones(batch, len(right), dtype=torch.float64, device=device)
             solver = BatchedCholesky(analysis)
 
             def factorise(solver=solver, values=values) -> bool:
@@ -251,7 +223,7 @@ def time_batches(
                 config["repeats"],
             )
             rows.append({
-                "vertices": unknowns.shape[0],
+                "edge_mm": edge_mm,
                 "threads": threads,
                 "batch": batch,
                 "factor_ms": 1e3 * seconds[0] / batch,
@@ -273,30 +245,21 @@ def _resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def picture(unknowns: GridUnknowns, rows: list[dict], path: Path) -> None:
-    """The heights at which a grid's unknowns are eliminated, and the times."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5))
-    pattern = unknowns.pattern
-    tree = dissect(pattern.indptr, pattern.indices, unknowns.places, leaf=LEAF)
-    for pivots, height in zip(tree.pivots, tree.height, strict=True):
-        left.scatter(*unknowns.places[pivots].T, s=5, c=np.full(len(pivots), height),
-                     cmap="viridis_r", vmin=0, vmax=tree.height.max(), linewidths=0)
-    left.set_aspect("equal")
-    left.set_title("order of elimination: the darker, the later")
-    left.set_axis_off()
-    for vertices in dict.fromkeys(row["vertices"] for row in rows):
-        for threads in dict.fromkeys(row["threads"] for row in rows):
-            chosen = [r for r in rows if (r["vertices"], r["threads"]) == (vertices, threads)]
-            right.plot([r["batch"] for r in chosen],
-                       [r["factor_ms"] + r["solve_ms"] for r in chosen], "o-",
-                       label=f"{vertices} × {vertices}, {threads} thread{'s' * (threads > 1)}")
-        least = min(r["single_factor_ms"] + r["single_solve_ms"]
-                    for r in rows if r["vertices"] == vertices)
-        right.axhline(least, color="0.5", linestyle=":",
-                      label=f"{vertices} × {vertices}, one by one")
-    right.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
-    tick_short_scales(right.xaxis, right.yaxis)
-    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
+def picture(rows: list[dict], path: Path) -> None:
+    """Times against batch size, a line a mesh and number of threads."""
+    figure, axis = plt.subplots(figsize=(6, 5))
+    for edge_mm in dict.fromkeys(row["edge_mm"] for row in rows):
+        own = [row for row in rows if row["edge_mm"] == edge_mm]
+        for threads in dict.fromkeys(row["threads"] for row in own):
+            chosen = [row for row in own if row["threads"] == threads]
+            axis.plot([r["batch"] for r in chosen],
+                      [r["factor_ms"] + r["solve_ms"] for r in chosen], "o-",
+                      label=f"{edge_mm:g} mm, {threads} thread{'s' * (threads > 1)}")
+        least = min(r["single_factor_ms"] + r["single_solve_ms"] for r in own)
+        axis.axhline(least, color="0.5", linestyle=":", label=f"{edge_mm:g} mm, one by one")
+    axis.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
+    tick_short_scales(axis.xaxis, axis.yaxis)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
     figure.tight_layout()
     write_figure(path, figure)
 
@@ -309,23 +272,22 @@ def main(argv: list[str]) -> None:
     torch.set_num_threads(1)
     report = {"dtype": "float64", "single_solver": available_solvers()[0],
               "settings": {k: v for k, v in config.items() if k != "out"}}
-    unknowns, samples = make_samples(config["matrices"], config["vertices"], STAGES)
-    report["check"] = check(unknowns, samples, config["device"])
+    samples = make_samples(config["matrices"], config["edge_mm"], STAGES)
+    report["check"] = check(samples, config["device"])
     print(", ".join(f"{k} {v:.3g}" for k, v in report["check"].items()), flush=True)
     report["counts"], report["times"] = [], []
-    shown = unknowns
-    for n in config["resolutions"]:
-        unknowns, samples = make_samples(4, n, (0,))
+    for edge_mm in config["edges_mm"]:
+        samples = make_samples(4, edge_mm, (0,))
         began = time.perf_counter()
-        analysis = analyse(unknowns.pattern, unknowns.places, device=config["device"])
-        found = {"vertices": n, **counts(analysis, unknowns.pattern),
+        analysis = analyse(samples.pattern, samples.places, device=config["device"])
+        found = {"edge_mm": edge_mm, **counts(analysis, samples.pattern),
                  "analysis_s": time.perf_counter() - began}
         report["counts"].append(found)
         print(", ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
-        report["times"] += time_batches(unknowns, samples, analysis, config)
+        report["times"] += time_batches(edge_mm, samples, analysis, config)
     print(table(report["times"][0], [row.values() for row in report["times"]]))
     path = Path(config["out"])
-    picture(shown, report["times"], path.with_suffix(".png"))
+    picture(report["times"], path.with_suffix(".png"))
     write_report(path, report)
 
 

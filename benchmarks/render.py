@@ -8,7 +8,7 @@ Keys (``key=value``):
 
     data        folder of the drapes; simulated on the first run, in about two minutes
     drapes      number of drapes
-    resolution  vertices along a side of a drape
+    edge_mm     edges at the rim of a drape's mesh
     batch       views made at once
     threads     of each renderer
     repeats     timings of each
@@ -27,6 +27,7 @@ import matplotlib
 import numpy as np
 import torch
 from scipy.ndimage import binary_dilation, binary_erosion
+from torch.nn.utils.rnn import pad_sequence
 
 from benchmarks.common import REPORTS, parse_settings, table, write_figure, write_report
 from common.cli import run_command
@@ -47,7 +48,7 @@ import matplotlib.pyplot as plt
 DEFAULTS = {
     "data": "outputs/bench_render",
     "drapes": 50,
-    "resolution": 41,  # that of the datasets
+    "edge_mm": 4.0,
     "batch": 64,
     "threads": 2,
     "repeats": 15,
@@ -65,7 +66,8 @@ class Drapes:
     """Drapes with a camera and four angles each.
 
     Attributes:
-        positions: (N, V, 3) m; faces: (N, F, 3); angles: (N, 4) rad; cameras: of each drape.
+        positions: (N, V, 3) m; faces: (N, F, 3), those of smaller meshes without area at the end;
+            angles: (N, 4) rad; cameras: of each drape.
     """
 
     positions: torch.Tensor
@@ -90,7 +92,7 @@ class Drapes:
 
 def load_drapes(config: dict) -> Drapes:
     """The drapes in ``data``, simulated where they are missing."""
-    words = [f"drapes={config['drapes']}", f"resolution={config['resolution']}", "seed=4",
+    words = [f"drapes={config['drapes']}", f"edge_mm={config['edge_mm']}", "seed=4",
              "prior=gaussian", "dataset=one_start", "dataset.orientations=1"]
     options = compose_config("generate", words, schema=Options)
     generation = config_from_options(options)
@@ -106,8 +108,9 @@ def load_drapes(config: dict) -> Drapes:
                 size = generation.cameras.intrinsics
                 cameras.append(Camera(*shard.column("intrinsics")[row, 0], size.width, size.height,
                                       world_to_camera=shard.column("world_to_camera")[row, 0]))
-    return Drapes(*(torch.from_numpy(np.stack(part)) for part in zip(*meshes, strict=True)),
-                  cameras)
+    padded = (pad_sequence([torch.from_numpy(mesh) for mesh in part], batch_first=True)
+              for part in zip(*meshes, strict=True))
+    return Drapes(*padded, cameras)
 
 
 def cast(drapes: Drapes, width: int, height: int, threads: int) -> Iterator[Callable]:

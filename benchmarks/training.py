@@ -10,7 +10,7 @@ Keys (``key=value``):
 
     data          folder of the drapes; simulated on the first run
     drapes        number of drapes, each of its own fabric
-    resolution    vertices along a side of a drape
+    edge_mm       edges at the rim of a drape's mesh
     orientations  stored sets of four views of each drape
     batch         drapes a step
     threads       of the network; as many processes are taken to make its views
@@ -59,7 +59,7 @@ import matplotlib.pyplot as plt
 DEFAULTS = {
     "data": "outputs/bench_training",
     "drapes": 64,
-    "resolution": 41,
+    "edge_mm": 4.0,
     "orientations": 12,
     "batch": 64,
     "threads": 2,
@@ -81,7 +81,7 @@ FIGURES = ("loss", "rmse_log_alpha", "rmse_beta_over_alpha", "axis_error_deg")
 
 def make_drapes(config: dict) -> Path:
     """The folder of the drapes, which are simulated where they are missing."""
-    words = [f"drapes={config['drapes']}", f"resolution={config['resolution']}", "seed=6",
+    words = [f"drapes={config['drapes']}", f"edge_mm={config['edge_mm']}", "seed=6",
              "prior=gaussian", "dataset=one_start",
              f"dataset.orientations={config['orientations']}"]
     options = compose_config("generate", words, schema=Options)
