@@ -8,7 +8,7 @@ from sim.energies.midedge import MidEdgeBending
 from sim.equilibrium import build_potential
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh import draped_square
+from sim.mesh.specimens import make_specimen
 from sim.scene import Rig, Scene, State
 
 
@@ -46,7 +46,8 @@ class Stiffened(MidEdgeBending):
 
 def crumpled_potential(size=4e-3, **laws):
     """A potential, its free unknowns at a crumpled shape, and random numbers."""
-    mesh, held, _ = draped_square(size=0.3, plate_radius=0.05, resolution=12)
+    specimen = make_specimen(Rig(), edge=0.03, grading=1)
+    mesh, held = specimen.mesh, specimen.held
     rng = np.random.default_rng(0)
     positions = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
     positions += rng.normal(0, size, positions.shape) * ~held[:, None]

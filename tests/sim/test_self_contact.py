@@ -9,9 +9,10 @@ from common.errors import InputError
 from sim.energies.self_contact import SelfContact, import_ipctk
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
-from sim.mesh import Mesh, draped_square, strip
+from sim.mesh import Mesh, strip
+from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions, Status
-from sim.scene import Scene, State
+from sim.scene import Rig, Scene, State
 from sim.self_contact import (
     contact_distance,
     find_free_equilibrium,
@@ -180,8 +181,8 @@ def test_there_is_no_force_beyond_the_distance_nor_within_a_flat_specimen():
     energy, q = touching(gap=1.6e-3)
     assert energy.value(q) == 0.0
     assert not energy.gradient(q).any() and not energy.hessian(q, 0.5).any()
-    for resolution in (16, 51):
-        mesh, _, _ = draped_square(size=0.3, plate_radius=0.05, resolution=resolution, seed=1)
+    for edge in (0.012, 0.003):
+        mesh = make_specimen(Rig(), edge=edge, topology=1).mesh
         distance = contact_distance(mesh)
         contact = SelfContact(mesh, flat(mesh), distance=distance, pressure=1.0, reach=distance)
         assert contact.value(flat(mesh).ravel()) == 0.0
@@ -246,7 +247,8 @@ def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
 
 
 def test_nothing_changes_where_the_cloth_does_not_meet_itself():
-    mesh, held, _ = draped_square(size=0.3, plate_radius=0.05, resolution=16, seed=2)
+    specimen = make_specimen(Rig(), edge=0.02, grading=1, topology=2)
+    mesh, held = specimen.mesh, specimen.held
     scene = Scene(mesh=mesh, held=held)
     start = State.at(mesh, flat(mesh) * [1, 1, 0] + 1e-3 * np.sin(40 * flat(mesh)[:, :1]) *
                      [0, 0, 1] * ~held[:, None])
