@@ -11,12 +11,13 @@ import numpy as np
 
 from common.errors import InputError
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
-from sim.cantilever.tester import fabric_of_gamma, hang_mesh
+from sim.cantilever.tester import TIGHT, fabric_of_gamma
+from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.newton import Status
-from sim.scene import State
+from sim.scene import Scene, State
 
 _MOST_STRIPS = 12
 _LEAST_REACH = 1e-3  # of the length; a free end that hangs closer to the clamp says nothing
@@ -40,11 +41,7 @@ class EquivalentModulus:
 
 
 def equivalent_modulus(
-    mesh: Mesh,
-    held: np.ndarray,
-    *,
-    gamma: float = 10.0,
-    laws: Laws | None = None,
+    mesh: Mesh, held: np.ndarray, *, gamma: float = 10.0, laws: Laws | None = None,
     tolerance: float = 1e-4,
 ) -> EquivalentModulus:
     """Hinge modulus with which a strip hangs as the heavy elastica of ``gamma`` does.
@@ -67,10 +64,11 @@ def equivalent_modulus(
         raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
     state = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    scene = Scene(mesh=mesh, held=held)
     ratio, mismatch = 1.0, np.inf
     for strips in range(1, _MOST_STRIPS + 1):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        state, result = hang_mesh(mesh, held, fabric, state, laws=laws)
+        state, result = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
         if result.status is not Status.CONVERGED:
             return EquivalentModulus(ratio, mismatch, False, result.message)
         end = free_end(mesh, state)

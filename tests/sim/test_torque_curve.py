@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.cantilever.elastica import elastica, elastica_of_torque
+from sim.cantilever.elastica import elastica, strip_shape, tabulated_law
 from sim.cantilever.torque_curve import fit_torque_curve
 
 WEIGHT = 0.3 * 9.81
@@ -17,7 +17,7 @@ def stiffening_then_soft(kappa: np.ndarray) -> np.ndarray:
 
 def strips_of(law, lengths=(0.05, 0.08, 0.11)) -> list[np.ndarray]:
     kappa = np.linspace(0, 400, 2001)
-    return [elastica_of_torque(kappa, law(kappa), weight=WEIGHT, length=length, points=101)
+    return [strip_shape(tabulated_law(kappa, law(kappa)), weight=WEIGHT, length=length, points=101)
             for length in lengths]
 
 
