@@ -72,15 +72,13 @@ def correct(
 
     Args:
         strips, estimates: of all three directions, see :func:`estimate`.
-        rounds: of simulation, at most.
-        width: of the strips, m.
+        rounds, width: of simulation, at most; of the strips, m.
 
     Returns:
         The fabric whose strips came nearest.
 
     Raises:
-        InputError: a direction is missing, no plate has the estimated moduli, or a strip does
-            not settle.
+        InputError: as for :func:`fabric_of`, or a strip does not settle.
     """
     fabric = fabric_of(estimates, density)
     lengths = {

@@ -20,9 +20,7 @@ from common.errors import InputError
 from sim.cantilever.bezier import Bezier, arc_lengths, fit_bezier
 from sim.material import torque
 
-SAMPLES = 256
-"""Points along each curve (section 4.3)."""
-
+SAMPLES = 256  # points along each curve (section 4.3)
 RATIO_RANGE = (-0.02, 0.02)  # m; beta/alpha of fabrics lies within
 LARGEST_MISFIT = 0.5
 """Of the torque, relative. Points read with an error of 0.3 mm leave 0.15; on nearly straight
@@ -38,9 +36,8 @@ class Estimate:
 
     Attributes:
         alpha, beta: N·m and N·m².
-        misfit: root mean square of what the law leaves unexplained: of the torque, relative to
-            its root mean square (regression), or of the points' distance from the curve, relative
-            to the mean length (table).
+        misfit: root mean square of what the law leaves: of the torque, relative to its own
+            (regression), or of the points' distance, relative to the mean length (table).
         curvature: largest of the curves, 1/m.
     """
 

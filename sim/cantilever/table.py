@@ -16,11 +16,8 @@ from sim.cantilever.bezier import fit_bezier
 from sim.cantilever.elastica import LARGEST_GAMMA, heavy_elastica
 from sim.cantilever.regression import NO_STRIP, RATIO_RANGE, Estimate
 
-POINTS = 41
-"""At equal distances along each curve."""
-
-GAMMAS = (0.05, 2000.0)
-"""Range of the candidates' gamma = rho g L³/alpha."""
+POINTS = 41  # at equal distances along each curve
+GAMMAS = (0.05, 2000.0)  # range of the candidates' rho g L³/alpha
 CANDIDATES = 20  # of alpha
 BANDS = ((-18.0, -13.0, -8.0), (-6.0, -4.0, -2.0), (-0.5, 3.0, 8.0))
 """Candidates of beta/alpha, mm. The nearest of each band starts a refinement, because a stiff

@@ -25,12 +25,9 @@ GUIDE = 100.0
 
 @dataclass(frozen=True)
 class HungStrip:
-    """A strip in equilibrium.
+    """Deflection curve (N, 2), m, the mean across a strip, and slope of its free end across, rad.
 
-    Attributes:
-        curve: (N, 2) m, deflection curve, each point the mean across the strip.
-        twist: slope of the free end across the strip, radians.
-        result: the solver's; the shape counts only if its status is CONVERGED.
+    The shape counts only if the result's status is CONVERGED.
     """
 
     curve: np.ndarray
@@ -95,8 +92,7 @@ class GuidedSides(Energy):
 
     Args:
         mesh: a strip's grid of ``across`` vertices in a column, numbered column by column.
-        stiffness: N/m of each tie; N·m for the sides after multiplication by ``edge`` squared.
-        edge: spacing of the mesh, m.
+        stiffness, edge: N/m of each tie, and times the spacing (m) squared, N·m of the sides.
     """
 
     def __init__(self, mesh: Mesh, *, across: int, stiffness: float, edge: float) -> None:

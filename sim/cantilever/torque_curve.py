@@ -30,10 +30,10 @@ to hold knots that no strip reaches."""
 
 @dataclass(frozen=True)
 class TorqueCurve:
-    """Torque per width as a monotone function of curvature.
+    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
 
     Attributes:
-        curvature: (K + 1,) 1/m, the first 0. torque: (K + 1,) N, at these, increasing from 0.
+        curvature, torque: (K + 1,) 1/m and N, of the knots, increasing from 0.
         misfit: root mean square distance of the measured points from the fitted strips, relative
             to the mean length.
         reached: largest curvature on any strip, 1/m; beyond, the curve is a continuation.
@@ -43,10 +43,6 @@ class TorqueCurve:
     torque: np.ndarray
     misfit: float
     reached: float
-
-    def at(self, curvature: np.ndarray) -> np.ndarray:
-        """Torque (N,) at curvatures (N,), 1/m, up to the last knot's."""
-        return PchipInterpolator(self.curvature, self.torque)(curvature)
 
 
 def fit_torque_curve(
