@@ -18,12 +18,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sim.equivalent import equivalent_modulus, hang_mesh
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from common.cli import run_command
 from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
+from sim.cantilever.equivalent import equivalent_modulus, free_end
+from sim.cantilever.tester import hang_mesh
 from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
 from sim.initial import interpolate_positions
 from sim.laws import Laws
@@ -93,18 +94,17 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = State.at(grid, positions)
-            end, state, result = hang_mesh(
-                grid, held, fabric_of_gamma(gamma, LENGTH), state, laws=laws
-            )
+            found = hang_mesh(grid, held, fabric_of_gamma(gamma, LENGTH), state, laws=laws)
+            state = found.state
             shapes[gamma] = state.positions
-            converged = result.status is Status.CONVERGED
-            ratio = aspect_ratio(end) if converged else None
+            ratio = aspect_ratio(free_end(grid, state)) if found.converged else None
+            expected = aspect_ratio(elastica(gamma)[-1])
             rows.append({
                 "gamma": gamma,
                 "cells": level,
-                "status": result.status.value,
+                "status": found.status.value,
                 "aspect_ratio": ratio,
-                "deviation": ratio / aspect_ratio(elastica(gamma)[-1]) - 1 if converged else None,
+                "deviation": ratio / expected - 1 if found.converged else None,
             })
         coarse = grid.rest, shapes
     return {"rows": rows}

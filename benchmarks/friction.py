@@ -37,7 +37,8 @@ from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from drapenet.checkpoint import BUNDLED, load_model, read_header
-from sim.cantilever.fabric import bending_length, estimate, simulate_strips
+from sim.cantilever.fabric import estimate
+from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import drape
 from sim.energies.bending_friction import BendingFriction
 from sim.laws import Laws

@@ -27,9 +27,8 @@ from common.errors import InputError
 from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.directions import cylinder_moduli, cylinder_torque, free_modulus
-from sim.cantilever.elastica import elastica_of_torque
-from sim.cantilever.fabric import bending_length
-from sim.cantilever.tester import HungStrip
+from sim.cantilever.elastica import strip_shape, tabulated_law
+from sim.cantilever.tester import HungStrip, bending_length
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
@@ -121,9 +120,8 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
         "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
     }
     curvature = np.linspace(0, LARGEST_CURVATURE, 4001)
-    cylinder = elastica_of_torque(
-        curvature, cylinder_torque(cloth, radians, curvature), weight=WEIGHT, length=LENGTH
-    )
+    law = tabulated_law(curvature, cylinder_torque(cloth, radians, curvature))
+    cylinder = strip_shape(law, weight=WEIGHT, length=LENGTH)
     result: dict = {
         "fabric": fabric,
         "angle": angle,

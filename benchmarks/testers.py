@@ -32,15 +32,8 @@ from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
 from data.sampling import Stream, stream
 from sim.cantilever import heavy_elastica
-from sim.cantilever.fabric import (
-    ANGLES,
-    METHODS,
-    Strips,
-    bending_length,
-    correct,
-    estimate,
-    simulate_strips,
-)
+from sim.cantilever.fabric import METHODS, Strips, correct, estimate
+from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
 from sim.energies import plate_law
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
