@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sim.equivalent import equivalent_modulus, hang_mesh
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from common.cli import run_command
@@ -97,19 +96,19 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = State.at(grid, positions)
-            state, result = find_equilibrium(
-                Scene(mesh=grid, held=held), fabric_of_gamma(gamma, LENGTH), state,
-                laws=laws, options=TIGHT,
-            )
+            scene = Scene(mesh=grid, held=held)
+            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
+                                     options=TIGHT)
+            state = found.state
             shapes[gamma] = state.positions
-            converged = result.status is Status.CONVERGED
-            ratio = aspect_ratio(free_end(grid, state)) if converged else None
+            ratio = aspect_ratio(free_end(grid, state)) if found.converged else None
+            expected = aspect_ratio(elastica(gamma)[-1])
             rows.append({
                 "gamma": gamma,
                 "cells": level,
-                "status": result.status.value,
+                "status": found.status.value,
                 "aspect_ratio": ratio,
-                "deviation": ratio / aspect_ratio(elastica(gamma)[-1]) - 1 if converged else None,
+                "deviation": ratio / expected - 1 if found.converged else None,
             })
         coarse = grid.rest, shapes
     return {"rows": rows}

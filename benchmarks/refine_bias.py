@@ -50,8 +50,8 @@ from sim.sensitivity import follow
 PRIOR = np.array([0.2] * 3 + [1.3e-3] * 3)  # usual errors of the network: log alpha, m
 DEFAULTS = {
     "fabrics": 12,
-    "truth_mm": 1.75,
-    "edges_mm": [4.0, 3.0, 2.5, 2.0],
+    "truth_mm": 1.0,
+    "edges_mm": [4.0, 3.0, 2.5, 2.0, 1.5],
     "pulls": [0.1],
     "seed": 78,
     "workers": 2,

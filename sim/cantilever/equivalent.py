@@ -16,8 +16,8 @@ from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
-from sim.newton import Status
-from sim.scene import Scene, State
+from sim.scene import Scene
+from sim.state import State
 
 _MOST_STRIPS = 12
 
@@ -63,13 +63,14 @@ def equivalent_modulus(
         raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
     scene = Scene(mesh=mesh, held=held)
-    state = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    state = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
     ratio, mismatch = 1.0, np.inf
     for strips in range(1, _MOST_STRIPS + 1):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        state, result = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
-        if result.status is not Status.CONVERGED:
-            return EquivalentModulus(ratio, mismatch, False, result.message)
+        found = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
+        state = found.state
+        if not found.converged:
+            return EquivalentModulus(ratio, mismatch, False, found.message)
         # The stiffness shows in the gamma that a physical strip of this shape would have; it is
         # nearly proportional to the modulus, so that a few corrections by its error suffice.
         try:
