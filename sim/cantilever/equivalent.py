@@ -24,19 +24,12 @@ _MOST_STRIPS = 12
 
 @dataclass(frozen=True)
 class EquivalentModulus:
-    """The modulus of a hinge law that stands for a physical one on a given mesh.
+    """The modulus of a hinge law that stands for a physical one on a given mesh."""
 
-    Attributes:
-        ratio: hinge modulus over the physical alpha.
-        mismatch: relative difference of the stiffness that is left.
-        found: whether ``mismatch`` is below the tolerance.
-        message: why not, in words; else how many strips it took.
-    """
-
-    ratio: float
-    mismatch: float
-    found: bool
-    message: str
+    ratio: float  # hinge modulus over the physical alpha
+    mismatch: float  # relative difference of the stiffness that is left
+    found: bool  # whether the mismatch is below the tolerance
+    message: str  # why not, in words; else how many strips it took
 
 
 def equivalent_modulus(
@@ -46,12 +39,10 @@ def equivalent_modulus(
     """Hinge modulus with which a strip hangs as the heavy elastica of ``gamma`` does.
 
     Args:
-        mesh: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
-        held: (V,) bool, clamped vertices.
+        mesh, held: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
         gamma: rho g L³/alpha of the physical strip, L its free length. 10 hangs down by about
             its reach, as the cloth of a drape does.
-        laws: linear hinges by default.
-        tolerance: of the stiffness, relative.
+        laws, tolerance: linear hinges by default; of the stiffness, relative.
 
     Raises:
         InputError: the strip has no free length or gamma is out of range.
