@@ -47,7 +47,7 @@ def hang(
         angle: of the strip to the warp, radians; pi/4 is the bias, pi/2 the weft.
         length, width, edge: free length, width and mesh spacing, m.
         across: mesh cells across the strip; None makes them square.
-        guided: keep the rulings level, see :class:`GuidedSides`; a real strip is free.
+        guided: keep the rulings level, see :class:`TiedRows`; a real strip is free.
         gravity: m/s²; tiny values give the small deflections of plate theory.
         triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
 
