@@ -30,7 +30,7 @@ from sim.newton import NewtonOptions, NewtonResult, Status
 from sim.scene import CONTACT_PRESSURE, Rig, Scene, State
 from sim.self_contact import find_free_equilibrium, self_intersections
 
-COARSE_MEMBRANE = 0.01
+COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
