@@ -222,3 +222,6 @@ def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
     assert coarse_to_fine(0.002) == pytest.approx([0.0125, 0.005, 0.002])
     assert coarse_to_fine(0.0025, 0.008) == pytest.approx([0.00625, 0.0025])
     assert coarse_to_fine(0.02) == [0.02]
+    for edge in (0.0, -1.0, 1e-4, np.nan):
+        with pytest.raises(InputError, match=r"edge=.* between"):
+            coarse_to_fine(edge)
