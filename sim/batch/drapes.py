@@ -1,11 +1,11 @@
 """Many drapes at once: fabrics in, drapes out, each as :func:`sim.drape.drape` would make it.
 
-On a GPU drapes on one topology are minimised together: each follows the algorithm of a single drape
-in a thread of its own (:mod:`sim.batch.rendezvous`), while energies, derivatives and factors of all
-of them are calculated in one batch (:mod:`sim.batch.device`). On a CPU that is slower than the sparse
-solver of single drapes, which works in cache and partly in single precision: there, by default, each
-drape is made on its own, by as many worker processes as there are cores (``benchmarks/batched.py``
-measures both).
+On a GPU drapes on one topology are minimised together: each follows the algorithm of a single
+drape in a thread of its own (:mod:`sim.batch.rendezvous`), while energies, derivatives and factors
+of all of them are calculated in one batch (:mod:`sim.batch.device`). On a CPU that is slower than
+the sparse solver of single drapes, which works in cache and partly in single precision: there, by
+default, each drape is made on its own, by as many worker processes as there are cores
+(``benchmarks/batched.py`` measures both).
 """
 
 import os

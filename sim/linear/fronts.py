@@ -261,7 +261,8 @@ def _level(
                 later = child.rows[child.own :]
                 here, there = front.local(later), child.local(later)
                 i, j = np.tril_indices(len(later))
-                matrices.append((child.address(there[i], there[j]), front.address(here[i], here[j])))
+                matrices.append((child.address(there[i], there[j]),
+                                 front.address(here[i], here[j])))
                 vectors.append((child.vector + there, front.vector + here))
         updates.append(_joined(matrices, device))
         carried.append(_joined(vectors, device))
