@@ -1,13 +1,18 @@
 """Cantilever strips on the command line.
 
-Simulate strips of the default law, a JSON list of gamma and aspect ratio:
+Simulate strips of the default law, a JSON list of gamma = rho g L³/alpha and aspect ratio:
 
-    python -m sim.cantilever --gamma 0.1 1 10 100 --json FILE       (FILE may be -)
+    python -m apps.cantilever hang gamma=0.1,1,10,100 out=FILE
 
 Estimate moduli from measured deflection curves, CSV files with the columns x_mm and y_mm whose
 first row is the clamp's edge; several strips of a direction are joined by commas:
 
-    python -m sim.cantilever estimate warp=a.csv,b.csv bias=c.csv weft=d.csv density=150
+    python -m apps.cantilever estimate warp=a.csv,b.csv bias=c.csv weft=d.csv density=150
+
+Keys (``key=value``) of hang:
+
+    gamma              of each strip
+    out                JSON file; without it the list is printed
 
 Keys of estimate:
 
@@ -27,22 +32,19 @@ Keys of estimate:
 import common.interrupt  # noqa: F401
 
 # isort: split
-import argparse
 import json
 import sys
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
-from sim.cantilever.curves import read_curve
 
 from common.cli import check_density, parse_overrides, run_command
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
-from sim.cantilever.elastica import aspect_ratio, elastica
-from sim.cantilever.fabric import METHODS, correct, estimate
+from data.strip_curves import read_curve
+from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
+from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
-from sim.cantilever.tester import fabric_of_gamma, hang
 from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
@@ -52,7 +54,8 @@ LENGTH = 0.09  # m; only gamma matters
 LARGEST_SIMULATED_GAMMA = 2000.0
 CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
 
-DEFAULTS = {
+STRIPS = {"gamma": [0.1, 1.0, 10.0, 100.0], "out": ""}
+ESTIMATES = {
     **dict.fromkeys(DIRECTIONS, ""),
     "density": 0.0,
     "method": "table",
@@ -65,41 +68,33 @@ DEFAULTS = {
 }
 
 
-class _Parser(argparse.ArgumentParser):
-    """Argument parser whose complaints are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InputError(message)
-
-
 def main(argv: list[str]) -> None:
     """Dispatch to :func:`print_strips` or :func:`print_estimate`."""
     if not argv or {"-h", "--help", "help"} & set(argv):
         print(__doc__)
+    elif argv[0] == "hang":
+        print_strips(parse_overrides(STRIPS, argv[1:]))
     elif argv[0] == "estimate":
-        print_estimate(parse_overrides(DEFAULTS, argv[1:]))
+        print_estimate(parse_overrides(ESTIMATES, argv[1:]))
     else:
-        parser = _Parser(prog="python -m sim.cantilever", add_help=False)
-        parser.add_argument("--gamma", nargs="+", type=float, required=True)
-        parser.add_argument("--json", default="-")
-        options = parser.parse_args(argv)
-        print_strips(options.gamma, options.json)
+        raise InputError(f"'{argv[0]}' is no command; begin with hang or estimate")
 
 
-def print_strips(gammas: list[float], out: str) -> None:
-    """Simulate a strip for each gamma; write JSON to the file ``out``, or print it for "-"."""
-    for gamma in gammas:
+def print_strips(config: dict) -> None:
+    """Simulate a strip for each gamma; write JSON to the file ``out``, or print it."""
+    for gamma in config["gamma"]:
         if not 0 < gamma <= LARGEST_SIMULATED_GAMMA:
             raise InputError(
                 f"gamma={gamma:g} must lie above 0 and not above {LARGEST_SIMULATED_GAMMA:g}"
             )
-    if out != "-":
-        require_file(Path(out))
-    text = json.dumps([simulate(gamma) for gamma in gammas], indent=2) + "\n"
-    if out == "-":
-        print(text, end="")
+    out = Path(config["out"]) if config["out"] else None
+    if out:
+        require_file(out)
+    text = json.dumps([simulate(gamma) for gamma in config["gamma"]], indent=2) + "\n"
+    if out:
+        replace_file(out, text.encode())
     else:
-        replace_file(Path(out), text.encode())
+        print(text, end="")
 
 
 def simulate(gamma: float) -> dict:
@@ -136,14 +131,19 @@ def print_estimate(config: dict) -> None:
     if config["out"]:
         require_file(Path(config["out"]))
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
-    if config["method"] == "spline":
-        print_torque_curves(strips, config)
-        return
+    report = (torque_curves if config["method"] == "spline" else moduli)(strips, config)
+    if config["out"]:
+        replace_json(Path(config["out"]), {"density_g_m2": config["density"],
+                                           "method": config["method"], **report})
+
+
+def moduli(strips: Strips, config: dict) -> dict:
+    """Estimate and correct alpha and beta of each direction, print them; the report's part."""
     options = {
         "density": 1e-3 * config["density"],
         "method": config["method"],
         "slope": float(np.radians(config["slope"])),
-        "degree": config["degree"] or None,
+        "degree": config["degree"],
     }
     found = estimate(strips, **options)
     rows = {
@@ -152,15 +152,14 @@ def print_estimate(config: dict) -> None:
             "beta_nN_m2": e.beta / NANO,
             "misfit": e.misfit,
             "largest_curvature_1_m": e.curvature,
-            "largest_reduced_curvature": e.reduced_curvature,
-            "tells_beta": not e.bounded,
+            "largest_reduced_curvature": -e.beta / e.alpha * e.curvature,
+            "beta_found": not e.bounded,
         }
         for direction, e in found.items()
     }
     if config["rounds"]:
-        fabric = correct(
-            strips, found, rounds=config["rounds"], width=1e-3 * config["width"], **options
-        )
+        width = 1e-3 * config["width"]
+        fabric = correct(strips, found, rounds=config["rounds"], width=width, **options)
         for k, direction in enumerate(DIRECTIONS):
             rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
             rows[direction]["beta_nN_m2"] = float(fabric.beta[k] / NANO)
@@ -170,21 +169,18 @@ def print_estimate(config: dict) -> None:
               f"{100 * row['misfit']:10.2f}{row['largest_reduced_curvature']:15.2f}")
     for direction in (direction for direction, e in found.items() if e.bounded):
         print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
-              f"{RATIO_RANGE[1]:g} m; these curves do not tell beta")
-    if config["out"]:
-        report = {"density_g_m2": config["density"], "method": config["method"],
-                  "rounds": config["rounds"], "moduli": rows}
-        replace_json(Path(config["out"]), report)
+              f"{RATIO_RANGE[1]:g} m; these curves do not determine beta")
+    return {"rounds": config["rounds"], "moduli": rows}
 
 
-def print_torque_curves(strips: dict[str, list[np.ndarray]], config: dict) -> None:
-    """Fit a torque curve to the strips of each direction, print its knots, write JSON."""
+def torque_curves(strips: Strips, config: dict) -> dict:
+    """Fit a torque curve to the strips of each direction, print its knots; the report's part."""
     if config["slope"] or config["rounds"]:
         raise InputError("method=spline is for a level clamp and has no rounds of correction")
     rows = {}
     for direction, curves in strips.items():
         found = fit_torque_curve(curves, weight=1e-3 * config["density"] * GRAVITY,
-                                 knots=config["knots"], degree=config["degree"] or None)
+                                 knots=config["knots"], degree=config["degree"])
         rows[direction] = {
             "curvature_1_m": found.curvature.tolist(),
             "torque_mN": (1e3 * found.torque).tolist(),
@@ -194,9 +190,7 @@ def print_torque_curves(strips: dict[str, list[np.ndarray]], config: dict) -> No
         print(f"{direction}: misfit {100 * found.misfit:.2f} %, bent up to {found.reached:.0f} 1/m")
         print(f"  curvature 1/m {''.join(f'{k:9.1f}' for k in found.curvature)}")
         print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in found.torque)}")
-    if config["out"]:
-        report = {"density_g_m2": config["density"], "method": "spline", "torque_curves": rows}
-        replace_json(Path(config["out"]), report)
+    return {"torque_curves": rows}
 
 
 def entry() -> None:

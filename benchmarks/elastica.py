@@ -24,13 +24,15 @@ from common.cli import run_command
 from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.equivalent import equivalent_modulus, free_end
-from sim.cantilever.tester import hang_mesh
+from sim.cantilever.tester import TIGHT
+from sim.equilibrium import find_equilibrium
 from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.newton import Status
+from sim.scene import Scene
 from sim.state import State
 
 LENGTH, WIDTH = 0.09, 0.027  # m
@@ -94,7 +96,8 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = State.at(grid, positions)
-            found = hang_mesh(grid, held, fabric_of_gamma(gamma, LENGTH), state, laws=laws)
+            found = find_equilibrium(Scene(mesh=grid, held=held), fabric_of_gamma(gamma, LENGTH),
+                                     state, laws=laws, options=TIGHT)
             state = found.state
             shapes[gamma] = state.positions
             ratio = aspect_ratio(free_end(grid, state)) if found.converged else None

@@ -24,7 +24,7 @@ The conversion is for the energy a theta² e / (2 h), h = (H0 + H1)/6. Codes tha
 and take a theta² e / h, need half of a: alpha / 6.
 
 The conversion is exact for the same mesh. It does not make a hinge's modulus a physical one:
-see :mod:`sim.equivalent`.
+see :mod:`sim.cantilever.equivalent`.
 """
 
 from dataclasses import dataclass

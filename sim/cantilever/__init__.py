@@ -1,8 +1,10 @@
 """Cantilever strips: the simulated tester, its theory, and the estimators that read its curves.
 
 A strip of fabric is clamped at one end and hangs by its own weight (Feng et al. 2022, section
-4.3). A deflection curve is an array (N, 2) of reach and drop in metres, from the clamp's edge to
-the free end; the drop is positive downwards.
+4.3). Throughout, a deflection curve is an array (N, 2) of reach and drop in metres, from the
+clamp's edge to the free end, the drop positive downwards; ``weight`` is rho g in N/m², ``slope``
+the angle of the clamp below the horizontal in radians, and ``degree`` that of the Bézier curves
+that smooth a deflection curve (0: chosen for each).
 """
 
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio, heavy_elastica

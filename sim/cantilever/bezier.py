@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.special import comb
 
 from common.errors import InputError
@@ -17,11 +18,7 @@ _ROUNDS = 30
 
 @dataclass(frozen=True)
 class Bezier:
-    """A plane Bézier curve.
-
-    Attributes:
-        control: (d + 1, 2) control points, m.
-    """
+    """A plane Bézier curve with control points (d + 1, 2), m."""
 
     control: np.ndarray
 
@@ -35,25 +32,22 @@ class Bezier:
     @cached_property
     def _lengths(self) -> tuple[np.ndarray, np.ndarray]:
         t = np.linspace(0.0, 1.0, 2049)
-        speed = np.linalg.norm(self.at(t, 1), axis=1)
-        steps = (speed[1:] + speed[:-1]) / 2 * np.diff(t)
-        return t, np.concatenate([[0.0], np.cumsum(steps)])
+        return t, cumulative_trapezoid(np.linalg.norm(self.at(t, 1), axis=1), t, initial=0)
 
     @property
     def length(self) -> float:
         """Arc length, m."""
         return float(self._lengths[1][-1])
 
-    def evenly(self, count: int) -> np.ndarray:
-        """(count,) parameters at equal arc lengths, ends included."""
-        t, s = self._lengths
-        return np.interp(np.linspace(0.0, s[-1], count), s, t)
+    def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points (count, 2), m, at equal arc lengths, and curvatures (count,), 1/m, there.
 
-    def curvature(self, t: np.ndarray) -> np.ndarray:
-        """(N,) curvature, 1/m, positive where the strip bends down."""
-        first, second = self.at(t, 1), self.at(t, 2)
-        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        return cross / np.linalg.norm(first, axis=1) ** 3
+        Ends included; the curvature is positive where the strip bends down.
+        """
+        t, s = self._lengths
+        t = np.interp(np.linspace(0.0, s[-1], count), s, t)
+        (x, y), (xx, yy) = self.at(t, 1).T, self.at(t, 2).T
+        return self.at(t), (x * yy - y * xx) / np.hypot(x, y) ** 3
 
 
 def bernstein(t: np.ndarray, degree: int) -> np.ndarray:
@@ -62,58 +56,51 @@ def bernstein(t: np.ndarray, degree: int) -> np.ndarray:
     return comb(degree, k) * t**k * (1.0 - t) ** (degree - k)
 
 
-def fit_bezier(
-    curve: np.ndarray, *, degree: int | None = None, slope: float = 0.0
-) -> tuple[Bezier, float]:
+def arc_lengths(points: np.ndarray) -> np.ndarray:
+    """(N,) lengths, m, of the polygon of points (N, 2) from the first up to each."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tuple[Bezier, float]:
     """Least-squares Bézier curve that leaves the clamp's edge, 0, in the clamp's direction.
 
     Each point's parameter is moved to the nearest point of the fitted curve, and the fit
-    repeated.
-
-    Args:
-        curve: (N, 2) m, reach and drop.
-        degree: None for the one in :data:`DEGREES` with the least Bayesian information
-            criterion, so that noise is not fitted.
-        slope: angle of the clamp below the horizontal, radians.
+    repeated. ``degree`` 0 stands for the one in :data:`DEGREES` with the least Bayesian
+    information criterion, so that noise is not fitted.
 
     Returns:
         The curve and the root mean square distance of the points from it, m.
 
     Raises:
-        InputError: fewer points than the degree needs.
+        InputError: a degree below 2, or fewer points than the degree needs.
     """
-    if degree is not None:
-        return _fit_degree(curve, degree, slope)
-    count = len(curve)  # what counts is a point's distance across the curve
-    # Distances below 1e-6 of the curve's size are not distinguished.
+    count = len(curve)
+    degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]
+    if degrees[0] < 2:
+        raise InputError(f"a Bézier curve of degree {degree} cannot bend; give 2 or more")
+    if count < (needed := 2 * (degrees[0] + 1)):
+        raise InputError(f"a Bézier curve of degree {degrees[0]} needs {needed} points, "
+                         f"not {count}")
+    # Distances below 1e-6 of the curve's size are not distinguished. What counts is a point's
+    # distance across the curve: one number a point.
     least = (1e-6 * np.linalg.norm(curve[-1])) ** 2
-    fits = [_fit_degree(curve, each, slope) for each in DEGREES if 2 * (each + 1) <= count]
-    if not fits:
-        raise InputError(f"{count} points are too few for a Bézier curve")
-    return min(fits, key=lambda fit: count * np.log(fit[1] ** 2 + least)
-               + 2 * len(fit[0].control) * np.log(count))
+    return min((_fit_degree(curve, each, slope) for each in degrees), key=lambda fit: (
+        count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))
 
 
 def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, float]:
-    needed = 2 * (degree + 1)
-    if degree < 2:
-        raise InputError(f"a Bézier curve of degree {degree} cannot bend; give 2 or more")
-    if needed > len(curve):
-        raise InputError(
-            f"a Bézier curve of degree {degree} needs {needed} points, not {len(curve)}"
-        )
-    steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
-    t = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    t = arc_lengths(curve)
+    t /= t[-1]
     bezier = _solve(curve, t, degree, slope)
     for _ in range(_ROUNDS):
         offset = curve - bezier.at(t)
         first, second = bezier.at(t, 1), bezier.at(t, 2)
-        stiffness = (first**2).sum(1) - (offset * second).sum(1)
-        move = (offset * first).sum(1) / np.maximum(stiffness, 0.5 * (first**2).sum(1))
-        t = np.clip(t + move, 0.0, 1.0)
+        speed = (first**2).sum(1)
+        stiffness = np.maximum(speed - (offset * second).sum(1), 0.5 * speed)
+        t = np.clip(t + (offset * first).sum(1) / stiffness, 0.0, 1.0)
         bezier = _solve(curve, t, degree, slope)
-    distance = np.sqrt(((curve - bezier.at(t)) ** 2).sum(1).mean())
-    return bezier, float(distance)
+    return bezier, float(np.sqrt(((curve - bezier.at(t)) ** 2).sum(1).mean()))
 
 
 def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezier:
@@ -123,9 +110,7 @@ def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezie
     clamp's direction, and the other control points.
     """
     basis = bernstein(t, degree)
-    direction = np.array([np.cos(slope), np.sin(slope)])
-    matrix = np.hstack([
-        np.kron(basis[:, 1:2], direction[:, None]), np.kron(basis[:, 2:], np.eye(2))
-    ])
-    solution = np.linalg.lstsq(matrix, curve.ravel(), rcond=None)[0]
-    return Bezier(np.vstack([[0.0, 0.0], solution[0] * direction, solution[1:].reshape(-1, 2)]))
+    along = np.array([np.cos(slope), np.sin(slope)])
+    matrix = np.hstack([np.kron(basis[:, 1:2], along[:, None]), np.kron(basis[:, 2:], np.eye(2))])
+    second, *others = np.linalg.lstsq(matrix, curve.ravel(), rcond=None)[0]
+    return Bezier(np.vstack([[0.0, 0.0], second * along, np.reshape(others, (-1, 2))]))

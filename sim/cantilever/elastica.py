@@ -19,64 +19,21 @@ from common.errors import InputError
 from sim.material import SOFTENING_LIMIT
 
 LARGEST_GAMMA = 1e4
-STEPS = 2000
-"""Least number of steps along a strip; the error of H/W is then below 1e-7."""
-
 _SMALLEST_TIP = -300.0  # logarithm of the tip's angle to the vertical; far below any solution's
 
 
-def elastica(gamma: float, points: int = 2001, *, softening: float = 0.0, **options) -> np.ndarray:
-    """Shape (points, 2) of a heavy elastica of length 1: distance from the clamp and drop.
-
-    For small gamma and a horizontal clamp, drop/reach tends to gamma/8.
-
-    Args:
-        gamma: rho g L³/alpha, up to :data:`LARGEST_GAMMA`.
-        softening: -beta/(alpha L); 0 is the linear law.
-        options: slope and steps of :func:`strip_shape`, which also gives ``points``.
-
-    Raises:
-        InputError: gamma or slope out of range.
-    """
-    return heavy_elastica(1.0, -softening, weight=gamma, length=1.0, points=points, **options)
-
-
-def heavy_elastica(
-    alpha: float, beta: float, *, weight: float, length: float, **options
-) -> np.ndarray:
-    """Shape (points, 2), m, of a strip whose torque is that of :func:`sim.material.torque`.
-
-    Args:
-        alpha, beta: moduli along the strip, N·m and N·m².
-        weight, length, options: see :func:`strip_shape`.
-
-    Raises:
-        InputError: gamma = weight length³/alpha or slope out of range.
-    """
-    gamma = weight * length**3 / alpha
-    if not 0 < gamma <= LARGEST_GAMMA:
-        raise InputError(f"gamma={gamma:g} must lie above 0 and not above {LARGEST_GAMMA:g}")
-    return strip_shape(softening_law(alpha, beta), weight=weight, length=length, **options)
-
-
 def strip_shape(
-    law: np.ndarray,
-    *,
-    weight: float,
-    length: float,
-    slope: float = 0.0,
-    points: int = 2001,
-    steps: int = STEPS,
+    law: np.ndarray, *, weight: float, length: float, slope: float = 0.0, points: int = 2001,
+    steps: int = 2000,
 ) -> np.ndarray:
     """Shape (points, 2), m, of a strip of any torque law: distance from the clamp and drop.
 
     Args:
         law: (4, K) pieces, see the module.
-        weight: rho g, N/m².
-        length: free length, m.
+        weight, length: rho g, N/m², and free length, m.
         slope: angle of the clamp below the horizontal, radians in [0, pi/2).
         points: at equal distances along the strip.
-        steps: least number of steps of the integration; with 400 H/W is still right to 1e-5
+        steps: of the integration, at least; the error of H/W is below 1e-7, with 400 below 1e-5
             up to gamma = 1000.
 
     Raises:
@@ -84,36 +41,55 @@ def strip_shape(
     """
     if not 0 <= slope < np.pi / 2 - 1e-3:
         raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
+    shape, target = np.zeros((points, 2)), np.pi / 2 - slope
     every = -(-steps // (points - 1))
-    shape = np.zeros((points, 2))
-    target = np.pi / 2 - slope
 
     def excess(tip: float) -> float:
         return _from_tip(law, weight, length, np.exp(tip), target, every, shape) - target
 
     if excess(_SMALLEST_TIP) > 0:
-        raise InputError("the cloth is too soft to leave its clamp at the clamp's slope")
+        raise InputError("the cloth is too soft for its clamp: it hangs straight down")
     # While theta stays between -pi/2 and pi/2 it grows from clamp to tip, and the clamp's angle
     # grows with the tip's, so that there is exactly one solution.
     excess(brentq(excess, _SMALLEST_TIP, np.log(target), xtol=1e-14, rtol=1e-14))
     return shape[-1] - shape[::-1]
 
 
+def heavy_elastica(
+    alpha: float, beta: float, *, weight: float, length: float, **options
+) -> np.ndarray:
+    """Shape (points, 2), m, of a strip whose torque is that of :func:`sim.material.torque`.
+
+    ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip.
+
+    Raises:
+        InputError: slope or gamma = weight length³/alpha out of range.
+    """
+    gamma = weight * length**3 / alpha
+    if not 0 < gamma <= LARGEST_GAMMA:
+        raise InputError(f"gamma={gamma:g} must lie above 0 and not above {LARGEST_GAMMA:g}")
+    return strip_shape(softening_law(alpha, beta), weight=weight, length=length, **options)
+
+
+def elastica(gamma: float, points: int = 2001, *, softening: float = 0.0, **options) -> np.ndarray:
+    """Shape (points, 2) of a heavy elastica of length 1 with -beta/(alpha L) = ``softening``.
+
+    For small gamma and a horizontal clamp, drop/reach tends to gamma/8. ``options`` and errors
+    as for :func:`heavy_elastica`.
+    """
+    return heavy_elastica(1.0, -softening, weight=gamma, length=1.0, points=points, **options)
+
+
 def softening_law(alpha: float, beta: float) -> np.ndarray:
     """(4, 1 or 2) pieces of the law of :func:`sim.material.torque`; N·m and N·m²."""
     if beta >= 0:
         return np.array([[0.0], [0.0], [alpha], [beta]])
-    end = SOFTENING_LIMIT * alpha / -beta
-    return np.array([
-        [0.0, end],
-        [0.0, alpha * end * (1 - SOFTENING_LIMIT)],
-        [alpha, alpha * (1 - 2 * SOFTENING_LIMIT)],
-        [beta, 0.0],
-    ])
+    end, u = SOFTENING_LIMIT * alpha / -beta, SOFTENING_LIMIT
+    return np.array([[0, end], [0, alpha * end * (1 - u)], [alpha, alpha * (1 - 2 * u)], [beta, 0]])
 
 
 def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """(4, K - 1) straight pieces through curvatures (K,), 1/m, from 0 and torques (K,), N.
+    """(4, K - 1) straight pieces through curvatures (K,), 1/m, from 0, and rising torques (K,), N.
 
     Raises:
         InputError: a torque that does not increase with the curvature.
@@ -137,12 +113,12 @@ def gamma_of_aspect_ratio(ratio: float) -> float:
     """
 
     def excess(log_gamma: float) -> float:
-        return np.log(aspect_ratio(elastica(np.exp(log_gamma), 101)[-1]) / ratio)
+        return aspect_ratio(elastica(np.exp(log_gamma), 101)[-1]) - ratio
 
-    lowest, highest = np.log(1e-6), np.log(0.999 * LARGEST_GAMMA)
-    if not ratio > 0 or excess(lowest) > 0 or excess(highest) < 0:
-        raise InputError(f"no heavy elastica has drop/reach = {ratio:g}")
-    return float(np.exp(brentq(excess, lowest, highest, xtol=1e-9)))
+    try:
+        return float(np.exp(brentq(excess, np.log(1e-6), np.log(0.999 * LARGEST_GAMMA), xtol=1e-9)))
+    except ValueError:  # no change of sign
+        raise InputError(f"no heavy elastica has drop/reach = {ratio:g}") from None
 
 
 @numba.njit(cache=True)
@@ -159,7 +135,7 @@ def _from_tip(law, weight, length, tip, target, every, shape):
     """Fill ``shape`` (points, 2) from the tip to the clamp by Runge-Kutta steps, fourth order.
 
     There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical is
-    used, because at the tip of a limp strip it is too small to be told from 0 in theta. Returns d
+    used, because at the tip of a limp strip it is too small to show in theta. Returns d
     at the clamp, or where it passes ``target``.
     """
     steps = (len(shape) - 1) * every

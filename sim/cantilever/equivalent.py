@@ -11,15 +11,15 @@ import numpy as np
 
 from common.errors import InputError
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
-from sim.cantilever.tester import fabric_of_gamma, hang_mesh
+from sim.cantilever.tester import TIGHT, fabric_of_gamma
+from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.newton import Status
-from sim.scene import State
+from sim.scene import Scene, State
 
 _MOST_STRIPS = 12
-_LEAST_REACH = 1e-3  # of the length; a free end that hangs closer to the clamp says nothing
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,7 @@ class EquivalentModulus:
 
 
 def equivalent_modulus(
-    mesh: Mesh,
-    held: np.ndarray,
-    *,
-    gamma: float = 10.0,
-    laws: Laws | None = None,
+    mesh: Mesh, held: np.ndarray, *, gamma: float = 10.0, laws: Laws | None = None,
     tolerance: float = 1e-4,
 ) -> EquivalentModulus:
     """Hinge modulus with which a strip hangs as the heavy elastica of ``gamma`` does.
@@ -66,27 +62,25 @@ def equivalent_modulus(
     if not length > 0:
         raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
+    scene = Scene(mesh=mesh, held=held)
     state = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
     ratio, mismatch = 1.0, np.inf
     for strips in range(1, _MOST_STRIPS + 1):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        state, result = hang_mesh(mesh, held, fabric, state, laws=laws)
+        state, result = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
         if result.status is not Status.CONVERGED:
             return EquivalentModulus(ratio, mismatch, False, result.message)
-        end = free_end(mesh, state)
-        if not (end[0] > _LEAST_REACH * length and end[1] > 0):
-            return EquivalentModulus(ratio, mismatch, False, "the strip folds under itself")
         # The stiffness shows in the gamma that a physical strip of this shape would have; it is
         # nearly proportional to the modulus, so that a few corrections by its error suffice.
         try:
-            apparent = gamma_of_aspect_ratio(aspect_ratio(end))
+            apparent = gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, state)))
         except InputError as error:
             return EquivalentModulus(ratio, mismatch, False, str(error))
         mismatch = abs(apparent / gamma - 1)
         if mismatch < tolerance:
             return EquivalentModulus(ratio, mismatch, True, f"{strips} strips")
         ratio *= apparent / gamma
-    return EquivalentModulus(ratio, mismatch, False, f"no match in {strips} strips")
+    return EquivalentModulus(ratio, mismatch, False, f"no match in {_MOST_STRIPS} strips")
 
 
 def free_end(mesh: Mesh, state: State) -> np.ndarray:

@@ -27,29 +27,17 @@ Strips = Mapping[str, Sequence[np.ndarray]]
 
 
 def estimate(
-    strips: Strips, *, density: float, method: str = "table", slope: float = 0.0,
-    degree: int | None = None,
+    strips: Strips, *, density: float, method: str = "table", slope: float = 0.0, degree: int = 0
 ) -> dict[str, Estimate]:
-    """The moduli of each direction, from its strips alone.
-
-    Args:
-        strips: by direction, any of :data:`sim.material.DIRECTIONS`.
-        density: kg/m².
-        method: a key of :data:`METHODS`.
-        slope: angle of the clamp below the horizontal, radians.
-        degree: of the Bézier curves, None to choose it for each.
+    """The moduli of each direction, from its strips alone; ``density`` in kg/m².
 
     Raises:
-        InputError: unknown method or direction, or curves that no strip has.
+        InputError: a method not in :data:`METHODS`, or curves that no strip has.
     """
     if method not in METHODS:
         raise InputError(f"unknown method '{method}'; choose from {', '.join(METHODS)}")
-    if not density > 0:
-        raise InputError("the density must be positive, in g/m²")
     found = {}
     for direction, curves in strips.items():
-        if direction not in DIRECTIONS:
-            raise InputError(f"'{direction}' is not one of {', '.join(DIRECTIONS)}")
         try:
             found[direction] = METHODS[method](
                 curves, weight=density * GRAVITY, slope=slope, degree=degree
@@ -68,13 +56,12 @@ def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
         raise InputError(f"a fabric needs strips of all three directions; no {missing[0]}")
-    moduli = np.array([[estimates[d].alpha, estimates[d].beta] for d in DIRECTIONS])
-    return Fabric(*moduli.T, density=density)
+    return Fabric(*_moduli(_unknowns(estimates)), density=density)
 
 
 def correct(
     strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = ROUNDS,
-    width: float = 0.03, method: str = "table", slope: float = 0.0, degree: int | None = None,
+    width: float = 0.03, method: str = "table", slope: float = 0.0, degree: int = 0,
 ) -> Fabric:
     """Moduli whose simulated strips give the estimates that the measured strips gave.
 
@@ -85,16 +72,13 @@ def correct(
 
     Args:
         strips, estimates: of all three directions, see :func:`estimate`.
-        rounds: of simulation, at most.
-        width: of the strips, m.
-        density, method, slope, degree: as for :func:`estimate`.
+        rounds, width: of simulation, at most; of the strips, m.
 
     Returns:
         The fabric whose strips came nearest.
 
     Raises:
-        InputError: a direction is missing, no plate has the estimated moduli, or a strip does
-            not settle.
+        InputError: as for :func:`fabric_of`, or a strip does not settle.
     """
     fabric = fabric_of(estimates, density)
     lengths = {

@@ -13,15 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import minimize_scalar
 
 from common.errors import InputError
-from sim.cantilever.bezier import Bezier, fit_bezier
+from sim.cantilever.bezier import Bezier, arc_lengths, fit_bezier
 from sim.material import torque
 
-SAMPLES = 256
-"""Points along each curve (section 4.3)."""
-
+SAMPLES = 256  # points along each curve (section 4.3)
 RATIO_RANGE = (-0.02, 0.02)  # m; beta/alpha of fabrics lies within
 LARGEST_MISFIT = 0.5
 """Of the torque, relative. Points read with an error of 0.3 mm leave 0.15; on nearly straight
@@ -37,9 +36,8 @@ class Estimate:
 
     Attributes:
         alpha, beta: N·m and N·m².
-        misfit: root mean square of what the law leaves unexplained: of the torque, relative to
-            its root mean square (regression), or of the points' distance from the curve, relative
-            to the mean length (table).
+        misfit: root mean square of what the law leaves: of the torque, relative to its own
+            (regression), or of the points' distance, relative to the mean length (table).
         curvature: largest of the curves, 1/m.
     """
 
@@ -55,23 +53,16 @@ class Estimate:
 
 
 def torque_and_curvature(bezier: Bezier, *, weight: float) -> tuple[np.ndarray, np.ndarray]:
-    """Torque, N, and curvature, 1/m, (:data:`SAMPLES`,) each, from the clamp to the free end.
-
-    Args:
-        bezier: through the deflection curve, see :func:`sim.cantilever.bezier.fit_bezier`.
-        weight: rho g, N/m².
-    """
-    t = bezier.evenly(SAMPLES)
-    return weight * moment_beyond(bezier.at(t)), bezier.curvature(t)
+    """Torque (SAMPLES,), N, and curvature (SAMPLES,), 1/m, from the clamp to the free end."""
+    points, curvature = bezier.sample(SAMPLES)
+    return weight * moment_beyond(points), curvature
 
 
 def moment_beyond(points: np.ndarray) -> np.ndarray:
     """(N,) integral of x(s) - x_i over the curve points (N, 2) beyond each point i (Eq. 6)."""
-    x = points[:, 0]
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    beyond = np.concatenate([np.cumsum(((x[1:] + x[:-1]) / 2 * steps)[::-1])[::-1], [0.0]])
-    length = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
-    return beyond - x * length
+    x, s = points[:, 0], arc_lengths(points)
+    passed = cumulative_trapezoid(x, s, initial=0)
+    return passed[-1] - passed - x * (s[-1] - s)
 
 
 def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
@@ -82,36 +73,29 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
     Raises:
         InputError: the torque does not grow with the curvature.
     """
-    sign, kappa = np.sign(curvature), np.abs(curvature)
 
     def project(ratio: float) -> tuple[float, float]:
-        law = sign * torque(kappa, 1.0, ratio)
+        law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
         alpha = float(law @ moment / (law @ law))
-        return alpha, float(((moment - alpha * law) ** 2).mean())
+        return alpha, float(np.sqrt(((moment - alpha * law) ** 2).mean()))
 
     ratios = np.linspace(*RATIO_RANGE, 81)
     best = int(np.argmin([project(ratio)[1] for ratio in ratios]))
-    low, high = ratios[max(best - 1, 0)], ratios[min(best + 1, len(ratios) - 1)]
-    found = minimize_scalar(
-        lambda ratio: np.sqrt(project(ratio)[1]), bounds=(low, high), method="bounded",
-        options={"xatol": 1e-9},
-    )
+    found = minimize_scalar(lambda ratio: project(ratio)[1], method="bounded",
+                            bounds=(ratios[max(best - 1, 0)], ratios[min(best + 1, 80)]),
+                            options={"xatol": 1e-9})
     alpha, error = project(found.x)
     if not alpha > 0:
         raise InputError(NO_STRIP)
-    return alpha, float(alpha * found.x), float(np.sqrt(error / (moment**2).mean()))
+    return alpha, float(alpha * found.x), error / float(np.sqrt((moment**2).mean()))
 
 
 def regress(
-    curves: Sequence[np.ndarray], *, weight: float, slope: float = 0.0, degree: int | None = None
+    curves: Sequence[np.ndarray], *, weight: float, slope: float = 0.0, degree: int = 0
 ) -> Estimate:
     """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
 
     Strips of several lengths widen the range of curvatures; each sample counts alike.
-
-    Args:
-        weight: rho g, N/m².
-        slope, degree: see :func:`sim.cantilever.bezier.fit_bezier`.
 
     Raises:
         InputError: the torque does not follow the curvature as a law's does.

@@ -30,10 +30,10 @@ to hold knots that no strip reaches."""
 
 @dataclass(frozen=True)
 class TorqueCurve:
-    """Torque per width as a monotone function of curvature.
+    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
 
     Attributes:
-        curvature: (K + 1,) 1/m, the first 0. torque: (K + 1,) N, at these, increasing from 0.
+        curvature, torque: (K + 1,) 1/m and N, of the knots, increasing from 0.
         misfit: root mean square distance of the measured points from the fitted strips, relative
             to the mean length.
         reached: largest curvature on any strip, 1/m; beyond, the curve is a continuation.
@@ -44,22 +44,13 @@ class TorqueCurve:
     misfit: float
     reached: float
 
-    def at(self, curvature: np.ndarray) -> np.ndarray:
-        """Torque (N,) at curvatures (N,), 1/m, up to the last knot's."""
-        return PchipInterpolator(self.curvature, self.torque)(curvature)
-
 
 def fit_torque_curve(
-    curves: Sequence[np.ndarray], *, weight: float, knots: int = KNOTS,
-    degree: int | None = None,
+    curves: Sequence[np.ndarray], *, weight: float, knots: int = KNOTS, degree: int = 0
 ) -> TorqueCurve:
-    """The torque curve of one direction from its strips, clamped level.
+    """The torque curve of one direction from curves (each (N, 2) m) of strips clamped level.
 
-    Args:
-        curves: (N, 2) m, reach and drop, each, of strips of several lengths if possible.
-        weight: rho g, N/m².
-        knots: beside that at 0.
-        degree: of the Bézier curves, see :func:`sim.cantilever.bezier.fit_bezier`.
+    Strips of several lengths widen the range of curvatures. ``knots`` are those beside that at 0.
 
     Raises:
         InputError: fewer than 2 or more than 8 knots, or curves that no strip has.
@@ -67,7 +58,7 @@ def fit_torque_curve(
     if not 2 <= knots <= 8:
         raise InputError(f"knots={knots} must lie between 2 and 8")
     fits = [fit_bezier(curve, degree=degree)[0] for curve in curves]
-    measured = [fit.at(fit.evenly(POINTS)) for fit in fits]
+    measured = [fit.sample(POINTS)[0] for fit in fits]
     lengths = [fit.length for fit in fits]
     torque, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     slope = float(torque @ curvature / (curvature @ curvature))

@@ -4,7 +4,7 @@ import numpy as np
 
 from sim.mesh import Mesh
 
-_FIRST = 6 / 5
+FIRST = 6 / 5
 """Stiffness of the row of triangles that hang on clamped edges, relative to their area's."""
 
 
@@ -28,7 +28,7 @@ def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.nda
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
     second = rim[mesh.faces[active]].any(axis=1) & ~first
     if first.any() and second.any():
-        moved = (1 - 1 / _FIRST) * areas[first].sum() / areas[second].sum()
-        areas[first] *= _FIRST
+        moved = (1 - 1 / FIRST) * areas[first].sum() / areas[second].sum()
+        areas[first] *= FIRST
         areas[second] /= 1 + moved
     return areas

@@ -27,7 +27,7 @@ class Obstacle(Protocol):
         """
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """(N, 3) outward normals of the surface nearest to points (N, 3): less the depth's slope."""
+        """(N, 3) outward normals of the surface nearest to points (N, 3), against the slope."""
 
     def bends(self, points: np.ndarray) -> np.ndarray:
         """(N, 3, 3) second derivatives of the depth, 1/m; negative semi-definite."""

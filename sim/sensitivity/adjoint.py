@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -197,20 +198,19 @@ def pulled_back(
     held = rest = None
     if by_held:
         push = tangent.force_of(weights)
-        by_edges = _pulled_on_corners(scene, tangent.positions, push[tangent.coordinates :])
-        push = push[: tangent.coordinates].reshape(-1, 3) + by_edges
-        held = (by_positions - push)[scene.held]
+        coordinates, turns = np.split(push, [tangent.coordinates])
+        coordinates += clamp_levers(scene, tangent.positions).T @ turns
+        held = (by_positions - coordinates.reshape(-1, 3))[scene.held]
     if by_rest:
         rest = -pull_on_rest(tangent, weights)
     return by_fabric[:3], by_fabric[3:6], by_fabric[6], by_fabric[7] / membrane, held, rest
 
 
-def _pulled_on_corners(scene: Scene, positions: np.ndarray, by_rotation: np.ndarray) -> np.ndarray:
-    """(V, 3) derivatives by the corners of held triangles, from those by rotations (E,).
+def clamp_levers(scene: Scene, positions: np.ndarray) -> sparse.csr_matrix:
+    """(E, 3 V) turns of the normals of held triangles' edges, rad, by moves of their corners, m.
 
-    The normals of their edges turn with them: against a frame carried along by the edge, by the
-    opposite corner's move along the triangle's normal over the height there, less the same of the
-    height's foot on the edge.
+    Against a frame carried along by the edge, a triangle's normal turns by the opposite corner's
+    move along it over the height there, less the same of the height's foot on the edge.
     """
     mesh = scene.mesh
     face, side = np.nonzero(scene.held_edges[mesh.face_edges] & ~scene.active[:, None])
@@ -218,16 +218,16 @@ def _pulled_on_corners(scene: Scene, positions: np.ndarray, by_rotation: np.ndar
     edge, arm = positions[end] - positions[start], positions[corner] - positions[start]
     normal = np.cross(edge, arm)
     squared = (edge**2).sum(1)
-    turn = np.sqrt(squared) / (normal**2).sum(1)
-    foot = (arm * edge).sum(1) / squared
-    # An edge of two held triangles has no free triangle that would feel it.
-    sign = np.where(start < end, 1.0, -1.0)
-    pull = (sign * by_rotation[mesh.face_edges[face, side]] * turn)[:, None] * normal
-    total = np.zeros_like(positions)
-    np.add.at(total, corner, pull)
-    np.add.at(total, end, -foot[:, None] * pull)
-    np.add.at(total, start, (foot - 1)[:, None] * pull)
-    return total
+    lever = (np.sqrt(squared) / (normal**2).sum(1))[:, None] * normal
+    # Turns are counted along mesh.edges. An edge of two held triangles, which no free one feels,
+    # has the turn of both.
+    lever *= np.where(start < end, 1.0, -1.0)[:, None]
+    foot = ((arm * edge).sum(1) / squared)[:, None]
+    rows = np.repeat(mesh.face_edges[face, side], 9)
+    columns = 3 * np.stack([corner, end, start], axis=1)[:, :, None] + np.arange(3)
+    values = np.stack([lever, -foot * lever, (foot - 1) * lever], axis=1)
+    shape = (len(mesh.edges), positions.size)
+    return sparse.csr_matrix((values.ravel(), (rows, columns.ravel())), shape=shape)
 
 
 def _array(values: Tensor) -> np.ndarray:

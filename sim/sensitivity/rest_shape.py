@@ -7,7 +7,9 @@ sheets come under a force, not how large it is. This is left out, forwards and b
 from dataclasses import replace
 
 import numpy as np
+import torch
 
+from sim import reference
 from sim.cloth import Cloth
 from sim.scene import Rig
 from sim.sensitivity.parameters import forces
@@ -54,4 +56,25 @@ def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
 
 
 def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
-    raise NotImplementedError
+    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,).
+
+    By automatic differentiation of :mod:`sim.reference`. NaN where there is an energy without a
+    twin there, that is, for other laws than the default.
+    """
+    cloth, mesh = tangent.cloth, tangent.cloth.scene.mesh
+    if not reference.covers(cloth):
+        return np.full_like(mesh.rest, np.nan)
+    with torch.enable_grad():  # which is off where this is part of a backward pass
+        cloths = reference.cloths_of([cloth])
+        rest = cloths.rest.requires_grad_()
+        x, n = torch.from_numpy(tangent.q.reshape(1, -1, 3)).split(
+            [len(mesh.rest), len(mesh.edges)], dim=1)
+        move = torch.zeros_like(x, requires_grad=True)
+        turn = torch.zeros(1, len(mesh.edges), dtype=x.dtype, requires_grad=True)
+        there = reference.moved(cloths.topology, x, n, move, turn)
+        total = reference.energy(cloths, x + move, there)
+        gradients = torch.autograd.grad(total.sum(), (move, turn), create_graph=True)
+        along, around = np.split(weights, [tangent.coordinates])
+        pull = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
+                + (gradients[1] * torch.from_numpy(around)).sum())
+        return torch.autograd.grad(pull, rest)[0][0].numpy()

@@ -192,7 +192,7 @@ def test_ctrl_c_that_is_ignored_or_in_another_thread_stays_so(ctrl_c):
 
 
 @pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
-                                     "apps/drape.py", "sim/cantilever/__main__.py"])
+                                     "apps/drape.py", "apps/cantilever.py"])
 def test_commands_see_to_ctrl_c_before_other_imports(command):
     tree = ast.parse((Path(apps.__file__).parents[1] / command).read_text(encoding="utf-8"))
     first = next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))

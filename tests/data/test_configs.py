@@ -23,7 +23,7 @@ def test_groups_and_values_are_overridden():
         ("generate", "--multirun", "--multirun"),
         ("generate", "out=café", "quotes"),
         ("generate", "out=${nowhere}", "nowhere"),
-        ("generate", "colour=red", "unknown key 'colour'; known keys: dataset, drapes, launcher"),
+        ("generate", "colour=red", "unknown key 'colour'; known keys: dataset, drapes, edge_mm"),
         ("generate", "+colour=red", "unknown key 'colour'; known keys: dataset"),
         ("generate", "dataset.colour=red", "configs/dataset"),
         ("generate", "rig.camera.colour=red", "configs/rig"),

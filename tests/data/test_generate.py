@@ -340,7 +340,7 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["shapes=3"], "shapes"),
         (["dataset=huge"], "views8"),
         (["dataset.starts=[flat]"], "starts"),
-        (["edge_mm=0.4"], "edge_mm=0.4: .* 1 to 50 mm"),
+        (["edge_mm=0.4"], "edge_mm=0.4: .* 0.5 to 50 mm"),
         (["workers=0"], "workers=0"),
         (["part=2", "parts=2"], "part=2 of parts=2"),
         (["parts=0"], "parts=0"),

@@ -20,7 +20,8 @@ from sim.hinge_laws import HingeLaw
 from sim.lagged import Settling, find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh import draped_square, strip
+from sim.mesh import strip
+from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions, Status
 from sim.scene import Rig, Scene, State
 
@@ -62,7 +63,7 @@ def test_bending_without_direction_has_the_mean_modulus():
 
 def sheet():
     """A perturbed square, all of it free, and its hinges away from the border."""
-    mesh, _, _ = draped_square(size=0.3, plate_radius=0.05, resolution=31, seed=4)
+    mesh = make_specimen(Rig(), edge=0.01, grading=1, topology=4).mesh
     active = np.ones(len(mesh.faces), dtype=bool)
     ends = mesh.rest[find_hinges(mesh, active).corners[:, :2]]
     return mesh, active, np.abs(ends).max(axis=(1, 2)) < 0.1
@@ -174,7 +175,8 @@ def test_laws_without_memory_pass_straight_through(warp_strip):
 
 def test_a_drape_settles_where_its_directions_are_its_own():
     """A strongly anisotropic fabric, whose directions jump without the blend with the mean."""
-    mesh, held, _ = draped_square(size=0.3, plate_radius=0.05, resolution=16)
+    specimen = make_specimen(Rig(), edge=0.02, grading=1)
+    mesh, held = specimen.mesh, specimen.held
     x, y = mesh.rest.T
     far = np.maximum(np.hypot(x, y) - 0.05, 0)
     height = -0.5 * far + 0.2 * far * np.cos(4 * np.arctan2(y, x))

@@ -8,15 +8,16 @@ import pytest
 from common.errors import InputError
 from sim.comparison import best_turn, compare, mean_curvature, same_folds
 from sim.measures import fold_outline
-from sim.mesh import Mesh, draped_square, grid_faces, grid_points
+from sim.mesh import Mesh, grid_faces, grid_points
+from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
 
 RIG = Rig()
 
 
-def specimen(resolution: int, *, seed: int = 0, jitter: float = 0.15) -> Mesh:
-    return draped_square(size=0.3, plate_radius=0.05, resolution=resolution, seed=seed,
-                         jitter=jitter)[0]
+def specimen(resolution: int, *, seed: int = 0) -> Mesh:
+    """Evenly meshed, as many vertices a side as ``resolution``."""
+    return make_specimen(RIG, edge=0.3 / (resolution - 1), grading=1, topology=seed).mesh
 
 
 def bell(mesh: Mesh, *, folds: int = 5, phase: float = 0.0, depth: float = 0.02) -> SimpleNamespace:

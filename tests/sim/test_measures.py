@@ -11,7 +11,7 @@ from sim.measures import (
     maximum_stretch,
     projected_area,
 )
-from sim.mesh import draped_square
+from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
 
 RIG = Rig()
@@ -19,7 +19,8 @@ RIG = Rig()
 
 @pytest.fixture(scope="module")
 def specimen():
-    return draped_square(size=0.3, plate_radius=0.05, resolution=51)[:2]
+    specimen = make_specimen(RIG, edge=0.006, grading=1)
+    return specimen.mesh, specimen.held
 
 
 def skirt(rest: np.ndarray, folds: int, depth: float) -> np.ndarray:

@@ -21,7 +21,7 @@ from sim.mesh import strip
 from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
-from sim.sensitivity.adjoint import equilibria, pulled_back
+from sim.sensitivity.adjoint import clamp_levers, equilibria, pulled_back
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, pull_on_rest
 
@@ -142,6 +142,8 @@ def test_backwards_agrees_with_forwards(draped, tangent):
     held_move = rng.standard_normal((int(draped.held.sum()), 3))
     pushed = np.zeros(tangent.cloth.potential.unknowns)
     pushed[: tangent.coordinates].reshape(-1, 3)[draped.held] = held_move
+    levers = clamp_levers(tangent.cloth.scene, tangent.positions)
+    pushed[tangent.coordinates:] = levers @ pushed[: tangent.coordinates]
     answer = pushed - tangent.response(tangent.force_of(pushed))
     by_held = answer[: tangent.coordinates].reshape(-1, 3)
     by_rest = moves_with_rest(tangent, rest_moves)[0]

@@ -1,0 +1,76 @@
+"""Reading a user's deflection curve."""
+
+import numpy as np
+import pytest
+from elastica_curves import LAWS, WEIGHT, curves_of, write_curve
+
+from common.errors import InputError
+from data.strip_curves import oriented_curve, read_curve
+from sim.cantilever import elastica, heavy_elastica
+from sim.cantilever.tester import bending_length
+
+
+def test_a_curve_reads_the_same_whichever_way_its_axes_point(tmp_path):
+    curve = curves_of(*LAWS[0])[0]
+    offset = np.array([0.01, 0.02])
+    for scale in ((1, 1), (1, -1), (-1, -1)):
+        read = read_curve(write_curve(tmp_path / "c.csv", curve + offset, scale=scale))
+        assert np.allclose(read, curve, atol=2e-9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "x,y\n1,2\n", "x_mm,y_mm\n0,0\n1,1\n", "x_mm,y_mm\n" + "0,zero\n" * 20,
+     "x_mm,y_mm\n" + "0,nan\n" * 20, "x_mm,y_mm\n" + "1,1\n" * 20, "x_mm,y_mm\n" + "7\n" * 20,
+     "x_mm,y_mm\n" + "".join(f"{1e5 * i},{i}\n" for i in range(20)),
+     "x_mm,y_mm\n" + "".join(f"{i},0\n" for i in range(20)),
+     "x_mm,y_mm\n" + "".join(f"{i + 30 * (i % 2)},{i}\n" for i in range(20)),
+     "x_mm,y_mm\n" + "0,0\n" * 11 + "60,-30\n"],
+    ids=["empty", "names", "few", "word", "nan", "point", "column", "unit", "level", "disorder",
+         "repeated"],
+)
+def test_bad_curves_are_refused_in_one_line(tmp_path, text):
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_curve(file)
+    assert "bad.csv" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_binary_rubbish_are_refused(tmp_path):
+    (tmp_path / "rubbish.csv").write_bytes(b"\xff\xfe\x00" * 50)
+    for name in ("none.csv", "rubbish.csv"):
+        with pytest.raises(InputError):
+            read_curve(tmp_path / name)
+
+
+def test_a_curve_that_rises_first_is_still_a_curve():
+    curve = curves_of(*LAWS[0])[0]
+    assert np.allclose(oriented_curve(curve * [1, -1]), curve)
+
+
+@pytest.mark.parametrize("length", [1.5, 2.5, 4.0])
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_a_curve_listed_from_the_free_end_is_refused(length, noise):
+    curve = heavy_elastica(20e-6, -50e-9, weight=WEIGHT, points=81,
+                           length=length * bending_length(20e-6, 0.3))
+    curve[1:] += np.random.default_rng(0).normal(0, noise, (80, 2))
+    assert np.allclose(oriented_curve(curve), curve)
+    for scale in ((1, 1), (-1, 1), (1, -1)):
+        with pytest.raises(InputError, match="clamp's edge to the free end"):
+            oriented_curve(curve[::-1] * scale)
+
+
+def test_a_nearly_straight_strip_is_a_curve_whatever_its_noise():
+    straight = elastica(0.05, 12) * 0.03
+    for seed in range(100):
+        noise = np.random.default_rng(seed).normal(0, 3e-4, (12, 2))
+        noise[[0, -1]] = 0.0  # so that the free end stays below the clamp
+        assert np.allclose(oriented_curve(straight + noise), straight + noise)
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1e-3, r"0\.0449\d* mm"), (1e3, r"449\d\d\S* mm")])
+def test_a_curve_in_another_unit_is_refused(tmp_path, unit, said):
+    curve = curves_of(*LAWS[0])[1]  # 45 mm from end to end
+    with pytest.raises(InputError, match=f"{said} .* in mm"):
+        read_curve(write_curve(tmp_path / "c.csv", curve * unit))

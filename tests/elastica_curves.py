@@ -1,0 +1,28 @@
+"""Elastica curves of cantilever strips, as arrays and as a user's files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from sim.cantilever import heavy_elastica
+from sim.cantilever.tester import bending_length
+from sim.scene import GRAVITY
+
+WEIGHT = 0.3 * GRAVITY
+LAWS = [(20e-6, -50e-9), (80e-6, -150e-9), (20e-6, 40e-9), (5e-6, -30e-9)]
+
+
+def curves_of(alpha: float, beta: float, *, slope: float = 0.0, points: int = 81) -> list:
+    """Elastica curves of two strips, 1.5 and 2.5 bending lengths long."""
+    return [
+        heavy_elastica(alpha, beta, weight=WEIGHT, length=x * bending_length(alpha, 0.3),
+                       slope=slope, points=points)
+        for x in (1.5, 2.5)
+    ]
+
+
+def write_curve(path: Path, curve: np.ndarray, *, scale: tuple = (1.0, 1.0)) -> Path:
+    """A CSV file of a curve (N, 2), m, whose axes are scaled."""
+    rows = [f"{x:.6f},{y:.6f}" for x, y in 1e3 * curve * scale]
+    path.write_text("\n".join(["x_mm,y_mm", *rows]) + "\n")
+    return path
