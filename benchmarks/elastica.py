@@ -96,8 +96,9 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = State.at(grid, positions)
-            found = find_equilibrium(Scene(mesh=grid, held=held), fabric_of_gamma(gamma, LENGTH),
-                                     state, laws=laws, options=TIGHT)
+            scene = Scene(mesh=grid, held=held)
+            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
+                                     options=TIGHT)
             state = found.state
             shapes[gamma] = state.positions
             ratio = aspect_ratio(free_end(grid, state)) if found.converged else None
