@@ -16,27 +16,20 @@ from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
-from sim.newton import Status
-from sim.scene import Scene, State
+from sim.scene import Scene
+from sim.state import State
 
 _MOST_STRIPS = 12
 
 
 @dataclass(frozen=True)
 class EquivalentModulus:
-    """The modulus of a hinge law that stands for a physical one on a given mesh.
+    """The modulus of a hinge law that stands for a physical one on a given mesh."""
 
-    Attributes:
-        ratio: hinge modulus over the physical alpha.
-        mismatch: relative difference of the stiffness that is left.
-        found: whether ``mismatch`` is below the tolerance.
-        message: why not, in words; else how many strips it took.
-    """
-
-    ratio: float
-    mismatch: float
-    found: bool
-    message: str
+    ratio: float  # hinge modulus over the physical alpha
+    mismatch: float  # relative difference of the stiffness that is left
+    found: bool  # whether the mismatch is below the tolerance
+    message: str  # why not, in words; else how many strips it took
 
 
 def equivalent_modulus(
@@ -46,12 +39,10 @@ def equivalent_modulus(
     """Hinge modulus with which a strip hangs as the heavy elastica of ``gamma`` does.
 
     Args:
-        mesh: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
-        held: (V,) bool, clamped vertices.
+        mesh, held: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
         gamma: rho g L³/alpha of the physical strip, L its free length. 10 hangs down by about
             its reach, as the cloth of a drape does.
-        laws: linear hinges by default.
-        tolerance: of the stiffness, relative.
+        laws, tolerance: linear hinges by default; of the stiffness, relative.
 
     Raises:
         InputError: the strip has no free length or gamma is out of range.
@@ -63,13 +54,14 @@ def equivalent_modulus(
         raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
     scene = Scene(mesh=mesh, held=held)
-    state = State.at(mesh, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    state = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
     ratio, mismatch = 1.0, np.inf
     for strips in range(1, _MOST_STRIPS + 1):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        state, result = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
-        if result.status is not Status.CONVERGED:
-            return EquivalentModulus(ratio, mismatch, False, result.message)
+        found = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
+        state = found.state
+        if not found.converged:
+            return EquivalentModulus(ratio, mismatch, False, found.message)
         # The stiffness shows in the gamma that a physical strip of this shape would have; it is
         # nearly proportional to the modulus, so that a few corrections by its error suffice.
         try:

@@ -34,17 +34,14 @@ NO_STRIP = "the curves are not those of a hanging strip; check their axes and sl
 class Estimate:
     """Moduli of one direction.
 
-    Attributes:
-        alpha, beta: N·m and N·m².
-        misfit: root mean square of what the law leaves: of the torque, relative to its own
-            (regression), or of the points' distance, relative to the mean length (table).
-        curvature: largest of the curves, 1/m.
+    The misfit is the root mean square of what the law leaves: of the torque, relative to its own
+    (regression), or of the points' distance, relative to the mean length (table).
     """
 
-    alpha: float
-    beta: float
+    alpha: float  # N·m
+    beta: float  # N·m²
     misfit: float
-    curvature: float
+    curvature: float  # 1/m, largest of the curves
 
     @property
     def bounded(self) -> bool:

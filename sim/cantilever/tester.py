@@ -12,7 +12,7 @@ from sim.laws import Laws
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh, strip
 from sim.newton import NewtonOptions, NewtonResult, Status
-from sim.scene import GRAVITY, Scene, State
+from sim.scene import GRAVITY, Scene
 
 ANGLES = dict(zip(DIRECTIONS, (0.0, np.pi / 4, np.pi / 2), strict=True))
 TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
@@ -47,7 +47,7 @@ def hang(
         angle: of the strip to the warp, radians; pi/4 is the bias, pi/2 the weft.
         length, width, edge: free length, width and mesh spacing, m.
         across: mesh cells across the strip; None makes them square.
-        guided: keep the rulings level, see :class:`GuidedSides`; a real strip is free.
+        guided: keep the rulings level, see :class:`TiedRows`; a real strip is free.
         gravity: m/s²; tiny values give the small deflections of plate theory.
         triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
 
@@ -71,54 +71,87 @@ def hang(
     extra = []
     if guided:
         stiffness = GUIDE * float(fabric.alpha.max()) / edge**2
-        extra = [GuidedSides(mesh, across=across + 1, stiffness=stiffness, edge=edge)]
-    state, result = find_equilibrium(
-        Scene(mesh=mesh, held=held, gravity=gravity), fabric, State.at(mesh, flat),
-        laws=laws, extra=extra, options=TIGHT,
-    )
+        extra = [TiedRows(len(mesh.rest), across=across + 1, stiffness=stiffness),
+                 LevelSides(mesh, across=across + 1, stiffness=stiffness * edge**2)]
+    scene = Scene(mesh=mesh, held=held, gravity=gravity)
+    found = find_equilibrium(scene, fabric, scene.state(flat), laws=laws, extra=extra,
+                             options=TIGHT)
+    state = found.state
     columns = state.positions.reshape(-1, across + 1, 3)[:, :, [0, 2]] * [1.0, -1.0]
     curve = columns[np.count_nonzero(held) // (across + 1) - 1 :].mean(axis=1)
     side = state.positions[-1] - state.positions[-1 - across]
-    return HungStrip(curve=curve, twist=float(np.arctan2(side[2], side[1])), result=result)
+    return HungStrip(curve=curve, twist=float(np.arctan2(side[2], side[1])), result=found.newton)
 
 
-class GuidedSides(Energy):
-    """Penalty on whatever is not a cylinder across the strip: the bending of an endlessly wide one.
+# A strip cut off the yarn directions twists when it bends, and one with a Poisson effect curves
+# across. Held to a cylinder, as an endlessly wide one, it carries the law's torque for the cut's
+# direction. Strips are grids whose columns of ``across`` vertices are numbered one after the other.
 
-    A strip cut off the yarn directions twists when it bends, and one with a Poisson effect
-    curves across. Held to a cylinder it carries the law's torque for the cut's direction. The
-    guide ties each vertex to its neighbour across the strip, along x and z, and stops the cloth
-    at the sides from turning about them.
+
+class TiedRows(Energy):
+    """Penalty on differences along x and z between neighbours across a strip.
 
     Args:
-        mesh: a strip's grid of ``across`` vertices in a column, numbered column by column.
-        stiffness, edge: N/m of each tie, and times the spacing (m) squared, N·m of the sides.
+        vertices: of the strip.
+        stiffness: N/m of each tie.
     """
 
-    def __init__(self, mesh: Mesh, *, across: int, stiffness: float, edge: float) -> None:
-        vertices = len(mesh.rest)
+    def __init__(self, vertices: int, *, across: int, stiffness: float) -> None:
         grid = np.arange(vertices).reshape(-1, across)
         neighbours = np.stack([grid[:, :-1], grid[:, 1:]], axis=-1).reshape(-1, 2)
-        ties = np.concatenate([3 * neighbours, 3 * neighbours + 2])
-        row = mesh.edges % across
-        border = (mesh.edge_faces[:, 1] < 0) & (row[:, 0] == row[:, 1])
-        sides = 3 * vertices + np.flatnonzero(border)
-        stops = np.stack([sides, np.full(len(sides), -1)], axis=1)
-        self.dofs = np.concatenate([ties, stops])
-        self._signs = np.where(self.dofs >= 0, [1.0, -1.0], 0.0)
-        self._stiffness = np.repeat([stiffness, stiffness * edge**2], [len(ties), len(stops)])
-
-    def _differences(self, q: np.ndarray) -> np.ndarray:
-        return (self._signs * q[self.dofs]).sum(axis=1)
+        self.dofs = np.concatenate([3 * neighbours, 3 * neighbours + 2])
+        self._stiffness = stiffness
 
     def value(self, q: np.ndarray) -> float:
-        return float(0.5 * self._stiffness @ self._differences(q) ** 2)
+        return 0.5 * self._stiffness * float((self._differences(q) ** 2).sum())
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return (self._stiffness * self._differences(q))[:, None] * self._signs
+        return self._stiffness * self._differences(q)[:, None] * [1.0, -1.0]
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        return np.einsum("n,ni,nj->nij", self._stiffness, self._signs, self._signs)
+        block = self._stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return np.broadcast_to(block, (len(self.dofs), 2, 2))
+
+    def _differences(self, q: np.ndarray) -> np.ndarray:
+        return q[self.dofs[:, 0]] - q[self.dofs[:, 1]]
+
+
+class LevelSides(Energy):
+    """Penalty on the part across the strip, y, of the normals at its sides, which stay level.
+
+    The Hessian leaves out what is proportional to that part itself.
+
+    Args:
+        stiffness: N·m per side edge.
+    """
+
+    def __init__(self, mesh: Mesh, *, across: int, stiffness: float) -> None:
+        row = mesh.edges % across
+        sides = np.flatnonzero((mesh.edge_faces[:, 1] < 0) & (row[:, 0] == row[:, 1]))
+        ends = (3 * mesh.edges[sides][:, :, None] + np.arange(3)).reshape(-1, 6)
+        coordinates = 3 * len(mesh.rest)
+        self.dofs = np.concatenate([ends, coordinates + sides[:, None]], axis=1)
+        self._normals = coordinates + 3 * sides[:, None] + np.arange(3)
+        self._stiffness = stiffness
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * self._stiffness * float((q[self._normals[:, 1]] ** 2).sum())
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return self._stiffness * q[self._normals[:, 1]][:, None] * self._rows(q)
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        rows = self._rows(q)
+        return self._stiffness * rows[:, :, None] * rows[:, None, :]
+
+    def _rows(self, q: np.ndarray) -> np.ndarray:
+        """(N, 7) derivatives of the normals' parts across: by both ends, by the rotation."""
+        normal, edge = q[self._normals], q[self.dofs[:, 3:6]] - q[self.dofs[:, :3]]
+        length = np.linalg.norm(edge, axis=1, keepdims=True)
+        along = edge / length
+        tilt = along[:, 1:2] * normal / length
+        turn = along[:, 2] * normal[:, 0] - along[:, 0] * normal[:, 2]
+        return np.concatenate([tilt, -tilt, turn[:, None]], axis=1)
 
 
 def simulate_strips(

@@ -32,17 +32,14 @@ to hold knots that no strip reaches."""
 class TorqueCurve:
     """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
 
-    Attributes:
-        curvature, torque: (K + 1,) 1/m and N, of the knots, increasing from 0.
-        misfit: root mean square distance of the measured points from the fitted strips, relative
-            to the mean length.
-        reached: largest curvature on any strip, 1/m; beyond, the curve is a continuation.
+    The misfit is the root mean square distance of the measured points from the fitted strips,
+    relative to the mean length. Beyond the curvature reached the curve is a continuation.
     """
 
-    curvature: np.ndarray
-    torque: np.ndarray
+    curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
+    torque: np.ndarray  # (K + 1,) N, as well
     misfit: float
-    reached: float
+    reached: float  # 1/m, largest curvature on any strip
 
 
 def fit_torque_curve(
