@@ -44,7 +44,7 @@ FREE_ROUNDS = (4, 5)
 """Simulations of each Levenberg-Marquardt of free cloth."""
 HELD_ROUNDS = ((8, 0.3), (4, 0.1))
 """The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
-COARSE, FINE = 4e-3, 2.5e-3
+COARSE, FINE = 3.5e-3, 1.75e-3
 """m, edges at the plate's rim until the last round, where folds and pose are found as well, and in
 it."""
 SPREAD = (0.0, 0.7, -0.7)
