@@ -3,24 +3,31 @@
 Eliminating a node of the elimination tree works on a dense matrix, its front: the node's pivots
 and the later unknowns they couple with, its others. What is left of the front after the
 elimination, the update, is added to the parent's front (Duff and Reid 1983; Liu 1992). Fronts of
-one depth in the tree do not depend on each other; those of similar sizes are padded to one size
-and form a group, to be handled as one stack of matrices.
+one depth in the tree do not depend on each other; those of similar sizes are padded to p pivots
+and u others and form a group of c fronts, to be handled as one stack of matrices.
 
-The fronts of one depth lie in one array: group after group (c, m, m) row-major, of which the
-lower triangles are used, with the p pivots before the u = m - p others. Padded pivots have a one
-on the diagonal, everything else padded is zero. For solves, vectors (c, m) lie likewise.
+The fronts of one depth lie in two arrays, group after group and row-major: panels (c, p + u, p),
+which are the pivots' columns, and updates (c, u, u). Lower triangles are used. Padded pivots have
+a one on the diagonal, everything else padded is zero. For solves, vectors (c, p + u) lie likewise.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from sim.linear.nested_dissection import EliminationTree
+from sim.linear.pattern import SparsePattern
 
 Flow = tuple[torch.Tensor, torch.Tensor]
 """Entries to take from one array and where to add them in another; no target occurs twice, so
 that sums have one order on every device."""
+
+
+def front_flops(p: np.ndarray | float, u: np.ndarray | float) -> np.ndarray | float:
+    """Of a front as carried out: Cholesky, triangular solve, the update's both triangles."""
+    return p**3 / 3 + p**2 * u + 2 * p * u**2
 
 
 @dataclass(frozen=True)
@@ -29,31 +36,38 @@ class Group:
 
     Attributes:
         count, pivots, others: c, p and u.
-        matrix, vector: where the group begins in the depth's matrices and vectors.
+        panel, update, vector: where it begins in the arrays of its depth.
     """
 
     count: int
     pivots: int
     others: int
-    matrix: int
+    panel: int
+    update: int
     vector: int
 
     @property
-    def size(self) -> int:
-        """Rows of each front, m."""
+    def rows(self) -> int:
+        """Of each front."""
         return self.pivots + self.others
 
-    def fronts(self, matrices: torch.Tensor) -> torch.Tensor:
-        """The group's (B, c, m, m) in the matrices of its depth in B samples."""
-        length = self.count * self.size**2
-        return matrices[:, self.matrix : self.matrix + length].view(
-            -1, self.count, self.size, self.size)
+    def panels(self, array: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Its corners (B, c, p, p) and the rows below them (B, c, u, p) in the depth's panels."""
+        return self._both(array, self.panel, self.pivots)
 
-    def columns(self, vectors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The group's pivots (B, c, p, 1) and others (B, c, u, 1) in the vectors of its depth."""
-        part = vectors[:, self.vector : self.vector + self.count * self.size]
-        both = part.view(-1, self.count, self.size, 1).split((self.pivots, self.others), dim=2)
-        return both[0], both[1]
+    def vectors(self, array: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Its pivots (B, c, p, 1) and others (B, c, u, 1) in the depth's vectors."""
+        return self._both(array, self.vector, 1)
+
+    def updates(self, array: torch.Tensor) -> torch.Tensor:
+        """Its (B, c, u, u) in the depth's updates."""
+        shape = self.count, self.others, self.others
+        return array[:, self.update : self.update + math.prod(shape)].view(len(array), *shape)
+
+    def _both(self, array: torch.Tensor, first: int, width: int) -> tuple[torch.Tensor, ...]:
+        shape = self.count, self.rows, width
+        part = array[:, first : first + math.prod(shape)].view(len(array), *shape)
+        return part.split((self.pivots, self.others), dim=2)
 
 
 @dataclass(frozen=True)
@@ -62,25 +76,28 @@ class Level:
 
     Attributes:
         groups: by size.
-        unknowns: (R,) the row of the whole matrix for each entry of the depth's vectors, n for
-            padding.
-        ones: (M,) entries of the matrices that are padded pivots' diagonal.
-        values: from the CSR data to the matrices.
-        updates: from the matrices of the next depth, of first children, of second children.
-        carried: from the vectors of the next depth, likewise.
+        unknowns: (R,) the whole matrix's row of each entry of the vectors, n for padding.
+        ones: (M,) entries of the panels that are padded pivots' diagonal.
+        values: from the CSR data to the panels.
+        children: what the panels, updates and vectors receive from the updates, updates and
+            vectors of the next depth: of first children, of second children.
     """
 
     groups: list[Group]
     unknowns: torch.Tensor
     ones: torch.Tensor
     values: Flow
-    updates: list[Flow]
-    carried: list[Flow]
+    children: list[tuple[Flow, Flow, Flow]]
 
     @property
-    def entries(self) -> int:
-        """Numbers in the depth's matrices."""
-        return sum(group.count * group.size**2 for group in self.groups)
+    def panel_size(self) -> int:
+        """Numbers in the panels."""
+        return sum(group.count * group.rows * group.pivots for group in self.groups)
+
+    @property
+    def update_size(self) -> int:
+        """Numbers in the updates."""
+        return sum(group.count * group.others**2 for group in self.groups)
 
 
 @dataclass(frozen=True)
@@ -95,52 +112,63 @@ class Fronts:
     levels: list[Level]
     sizes: np.ndarray
 
-    @property
-    def flops(self) -> float:
-        """Floating point operations of a factorisation without padding, of one triangle each."""
-        p, u = self.sizes.T.astype(np.float64)
-        return float((p**3 / 3 + p**2 * u + p * u**2).sum())
 
-    @property
-    def factor_entries(self) -> int:
-        """Of the Cholesky factor without padding."""
-        p, u = self.sizes.T
-        return int((p * (p + 1) // 2 + p * u).sum())
+@dataclass
+class _Front:
+    """One front and where it lies.
 
-    @property
-    def padded_flops(self) -> float:
-        """Floating point operations of a factorisation as carried out."""
-        return sum(group.count * front_flops(group.pivots, group.others)
-                   for level in self.levels for group in level.groups)
+    Attributes:
+        rows: ascending positions of its rows in the order of elimination.
+        own: how many of them are pivots.
+        entries: of the matrix, that belong to it.
+        children: the fronts whose updates it receives.
+        group, place: filled in by :func:`_grouped`.
+    """
 
+    rows: np.ndarray
+    own: int
+    entries: np.ndarray
+    children: list["_Front"]
+    group: Group | None = None
+    place: int = 0
 
-def front_flops(p: float, u: float) -> float:
-    """Of a front as carried out: Cholesky, triangular solve, the update's both triangles."""
-    return p**3 / 3 + p**2 * u + 2 * p * u**2
+    def local(self, positions: np.ndarray) -> np.ndarray:
+        """Padded rows of positions that the front has."""
+        row = np.searchsorted(self.rows, positions)
+        return np.where(row < self.own, row, row + self.group.pivots - self.own)
+
+    def vector(self, rows: np.ndarray) -> np.ndarray:
+        """Where padded rows are in the vectors of its depth."""
+        return self.group.vector + self.place * self.group.rows + rows
+
+    def panel(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Where padded rows and columns are in the panels of its depth."""
+        first = self.place * self.group.rows
+        return self.group.panel + (first + rows) * self.group.pivots + columns
+
+    def update(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Where padded rows and columns are in the updates of its depth."""
+        p, u = self.group.pivots, self.group.others
+        return self.group.update + (self.place * u + rows - p) * u + columns - p
 
 
 def plan_fronts(
-    tree: EliminationTree,
-    indptr: np.ndarray,
-    indices: np.ndarray,
-    *,
-    group_cost: float,
-    device: torch.device,
+    pattern: SparsePattern, tree: EliminationTree, *, group_cost: float, device: torch.device
 ) -> Fronts:
-    """Fronts of all matrices with the upper triangle ``indptr``, ``indices`` (CSR).
+    """Fronts of all matrices of a pattern.
 
     Args:
         group_cost: floating point operations of padding that one group less is worth: the
             overhead of a handful of calls.
         device: of the index lists.
     """
-    n = len(indptr) - 1
+    n, indptr = pattern.size, pattern.indptr
     # Positions in the order of elimination: the deepest nodes first.
     order = np.concatenate(tree.pivots[::-1])
     position = np.empty(n, dtype=np.int64)
     position[order] = np.arange(n)
-    pairs = np.stack([position[np.repeat(np.arange(n), np.diff(indptr))], position[indices]])
-    pairs.sort(axis=0)
+    rows = np.repeat(np.arange(n), np.diff(indptr))
+    pairs = np.sort(np.stack([position[rows], position[pattern.indices]]), axis=0)
     by_row = np.argsort(pairs[0], kind="stable")
     bounds = np.searchsorted(pairs[0, by_row], np.arange(n + 1))
 
@@ -157,65 +185,31 @@ def plan_fronts(
         depths[tree.depth[node]].append(front)
         if tree.parent[node] >= 0:
             children[tree.parent[node]].append(front)
-
-    groups = [_place(fronts, group_cost) for fronts in depths]
-    levels = [_level(*both, pairs, order, device) for both in zip(groups, depths, strict=True)]
-    sizes = [(front.own, len(front.rows) - front.own) for fronts in depths for front in fronts]
-    return Fronts(levels, np.array(sizes))
-
-
-@dataclass
-class _Front:
-    """One front and where it lies.
-
-    Attributes:
-        rows: positions of its rows without padding, ascending.
-        own: how many of them are pivots.
-        entries: of the matrix, that belong to it and to none of its descendants.
-        children: the fronts whose updates it receives.
-        pivots, size: padded.
-        matrix, vector: where it begins in the matrices and vectors of its depth.
-    """
-
-    rows: np.ndarray
-    own: int
-    entries: np.ndarray
-    children: list["_Front"]
-    pivots: int = 0
-    size: int = 0
-    matrix: int = 0
-    vector: int = 0
-
-    def local(self, positions: np.ndarray) -> np.ndarray:
-        """Padded rows of positions that the front has."""
-        row = np.searchsorted(self.rows, positions)
-        return np.where(row < self.own, row, row + self.pivots - self.own)
-
-    def address(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Where padded rows and columns are in the matrices of its depth."""
-        return self.matrix + rows * self.size + columns
+    sizes = [np.array([(front.own, len(front.rows) - front.own) for front in fronts])
+             for fronts in depths]
+    groups = [_grouped(fronts, own, group_cost)
+              for fronts, own in zip(depths, sizes, strict=True)]
+    levels = [_level(*parts, pairs, order, device) for parts in zip(depths, groups, strict=True)]
+    return Fronts(levels, np.concatenate(sizes))
 
 
-def _place(fronts: list[_Front], group_cost: float) -> list[Group]:
-    """Give all fronts of one depth their places, in groups."""
-    sizes = np.array([(front.own, len(front.rows) - front.own) for front in fronts])
-    groups, matrix, vector = [], 0, 0
+def _grouped(fronts: list[_Front], sizes: np.ndarray, group_cost: float) -> list[Group]:
+    """Give the fronts of one depth, of sizes (N, 2) without padding, their groups and places."""
+    groups: list[Group] = []
+    panel = update = vector = 0
     for members in _similar(sizes, group_cost):
-        pivots, others = (int(size) for size in sizes[members].max(axis=0))
-        groups.append(Group(len(members), pivots, others, matrix, vector))
-        for member in members:
-            front = fronts[member]
-            front.pivots, front.size = pivots, pivots + others
-            front.matrix, front.vector = matrix, vector
-            matrix += front.size**2
-            vector += front.size
+        c, (p, u) = len(members), (int(size) for size in sizes[members].max(axis=0))
+        groups.append(Group(c, p, u, panel, update, vector))
+        panel, update, vector = panel + c * (p + u) * p, update + c * u * u, vector + c * (p + u)
+        for place, member in enumerate(members):
+            fronts[member].group, fronts[member].place = groups[-1], place
     return groups
 
 
 def _similar(sizes: np.ndarray, group_cost: float) -> list[np.ndarray]:
     """Split fronts of sizes (N, 2) into groups, as long as that saves more than it costs."""
-    def cost(count: np.ndarray | int, size: np.ndarray) -> np.ndarray:
-        return count * front_flops(*size.T.astype(np.float64))
+    def cost(count: np.ndarray | int, largest: np.ndarray) -> np.ndarray:
+        return count * front_flops(*largest.T.astype(np.float64))
 
     least, parts = cost(len(sizes), sizes.max(axis=0)) - group_cost, None
     for axis in (0, 1):
@@ -233,49 +227,45 @@ def _similar(sizes: np.ndarray, group_cost: float) -> list[np.ndarray]:
 
 
 def _level(
-    groups: list[Group],
     fronts: list[_Front],
+    groups: list[Group],
     pairs: np.ndarray,
     order: np.ndarray,
     device: torch.device,
 ) -> Level:
-    """The index lists of one depth; all fronts have their places.
+    """One depth, whose fronts have their places, as have those of the next.
 
     Args:
         pairs: (2, nnz) positions of the matrix's entries, the smaller first.
         order: (n,) row of each position.
     """
-    unknowns = np.full(sum(group.count * group.size for group in groups), len(order))
+    def joined(parts: list[np.ndarray]) -> torch.Tensor:
+        return torch.from_numpy(np.concatenate(parts)).to(device)
+
+    def flow(parts: list[tuple[np.ndarray, np.ndarray]]) -> Flow:
+        take, put = zip(*parts, strict=True)
+        return joined(take), joined(put)
+
+    unknowns = np.full(sum(group.count * group.rows for group in groups), len(order))
     ones, values = [], []
     for front in fronts:
-        unknowns[front.vector + front.local(front.rows)] = order[front.rows]
-        padded = np.arange(front.own, front.pivots)
-        ones.append(front.address(padded, padded))
+        unknowns[front.vector(front.local(front.rows))] = order[front.rows]
+        padded = np.arange(front.own, front.group.pivots)
+        ones.append(front.panel(padded, padded))
         low, high = front.local(pairs[:, front.entries])
-        values.append((front.entries, front.address(high, low)))
-    updates, carried = [], []
+        values.append((front.entries, front.panel(high, low)))
+    children = []
     for rank in range(max(len(front.children) for front in fronts)):
-        matrices, vectors = [], []
+        panels, updates, vectors = [], [], []
         for front in fronts:
             for child in front.children[rank : rank + 1]:
                 later = child.rows[child.own :]
                 here, there = front.local(later), child.local(later)
                 i, j = np.tril_indices(len(later))
-                matrices.append((child.address(there[i], there[j]), front.address(here[i], here[j])))
-                vectors.append((child.vector + there, front.vector + here))
-        updates.append(_joined(matrices, device))
-        carried.append(_joined(vectors, device))
-    return Level(
-        groups=groups,
-        unknowns=torch.from_numpy(unknowns).to(device),
-        ones=torch.from_numpy(np.concatenate(ones)).to(device),
-        values=_joined(values, device),
-        updates=updates,
-        carried=carried,
-    )
-
-
-def _joined(parts: list[tuple[np.ndarray, np.ndarray]], device: torch.device) -> Flow:
-    take, put = (torch.from_numpy(np.concatenate(column)).to(device)
-                 for column in zip(*parts, strict=True))
-    return take, put
+                take = child.update(there[i], there[j])
+                pivot = here[j] < front.group.pivots
+                panels.append((take[pivot], front.panel(here[i[pivot]], here[j[pivot]])))
+                updates.append((take[~pivot], front.update(here[i[~pivot]], here[j[~pivot]])))
+                vectors.append((child.vector(there), front.vector(here)))
+        children.append((flow(panels), flow(updates), flow(vectors)))
+    return Level(groups, joined([unknowns]), joined(ones), flow(values), children)

@@ -11,6 +11,7 @@ factorises batches too, but needs a GPU, and does not say which of the samples a
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -54,8 +55,7 @@ class FrontalSolver:
         tree = dissect(pattern.indptr, pattern.indices, places, leaf=_LEAF)
         # As tensors name it: a device "cuda" is not equal to theirs, "cuda:0".
         self._device = torch.empty(0, device=device).device
-        self.fronts = plan_fronts(tree, pattern.indptr, pattern.indices, group_cost=_GROUP_COST,
-                                  device=self._device)
+        self.fronts = plan_fronts(pattern, tree, group_cost=_GROUP_COST, device=self._device)
         self._size, self._entries = pattern.size, len(pattern.indices)
         self.definite = torch.empty(0, dtype=torch.bool, device=self._device)
         self._memory: dict[object, torch.Tensor] = {}
@@ -79,17 +79,20 @@ class FrontalSolver:
         self._check("matrices", data, (len(data), self._entries))
         self.definite = torch.ones(len(data), dtype=torch.bool, device=self._device)
         self._factors = []
-        below = data  # unused by the deepest level
+        below = data  # not used: the deepest fronts have no children
         for depth, level in reversed(list(enumerate(self.fronts.levels))):
-            # Two depths are in use at a time.
-            matrices = self._buffer(depth % 2, (len(data), level.entries)).zero_()
-            matrices.index_fill_(1, level.ones, 1.0)
-            self._add(matrices, data, level.values)
-            for flow in level.updates:
-                self._add(matrices, below, flow)
-            self._factors.append([self._eliminate(depth, group, matrices)
+            panels = self._buffer("panels", (len(data), level.panel_size)).zero_()
+            panels.index_fill_(1, level.ones, 1.0)
+            self._add(panels, data, level.values)
+            for flow, _, _ in level.children:
+                self._add(panels, below, flow)
+            # Those of two depths are in use at a time.
+            updates = self._buffer(("updates", depth % 2), (len(data), level.update_size))
+            self._factors.append([self._eliminate(depth, group, panels, updates)
                                   for group in level.groups])
-            below = matrices
+            for _, flow, _ in level.children:
+                self._add(updates, below, flow)
+            below = updates
         return self.definite
 
     def solve(self, rhs: torch.Tensor) -> torch.Tensor:
@@ -107,45 +110,47 @@ class FrontalSolver:
         for level, factors in levels:
             vectors = x.gather(1, _each(level.unknowns, x))
             for group in level.groups:
-                group.columns(vectors)[1].zero_()
-            for flow in level.carried:
+                group.vectors(vectors)[1].zero_()
+            for _, _, flow in level.children:
                 self._add(vectors, reduced[-1], flow)
             for group, (lower, rows) in zip(level.groups, factors, strict=True):
-                own, later = group.columns(vectors)
+                own, later = group.vectors(vectors)
                 own.copy_(torch.linalg.solve_triangular(lower, own, upper=False))
                 later -= rows @ own
             reduced.append(vectors)
         for (level, factors), vectors in reversed(list(zip(levels, reduced, strict=True))):
             found = x.gather(1, _each(level.unknowns, x))
             for group, (lower, rows) in zip(level.groups, factors, strict=True):
-                own, later = group.columns(found)
-                y = group.columns(vectors)[0] - rows.mT @ later
+                own, later = group.vectors(found)
+                y = group.vectors(vectors)[0] - rows.mT @ later
                 own.copy_(torch.linalg.solve_triangular(lower.mT, y, upper=True))
             # The others' values are written again as they are.
             x.scatter_(1, _each(level.unknowns, x), found)
         return torch.where(self.definite[:, None], x[:, :-1], torch.nan)
 
     def _eliminate(
-        self, depth: int, group: Group, matrices: torch.Tensor
+        self, depth: int, group: Group, panels: torch.Tensor, updates: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Factor a group; its update replaces the others' part of the matrices.
+        """Factor a group's panels and begin its updates.
 
         Returns:
             The pieces of L: (B, c, p, p), lower triangular, and (B, c, u, p) below.
         """
-        samples, c, p, u = len(matrices), group.count, group.pivots, group.others
-        fronts = group.fronts(matrices)
-        # Column-major, as LAPACK wants it.
-        lower = self._buffer((depth, group, "corner"), (samples, c, p, p)).mT
-        rows = self._buffer((depth, group, "rows"), (samples, c, u, p))
-        info = torch.empty(samples, c, dtype=torch.int32, device=self._device)
-        torch.linalg.cholesky_ex(fronts[..., :p, :p], out=(lower, info))
+        corner, below = group.panels(panels)
+        lower = self._buffer((depth, group, "lower"), corner.shape).copy_(corner)
+        rows = self._buffer((depth, group, "rows"), below.shape)
+        # LAPACK's matrices are column-major: without transposing, this one's upper triangle is ours.
+        info = torch.empty(lower.shape[:2], dtype=torch.int32, device=self._device)
+        torch.linalg.cholesky_ex(lower.mT, upper=True, out=(lower.mT, info))
         diagonal = lower.diagonal(dim1=-2, dim2=-1)
-        sound = (diagonal > 0.0) & (diagonal < torch.inf)  # no NaN either
+        sound = (diagonal > 0.0) & (diagonal < torch.inf)  # nor NaN
         self.definite &= (info == 0).all(dim=1) & sound.flatten(1).all(dim=1)
-        torch.linalg.solve_triangular(lower, fronts[..., p:, :p].mT, upper=False, out=rows.mT)
-        product = self._buffer("product", (samples, c, u, u))
-        fronts[..., p:, p:] -= torch.matmul(rows, rows.mT, out=product)
+        torch.linalg.solve_triangular(lower, below.mT, upper=False, out=rows.mT)
+        flat = rows.flatten(0, 1)
+        product = self._buffer("product", (len(flat), group.others, group.others))
+        product.baddbmm_(flat, flat.mT, beta=0.0, alpha=-1.0)
+        update = group.updates(updates)
+        update.copy_(product.view(update.shape))
         return lower, rows
 
     def _add(self, target: torch.Tensor, source: torch.Tensor, flow: Flow) -> None:
@@ -154,7 +159,7 @@ class FrontalSolver:
         part = torch.gather(source, 1, take, out=self._buffer("part", tuple(take.shape)))
         target.scatter_add_(1, put, part)
 
-    def _buffer(self, name: object, shape: tuple[int, ...]) -> torch.Tensor:
+    def _buffer(self, name: object, shape: Sequence[int]) -> torch.Tensor:
         """A tensor in memory that is kept: fresh memory costs more than the arithmetic."""
         count = math.prod(shape)
         kept = self._memory.get(name)
