@@ -1,14 +1,15 @@
-"""Symbolic part of a multifrontal Cholesky factorisation: dense fronts, and what flows between.
+"""Symbolic part of a supernodal Cholesky factorisation: dense fronts, and what flows between.
 
 Eliminating a node of the elimination tree works on a dense matrix, its front: the node's pivots
-and the later unknowns they couple with, its others. What is left of the front after the
-elimination, the update, is added to the parent's front (Duff and Reid 1983; Liu 1992). Fronts of
-one depth in the tree do not depend on each other; those of similar sizes are padded to p pivots
-and u others and form a group of c fronts, to be handled as one stack of matrices.
+and the later unknowns they couple with, its others (Duff and Reid 1983). The pivots' columns are
+the front's panel. What the elimination changes in the others' rows and columns, the update, is
+added to the panels of the fronts whose pivots these are. Fronts of one depth in the tree do not
+depend on each other; those of similar sizes are padded to p pivots and u others and form a group
+of c fronts, to be handled as one stack of matrices.
 
-The fronts of one depth lie in two arrays, group after group and row-major: panels (c, p + u, p),
-which are the pivots' columns, and updates (c, u, u). Lower triangles are used. Padded pivots have
-a one on the diagonal, everything else padded is zero. For solves, vectors (c, p + u) lie likewise.
+All panels lie in one array, group after group, each (c, p + u, p) row-major; updates are
+(c, u, u). Lower triangles are used. Padded pivots have a one on the diagonal, everything else
+padded is zero.
 """
 
 import math
@@ -21,13 +22,8 @@ from sim.linear.nested_dissection import EliminationTree
 from sim.linear.pattern import SparsePattern
 
 Flow = tuple[torch.Tensor, torch.Tensor]
-"""Entries to take from one array and where to add them in another; no target occurs twice, so
+"""Entries to take from one array and where to add them in another. No target occurs twice, so
 that sums have one order on every device."""
-
-
-def front_flops(p: np.ndarray | float, u: np.ndarray | float) -> np.ndarray | float:
-    """Of a front as carried out: Cholesky, triangular solve, the update's both triangles."""
-    return p**3 / 3 + p**2 * u + 2 * p * u**2
 
 
 @dataclass(frozen=True)
@@ -36,68 +32,32 @@ class Group:
 
     Attributes:
         count, pivots, others: c, p and u.
-        panel, update, vector: where it begins in the arrays of its depth.
+        first: where its panels begin.
+        own, later: rows of the matrix that are its fronts' pivots (c p,) and others (c u,), n
+            where padded.
+        updates: from its updates to later groups' panels, in several flows.
+        carried: from vectors (c u,) to those of n entries, likewise.
     """
 
     count: int
     pivots: int
     others: int
-    panel: int
-    update: int
-    vector: int
-
-    @property
-    def rows(self) -> int:
-        """Of each front."""
-        return self.pivots + self.others
+    first: int
+    own: torch.Tensor
+    later: torch.Tensor
+    updates: list[Flow]
+    carried: list[Flow]
 
     def panels(self, array: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Its corners (B, c, p, p) and the rows below them (B, c, u, p) in the depth's panels."""
-        return self._both(array, self.panel, self.pivots)
-
-    def vectors(self, array: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Its pivots (B, c, p, 1) and others (B, c, u, 1) in the depth's vectors."""
-        return self._both(array, self.vector, 1)
-
-    def updates(self, array: torch.Tensor) -> torch.Tensor:
-        """Its (B, c, u, u) in the depth's updates."""
-        shape = self.count, self.others, self.others
-        return array[:, self.update : self.update + math.prod(shape)].view(len(array), *shape)
-
-    def _both(self, array: torch.Tensor, first: int, width: int) -> tuple[torch.Tensor, ...]:
-        shape = self.count, self.rows, width
-        part = array[:, first : first + math.prod(shape)].view(len(array), *shape)
+        """Its corners (B, c, p, p) and the rows below them (B, c, u, p) in the array (B, ...)."""
+        shape = self.count, self.pivots + self.others, self.pivots
+        part = array[:, self.first : self.first + math.prod(shape)].view(len(array), *shape)
         return part.split((self.pivots, self.others), dim=2)
 
-
-@dataclass(frozen=True)
-class Level:
-    """The fronts of one depth.
-
-    Attributes:
-        groups: by size.
-        unknowns: (R,) the whole matrix's row of each entry of the vectors, n for padding.
-        ones: (M,) entries of the panels that are padded pivots' diagonal.
-        values: from the CSR data to the panels.
-        children: what the panels, updates and vectors receive from the updates, updates and
-            vectors of the next depth: of first children, of second children.
-    """
-
-    groups: list[Group]
-    unknowns: torch.Tensor
-    ones: torch.Tensor
-    values: Flow
-    children: list[tuple[Flow, Flow, Flow]]
-
     @property
-    def panel_size(self) -> int:
-        """Numbers in the panels."""
-        return sum(group.count * group.rows * group.pivots for group in self.groups)
-
-    @property
-    def update_size(self) -> int:
-        """Numbers in the updates."""
-        return sum(group.count * group.others**2 for group in self.groups)
+    def flops(self) -> float:
+        """Of its factorisation as carried out, with both triangles of updates."""
+        return self.count * front_flops(float(self.pivots), float(self.others))
 
 
 @dataclass(frozen=True)
@@ -105,51 +65,23 @@ class Fronts:
     """All fronts of a matrix.
 
     Attributes:
-        levels: by depth, the root first.
+        groups: in the order of elimination.
+        panel_size: numbers in the panels.
+        ones: (M,) entries of the panels that are padded pivots' diagonal.
+        values: from the CSR data to the panels.
         sizes: (N, 2) pivots and others of each front without padding.
     """
 
-    levels: list[Level]
+    groups: list[Group]
+    panel_size: int
+    ones: torch.Tensor
+    values: Flow
     sizes: np.ndarray
 
 
-@dataclass
-class _Front:
-    """One front and where it lies.
-
-    Attributes:
-        rows: ascending positions of its rows in the order of elimination.
-        own: how many of them are pivots.
-        entries: of the matrix, that belong to it.
-        children: the fronts whose updates it receives.
-        group, place: filled in by :func:`_grouped`.
-    """
-
-    rows: np.ndarray
-    own: int
-    entries: np.ndarray
-    children: list["_Front"]
-    group: Group | None = None
-    place: int = 0
-
-    def local(self, positions: np.ndarray) -> np.ndarray:
-        """Padded rows of positions that the front has."""
-        row = np.searchsorted(self.rows, positions)
-        return np.where(row < self.own, row, row + self.group.pivots - self.own)
-
-    def vector(self, rows: np.ndarray) -> np.ndarray:
-        """Where padded rows are in the vectors of its depth."""
-        return self.group.vector + self.place * self.group.rows + rows
-
-    def panel(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Where padded rows and columns are in the panels of its depth."""
-        first = self.place * self.group.rows
-        return self.group.panel + (first + rows) * self.group.pivots + columns
-
-    def update(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Where padded rows and columns are in the updates of its depth."""
-        p, u = self.group.pivots, self.group.others
-        return self.group.update + (self.place * u + rows - p) * u + columns - p
+def front_flops(p: np.ndarray | float, u: np.ndarray | float) -> np.ndarray | float:
+    """Cholesky of the corner, triangular solve below it, update."""
+    return p**3 / 3 + p**2 * u + 2 * p * u**2
 
 
 def plan_fronts(
@@ -162,110 +94,162 @@ def plan_fronts(
             overhead of a handful of calls.
         device: of the index lists.
     """
-    n, indptr = pattern.size, pattern.indptr
-    # Positions in the order of elimination: the deepest nodes first.
-    order = np.concatenate(tree.pivots[::-1])
+    n = pattern.size
+    order = np.concatenate(tree.pivots)
     position = np.empty(n, dtype=np.int64)
     position[order] = np.arange(n)
-    rows = np.repeat(np.arange(n), np.diff(indptr))
+    rows = np.repeat(np.arange(n), np.diff(pattern.indptr))
     pairs = np.sort(np.stack([position[rows], position[pattern.indices]]), axis=0)
+    fronts = _find_fronts(tree, pairs)
+
+    stacks, panels = [], 0
+    for depth in reversed(range(tree.depth.max() + 1)):
+        level = [fronts[node] for node in np.flatnonzero(tree.depth == depth)]
+        for stack in _similar(level, group_cost):
+            stacks.append(stack)
+            panels = _place(stack, panels)
+    owner = np.repeat(np.arange(len(fronts)), [front.own for front in fronts])
+    padded = [np.arange(front.own, front.pivots) for front in fronts]
+    ones = [front.panel + diagonal * (front.pivots + 1)
+            for front, diagonal in zip(fronts, padded, strict=True)]
+    entries = np.concatenate([front.entries for front in fronts])
+    values = np.concatenate([front.address(*pairs[:, front.entries]) for front in fronts])
+    return Fronts(
+        groups=[_group(stack, fronts, owner, order, device) for stack in stacks],
+        panel_size=panels,
+        ones=_on(device, np.concatenate(ones)),
+        values=(_on(device, entries), _on(device, values)),
+        sizes=np.array([(front.own, len(front.later)) for front in fronts]),
+    )
+
+
+@dataclass
+class _Front:
+    """One front and where it lies.
+
+    Attributes:
+        rows: ascending positions of its rows in the order of elimination.
+        own: how many of them are pivots.
+        entries: of the matrix, in its panel.
+        pivots, others: padded, filled in by :func:`_place`.
+        panel: where it begins in the panels, likewise.
+    """
+
+    rows: np.ndarray
+    own: int
+    entries: np.ndarray
+    pivots: int = 0
+    others: int = 0
+    panel: int = 0
+
+    @property
+    def later(self) -> np.ndarray:
+        """Positions of its others."""
+        return self.rows[self.own :]
+
+    def address(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Where entries are in the panels; ``low`` are positions of pivots, ``high`` of rows."""
+        row, column = np.searchsorted(self.rows, high), np.searchsorted(self.rows, low)
+        row += np.where(row < self.own, 0, self.pivots - self.own)
+        return self.panel + row * self.pivots + column
+
+
+def _find_fronts(tree: EliminationTree, pairs: np.ndarray) -> list[_Front]:
+    """The front of each node; ``pairs`` (2, nnz) positions of the entries, the smaller first."""
     by_row = np.argsort(pairs[0], kind="stable")
-    bounds = np.searchsorted(pairs[0, by_row], np.arange(n + 1))
-
-    children: list[list[_Front]] = [[] for _ in tree.pivots]
-    depths: list[list[_Front]] = [[] for _ in range(tree.depth[-1] + 1)]
-    end = 0
-    for node in reversed(range(len(tree.pivots))):
-        start, end = end, end + len(tree.pivots[node])
-        entries = by_row[bounds[start] : bounds[end]]
-        reached = [pairs[1, entries], *(child.rows[child.own :] for child in children[node])]
-        later = np.unique(np.concatenate(reached))
-        rows = np.concatenate([np.arange(start, end), later[later >= end]])
-        front = _Front(rows, end - start, entries, children[node])
-        depths[tree.depth[node]].append(front)
-        if tree.parent[node] >= 0:
-            children[tree.parent[node]].append(front)
-    sizes = [np.array([(front.own, len(front.rows) - front.own) for front in fronts])
-             for fronts in depths]
-    groups = [_grouped(fronts, own, group_cost)
-              for fronts, own in zip(depths, sizes, strict=True)]
-    levels = [_level(*parts, pairs, order, device) for parts in zip(depths, groups, strict=True)]
-    return Fronts(levels, np.concatenate(sizes))
+    ends = np.cumsum([len(pivots) for pivots in tree.pivots])
+    bounds = np.searchsorted(pairs[0, by_row], np.append(0, ends))
+    fronts: list[_Front] = []
+    beyond: list[list[np.ndarray]] = [[] for _ in tree.pivots]
+    for node, (pivots, end) in enumerate(zip(tree.pivots, ends, strict=True)):
+        entries = by_row[bounds[node] : bounds[node + 1]]
+        reached = np.unique(np.concatenate([pairs[1, entries], *beyond[node]]))
+        own = np.arange(end - len(pivots), end)
+        front = _Front(np.append(own, reached[reached >= end]), len(own), entries)
+        fronts.append(front)
+        beyond[tree.parent[node]].append(front.later)  # the root, whose parent is -1, has none
+    return fronts
 
 
-def _grouped(fronts: list[_Front], sizes: np.ndarray, group_cost: float) -> list[Group]:
-    """Give the fronts of one depth, of sizes (N, 2) without padding, their groups and places."""
-    groups: list[Group] = []
-    panel = update = vector = 0
-    for members in _similar(sizes, group_cost):
-        c, (p, u) = len(members), (int(size) for size in sizes[members].max(axis=0))
-        groups.append(Group(c, p, u, panel, update, vector))
-        panel, update, vector = panel + c * (p + u) * p, update + c * u * u, vector + c * (p + u)
-        for place, member in enumerate(members):
-            fronts[member].group, fronts[member].place = groups[-1], place
-    return groups
-
-
-def _similar(sizes: np.ndarray, group_cost: float) -> list[np.ndarray]:
-    """Split fronts of sizes (N, 2) into groups, as long as that saves more than it costs."""
-    def cost(count: np.ndarray | int, largest: np.ndarray) -> np.ndarray:
-        return count * front_flops(*largest.T.astype(np.float64))
-
-    least, parts = cost(len(sizes), sizes.max(axis=0)) - group_cost, None
+def _similar(fronts: list[_Front], group_cost: float) -> list[list[_Front]]:
+    """Split fronts of one depth into groups, as long as that saves more than it costs."""
+    sizes = np.array([(front.own, len(front.later)) for front in fronts], dtype=np.float64)
+    count = np.arange(1, len(fronts))
+    least, parts = len(fronts) * front_flops(*sizes.max(axis=0)) - group_cost, None
     for axis in (0, 1):
         order = np.argsort(sizes[:, axis], kind="stable")
         small = np.maximum.accumulate(sizes[order])[:-1]
         large = np.maximum.accumulate(sizes[order[::-1]])[-2::-1]
-        count = np.arange(1, len(sizes))
-        total = cost(count, small) + cost(len(sizes) - count, large)
-        if len(total) and total.min() < least:
-            at = total.argmin() + 1
-            least, parts = total[at - 1], (order[:at], order[at:])
+        cost = count * front_flops(*small.T) + count[::-1] * front_flops(*large.T)
+        if cost.min(initial=np.inf) < least:
+            least, at = cost.min(), cost.argmin() + 1
+            parts = order[:at], order[at:]
     if parts is None:
-        return [np.arange(len(sizes))]
-    return [part[group] for part in parts for group in _similar(sizes[part], group_cost)]
+        return [fronts]
+    return [group for part in parts for group in _similar([fronts[k] for k in part], group_cost)]
 
 
-def _level(
+def _place(stack: list[_Front], first: int) -> int:
+    """Pad the fronts of a group to one size and place their panels; where the next may begin."""
+    pivots = max(front.own for front in stack)
+    others = max(len(front.later) for front in stack)
+    for number, front in enumerate(stack):
+        front.pivots, front.others = pivots, others
+        front.panel = first + number * (pivots + others) * pivots
+    return first + len(stack) * (pivots + others) * pivots
+
+
+def _group(
+    stack: list[_Front],
     fronts: list[_Front],
-    groups: list[Group],
-    pairs: np.ndarray,
+    owner: np.ndarray,
     order: np.ndarray,
     device: torch.device,
-) -> Level:
-    """One depth, whose fronts have their places, as have those of the next.
+) -> Group:
+    """One group; all fronts have their places.
 
     Args:
-        pairs: (2, nnz) positions of the matrix's entries, the smaller first.
+        fronts: of all nodes.
+        owner: (n,) node of each position.
         order: (n,) row of each position.
     """
-    def joined(parts: list[np.ndarray]) -> torch.Tensor:
-        return torch.from_numpy(np.concatenate(parts)).to(device)
+    p, u = stack[0].pivots, stack[0].others
+    own, later = (np.full((len(stack), size), len(order)) for size in (p, u))
+    updates, carried = [], []
+    for k, front in enumerate(stack):
+        others = front.later
+        own[k, : front.own] = order[front.rows[: front.own]]
+        later[k, : len(others)] = order[others]
+        carried.append(np.stack([k * u + np.arange(len(others)), order[others]]))
+        i, j = np.tril_indices(len(others))
+        put = np.empty_like(i)
+        for node in np.unique(owner[others]):
+            there = owner[others[j]] == node
+            put[there] = fronts[node].address(others[j[there]], others[i[there]])
+        updates.append(np.stack([(k * u + i) * u + j, put]))
+    return Group(
+        count=len(stack),
+        pivots=p,
+        others=u,
+        first=stack[0].panel,
+        own=_on(device, own.ravel()),
+        later=_on(device, later.ravel()),
+        updates=_flows(np.concatenate(updates, axis=1), device),
+        carried=_flows(np.concatenate(carried, axis=1), device),
+    )
 
-    def flow(parts: list[tuple[np.ndarray, np.ndarray]]) -> Flow:
-        take, put = zip(*parts, strict=True)
-        return joined(take), joined(put)
 
-    unknowns = np.full(sum(group.count * group.rows for group in groups), len(order))
-    ones, values = [], []
-    for front in fronts:
-        unknowns[front.vector(front.local(front.rows))] = order[front.rows]
-        padded = np.arange(front.own, front.group.pivots)
-        ones.append(front.panel(padded, padded))
-        low, high = front.local(pairs[:, front.entries])
-        values.append((front.entries, front.panel(high, low)))
-    children = []
-    for rank in range(max(len(front.children) for front in fronts)):
-        panels, updates, vectors = [], [], []
-        for front in fronts:
-            for child in front.children[rank : rank + 1]:
-                later = child.rows[child.own :]
-                here, there = front.local(later), child.local(later)
-                i, j = np.tril_indices(len(later))
-                take = child.update(there[i], there[j])
-                pivot = here[j] < front.group.pivots
-                panels.append((take[pivot], front.panel(here[i[pivot]], here[j[pivot]])))
-                updates.append((take[~pivot], front.update(here[i[~pivot]], here[j[~pivot]])))
-                vectors.append((child.vector(there), front.vector(here)))
-        children.append((flow(panels), flow(updates), flow(vectors)))
-    return Level(groups, joined([unknowns]), joined(ones), flow(values), children)
+def _flows(both: np.ndarray, device: torch.device) -> list[Flow]:
+    """Entries to take and where to add them (2, M), so that none has a target twice."""
+    order = np.argsort(both[1], kind="stable")
+    target = both[1, order]
+    place = np.arange(len(order))
+    is_first = np.append(True, target[1:] != target[:-1])[: len(order)]
+    rank = np.empty_like(order)
+    rank[order] = place - np.maximum.accumulate(np.where(is_first, place, 0))
+    return [tuple(_on(device, part) for part in both[:, rank == k])
+            for k in range(rank.max(initial=-1) + 1)]
+
+
+def _on(device: torch.device, array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array)).to(device)

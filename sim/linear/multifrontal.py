@@ -78,21 +78,11 @@ class FrontalSolver:
         """
         self._check("matrices", data, (len(data), self._entries))
         self.definite = torch.ones(len(data), dtype=torch.bool, device=self._device)
-        self._factors = []
-        below = data  # not used: the deepest fronts have no children
-        for depth, level in reversed(list(enumerate(self.fronts.levels))):
-            panels = self._buffer("panels", (len(data), level.panel_size)).zero_()
-            panels.index_fill_(1, level.ones, 1.0)
-            self._add(panels, data, level.values)
-            for flow, _, _ in level.children:
-                self._add(panels, below, flow)
-            # Those of two depths are in use at a time.
-            updates = self._buffer(("updates", depth % 2), (len(data), level.update_size))
-            self._factors.append([self._eliminate(depth, group, panels, updates)
-                                  for group in level.groups])
-            for _, flow, _ in level.children:
-                self._add(updates, below, flow)
-            below = updates
+        panels = self._buffer("panels", (len(data), self.fronts.panel_size)).zero_()
+        panels.index_fill_(1, self.fronts.ones, 1.0)
+        self._add(panels, data, self.fronts.values)
+        self._factors = [self._eliminate(number, group, panels)
+                         for number, group in enumerate(self.fronts.groups)]
         return self.definite
 
     def solve(self, rhs: torch.Tensor) -> torch.Tensor:
@@ -105,41 +95,31 @@ class FrontalSolver:
         self._check("right-hand sides", rhs, (samples, self._size))
         # The row n stands for padding: zero on the way in, and it stays so.
         x = torch.cat([rhs, rhs.new_zeros(samples, 1)], dim=1)
-        levels = list(zip(reversed(self.fronts.levels), self._factors, strict=True))
-        reduced = []
-        for level, factors in levels:
-            vectors = x.gather(1, _each(level.unknowns, x))
-            for group in level.groups:
-                group.vectors(vectors)[1].zero_()
-            for _, _, flow in level.children:
-                self._add(vectors, reduced[-1], flow)
-            for group, (lower, rows) in zip(level.groups, factors, strict=True):
-                own, later = group.vectors(vectors)
-                own.copy_(torch.linalg.solve_triangular(lower, own, upper=False))
-                later -= rows @ own
-            reduced.append(vectors)
-        for (level, factors), vectors in reversed(list(zip(levels, reduced, strict=True))):
-            found = x.gather(1, _each(level.unknowns, x))
-            for group, (lower, rows) in zip(level.groups, factors, strict=True):
-                own, later = group.vectors(found)
-                y = group.vectors(vectors)[0] - rows.mT @ later
-                own.copy_(torch.linalg.solve_triangular(lower.mT, y, upper=True))
-            # The others' values are written again as they are.
-            x.scatter_(1, _each(level.unknowns, x), found)
+        steps = list(zip(self.fronts.groups, self._factors, strict=True))
+        for group, (lower, rows) in steps:
+            y = torch.linalg.solve_triangular(lower, _take(x, group.own, group), upper=False)
+            x.scatter_(1, _each(group.own, x), y.flatten(1))
+            change = (rows @ y).neg_().flatten(1)
+            for flow in group.carried:
+                self._add(x, change, flow)
+        for group, (lower, rows) in reversed(steps):
+            y = _take(x, group.own, group) - rows.mT @ _take(x, group.later, group)
+            found = torch.linalg.solve_triangular(lower.mT, y, upper=True)
+            x.scatter_(1, _each(group.own, x), found.flatten(1))
         return torch.where(self.definite[:, None], x[:, :-1], torch.nan)
 
     def _eliminate(
-        self, depth: int, group: Group, panels: torch.Tensor, updates: torch.Tensor
+        self, number: int, group: Group, panels: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Factor a group's panels and begin its updates.
+        """Factor a group's panels and change those of later groups.
 
         Returns:
             The pieces of L: (B, c, p, p), lower triangular, and (B, c, u, p) below.
         """
         corner, below = group.panels(panels)
-        lower = self._buffer((depth, group, "lower"), corner.shape).copy_(corner)
-        rows = self._buffer((depth, group, "rows"), below.shape)
-        # LAPACK's matrices are column-major: without transposing, this one's upper triangle is ours.
+        lower = self._buffer((number, "lower"), corner.shape).copy_(corner)
+        rows = self._buffer((number, "rows"), below.shape)
+        # LAPACK's matrices are column-major: to it, this lower triangle is an upper one.
         info = torch.empty(lower.shape[:2], dtype=torch.int32, device=self._device)
         torch.linalg.cholesky_ex(lower.mT, upper=True, out=(lower.mT, info))
         diagonal = lower.diagonal(dim1=-2, dim2=-1)
@@ -147,10 +127,10 @@ class FrontalSolver:
         self.definite &= (info == 0).all(dim=1) & sound.flatten(1).all(dim=1)
         torch.linalg.solve_triangular(lower, below.mT, upper=False, out=rows.mT)
         flat = rows.flatten(0, 1)
-        product = self._buffer("product", (len(flat), group.others, group.others))
-        product.baddbmm_(flat, flat.mT, beta=0.0, alpha=-1.0)
-        update = group.updates(updates)
-        update.copy_(product.view(update.shape))
+        update = self._buffer("update", (len(flat), group.others, group.others))
+        update.baddbmm_(flat, flat.mT, beta=0.0, alpha=-1.0)
+        for flow in group.updates:
+            self._add(panels, update.view(len(panels), -1), flow)
         return lower, rows
 
     def _add(self, target: torch.Tensor, source: torch.Tensor, flow: Flow) -> None:
@@ -172,6 +152,11 @@ class FrontalSolver:
         if tensor.shape != shape or tensor.dtype != torch.float64 or tensor.device != self._device:
             raise InputError(f"{name} must be {shape} float64 on {self._device}, not "
                              f"{tuple(tensor.shape)} {tensor.dtype} on {tensor.device}")
+
+
+def _take(x: torch.Tensor, index: torch.Tensor, group: Group) -> torch.Tensor:
+    """Entries (c k,) of x (B, n + 1) as columns (B, c, k, 1)."""
+    return x.gather(1, _each(index, x)).view(len(x), group.count, -1, 1)
 
 
 def _each(index: torch.Tensor, samples: torch.Tensor) -> torch.Tensor:

@@ -21,8 +21,7 @@ class EliminationTree:
     A node may couple with its own descendants and ancestors only.
 
     Attributes:
-        pivots: for each node, its unknowns (int64). Parents come before their children, and
-            nodes after all those of less depth.
+        pivots: for each node, its unknowns (int64). Deeper nodes come first, the root last.
         parent: (N,) index of each node's parent, -1 for the root.
         depth: (N,) steps from the root; nodes of one depth do not depend on each other.
     """
@@ -55,8 +54,9 @@ def dissect(
             below += [(*part, len(nodes)) for part in parts]
             nodes.append((separator, parent, depth))
         regions = below
-    pivots, parent, depth = zip(*nodes, strict=True)
-    return EliminationTree(pivots, np.array(parent), np.array(depth))
+    pivots, parent, depth = zip(*reversed(nodes), strict=True)
+    parent = np.where(np.array(parent) >= 0, len(nodes) - 1 - np.array(parent), -1)
+    return EliminationTree(pivots, parent, np.array(depth))
 
 
 def _cut(
