@@ -108,9 +108,8 @@ def apart(a: DrapeResult, b: DrapeResult) -> float:
     return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
 
 
-def together(fabrics: list[Fabric], *, resolution: int | None, device: str, threads: int) -> dict:
+def together(fabrics: list[Fabric], *, resolution: int | None, device: str) -> dict:
     """Figures of drapes minimised together, all at once, kernels and analysis at hand."""
-    torch.set_num_threads(threads)
     settings = {"resolution": resolution, "device": device, "together": True}
     drape_batch(fabrics[:1], **settings)
     if device != "cpu":
@@ -188,10 +187,9 @@ def main(argv: list[str]) -> None:
         report["together"] = rows = []
         for n in config["resolutions"]:
             for count in batches:
-                settings = {"resolution": n or None, "device": device,
-                            "threads": config["threads"]}
+                settings = {"resolution": n or None, "device": device}
                 if device == "cpu":  # a fresh process, for its peak memory
-                    with worker_pool(1) as pool:
+                    with worker_pool(1, torch.set_num_threads, config["threads"]) as pool:
                         rows.append(pool.submit(together, fabrics[:count], **settings).result())
                 else:
                     rows.append(together(fabrics[:count], **settings))

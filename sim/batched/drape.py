@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from common.errors import InputError
-from common.workers import pool_for
+from common.workers import worker_pool
 from sim.batched.equilibrium import analyse_grid, find_equilibria
 from sim.drape import (
     COARSE_MEMBRANE,
@@ -196,7 +196,7 @@ def _one_by_one(
     if workers <= 1:
         return [drape(**vars(request), **shared) for request in requests]
     longest = sorted(range(len(requests)), key=lambda k: -_expected_work(requests[k]))
-    with pool_for(workers, shared) as pool:
+    with worker_pool(workers) as pool:
         made = {k: pool.submit(drape, **vars(requests[k]), **shared) for k in longest}
         return [made[k].result() for k in range(len(requests))]
 
@@ -295,7 +295,7 @@ def _freed(
     if workers <= 1:
         made = [_free(*task) for task in tasks]
     else:
-        with pool_for(workers, tasks[0]) as pool:
+        with worker_pool(workers) as pool:
             made = list(pool.map(_free, *zip(*tasks, strict=True)))
     states = list(states)
     for k, (state, _, _) in zip(tangled, made, strict=True):
