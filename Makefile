@@ -37,8 +37,9 @@ test-slow: $(STAMP)  ## tests that take minutes
 test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets installed and started
 	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
 
-lint: $(STAMP)  ## style
+lint: $(STAMP)  ## style, and which module imports which
 	$(BIN)/ruff check .
+	$(BIN)/python tools/check_layers.py
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 	$(BIN)/python -m apps.drape

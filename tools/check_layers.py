@@ -67,5 +67,6 @@ def complaints(root: Path) -> list[str]:
 
 if __name__ == "__main__":
     found = complaints(Path(__file__).resolve().parents[1])
-    print("\n".join(found))
+    for line in found:
+        print(line)
     sys.exit(bool(found))
