@@ -31,13 +31,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from sim.batch import drape_batch
 
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from benchmarks.speed import peak_memory, prior_fabrics
 from common.cli import run_command
 from common.errors import InputError
 from common.workers import worker_pool
+from sim.batch import drape_batch
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 
