@@ -1,15 +1,16 @@
 """Check and time the batched direct solver: ``python -m benchmarks.linear [key=value ...]``.
 
-Hessians of drapes in all stages are solved in batches and, one after another, by the sparse solver
-of single drapes: residuals, agreement on which matrices are positive definite, time and memory.
+Hessians of drapes of one unstructured mesh in all stages are solved in batches and, one after
+another, by the sparse solvers of single drapes: residuals, agreement on which matrices are
+positive definite, time and memory.
 
 Keys (``key=value``):
 
-    matrices     Hessians of the residual's check; more than the largest batch
-    vertices     a side, of the check
-    resolutions  vertices a side, of the timing
+    matrices     Hessians of the check; more than the largest batch
+    edge         mean length of the check's edges, mm
+    edges        likewise, of the timing
     batches      samples at a time
-    threads      of the batched solver; the other one has a single thread
+    threads      of the batched solver; the others have a single thread
     repeats      of each timing, of which the fastest counts
     device       of the batched solver: cpu or cuda
     out          the report, JSON; the picture beside it
@@ -17,7 +18,7 @@ Keys (``key=value``):
 
 import os
 
-# The other solver has one thread, and PyTorch what `threads` says.
+# The other solvers have one thread, and PyTorch what `threads` says.
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[_name] = "1"
 
@@ -48,138 +49,102 @@ from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.drape import drape  # noqa: E402
 from sim.energies.base import SeldomEnergy  # noqa: E402
-from sim.equilibrium import build_potential  # noqa: E402
-from sim.grid_unknowns import GridUnknowns  # noqa: E402
+from sim.equilibrium import build_potential, find_equilibrium  # noqa: E402
 from sim.initial import initial_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
-from sim.linear.multifrontal import LEAF, Analysis, BatchedCholesky, analyse  # noqa: E402
-from sim.linear.nested_dissection import dissect  # noqa: E402
+from sim.linear.fronts import front_flops  # noqa: E402
+from sim.linear.multifrontal import FrontalSolver  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
-from sim.potential import Potential  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
-from sim.sensitivity.parameters import hessian_product  # noqa: E402
-from sim.specimens import make_specimen  # noqa: E402
+from sim.unstructured import unstructured_square  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
-    "vertices": 51,
-    "resolutions": [51, 101],
+    "edge": 7.0,
+    "edges": [7.0, 4.5],
     "batches": [1, 4, 16],
     "threads": [1, 2],
     "repeats": 4,
     "device": "cpu",
     "out": str(REPORTS / "linear.json"),
 }
-STAGES = (0, 3, 10, 400)  # Newton steps on the final mesh; the last reach equilibrium
+STAGES = (0, 3, 10, 400)  # Newton steps; the last reach equilibrium
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A drape's Hessians, in the frames of its edges.
+class Systems:
+    """Hessians of drapes of one mesh.
 
     Attributes:
-        potential, y: whose and where.
-        pattern: of its own m unknowns.
-        exact, convex: CSR data.
-        rows: (m,) of the shared numbering.
+        pattern: of all.
+        places: (n, 2) of the unknowns on the flat specimen, m.
+        exact, convex: (B, nnz) CSR data.
     """
 
-    potential: Potential
-    y: np.ndarray
     pattern: SparsePattern
+    places: np.ndarray
     exact: np.ndarray
     convex: np.ndarray
-    rows: np.ndarray
-
-    def residual(self, inside: np.ndarray, rhs: np.ndarray, convexity: float) -> float:
-        """Relative residual of a solution in frames (m,), for a right-hand side by unknowns (m,).
-
-        The Hessian is summed from the energies' own blocks by unknowns, which know of no frames.
-        """
-        q = self.potential.full(self.y)
-        move = np.zeros(len(q))
-        move[self.potential.free_part(np.arange(len(q)))] = self.potential.out_of_frames(
-            self.y, inside)
-        product = hessian_product(self.potential.energies, q, move, convexity=convexity)
-        error = self.potential.free_part(product) - rhs
-        return float(np.linalg.norm(error) / np.linalg.norm(rhs))
 
 
-def make_samples(count: int, n: int, stages: tuple[int, ...]) -> tuple[GridUnknowns, list[Sample]]:
-    """Hessians of ``count`` fabrics of the prior on meshes of their own, stage after stage.
+def make_systems(count: int, edge: float, stages: tuple[int, ...]) -> Systems:
+    """Hessians of ``count`` fabrics of the prior, stage after stage; ``edge`` in mm.
 
     But for those of cloth that feels the limit of folds.
     """
     prior, rig = load_prior("gaussian"), Rig()
-    specimens = [make_specimen(rig, resolution=n, seed=seed) for seed in range(count)]
-    free = np.any([~specimen.held for specimen in specimens], axis=0)
-    unknowns = GridUnknowns((n, n), free.reshape(n, n))
-    samples = []
-    for seed, specimen in enumerate(specimens):
+    mesh, held = unstructured_square(size=rig.specimen_size, edge=1e-3 * edge,
+                                    plate_radius=rig.plate_radius)
+    scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
+    everywhere = np.concatenate([np.repeat(mesh.rest, 3, axis=0),
+                                 mesh.rest[mesh.edges].mean(axis=1)])
+    exact, convex = [], []
+    for seed in range(count):
         fabric = fabric_from_theta(
             sample_admissible(prior, stream(77, Stream.FABRIC, seed))[0]
         ).at_density(0.3)
-        mesh, held = specimen.mesh, specimen.held
+        positions = initial_positions(mesh.rest, rig=rig, start="sine",
+                                      rng=np.random.default_rng(seed))
+        positions[held] = rig.place(mesh.rest[held])
+        state = State.at(mesh, positions)
         steps = stages[seed % len(stages)]
         if steps:
             options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=steps)
-            result = drape(fabric, rig=rig, resolution=n, seed=seed, options=options)
-            state = State(result.positions, result.rotations)
-        else:
-            rng = np.random.default_rng(seed)
-            positions = initial_positions(mesh.rest, rig=rig, start="sine", rng=rng)
-            positions[held] = rig.place(mesh.rest[held])
-            state = State.at(mesh, positions)
-        scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
+            state, _ = find_equilibrium(scene, fabric, state, options=options)
         potential = build_potential(scene, fabric, state)
         q = state.unknowns
-        chosen = potential.free_part(np.arange(len(q)))
-        mask = np.zeros(len(q), dtype=bool)
-        mask[chosen] = True
-        y = potential.free_part(q)
         if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
             continue  # its matrix has another pattern
-        (pattern, exact), (_, convex) = (potential.hessian(y, c) for c in (0.0, 1.0))
-        samples.append(Sample(potential, y, pattern, exact, convex,
-                              unknowns.rows(mesh, mask)[chosen]))
-    return unknowns, samples
+        pattern, data = potential.hessian(potential.free_part(q), 0.0)
+        exact.append(data)
+        convex.append(potential.hessian(potential.free_part(q), 1.0)[1])
+    return Systems(pattern, potential.free_part(everywhere), np.stack(exact), np.stack(convex))
 
 
-def embedded(unknowns: GridUnknowns, samples: list[Sample], kind: str) -> np.ndarray:
-    """(B, nnz) data of the samples' Hessians, ``kind`` "exact" or "convex"."""
-    return np.stack([
-        unknowns.embed(sample.pattern, getattr(sample, kind), sample.rows) for sample in samples
-    ])
-
-
-def check(unknowns: GridUnknowns, samples: list[Sample], device: str) -> dict:
-    """Residuals of convex Hessians; which exact ones are positive definite for both solvers."""
-    solver = BatchedCholesky(analyse(unknowns.pattern, unknowns.places, device=device))
+def check(systems: Systems, device: str) -> dict:
+    """Residuals of definite Hessians; which exact ones are definite for both solvers."""
+    solver = FrontalSolver(systems.pattern, systems.places, device=device)
+    other = make_solver(systems.pattern)
     rng = np.random.default_rng(0)
     residuals, definite, agree = [], 0, 0
-    for first in range(0, len(samples), 10):
-        part = samples[first : first + 10]
+    for first in range(0, len(systems.exact), 10):
         for kind in ("convex", "exact"):
-            values = embedded(unknowns, part, kind)
-            found = solver.factorise(torch.from_numpy(values).to(device)).tolist()
-            right = [rng.standard_normal(len(sample.rows)) for sample in part]
-            rhs = np.zeros((len(part), unknowns.size))
-            for row, sample, own in zip(rhs, part, right, strict=True):
-                row[sample.rows] = sample.potential.into_frames(sample.y, own)
-            x = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
-            for k, sample in enumerate(part):
-                if found[k]:
-                    residuals.append(sample.residual(x[k][sample.rows], right[k],
-                                                     float(kind == "convex")))
-                if kind == "exact":
-                    definite += found[k]
-                    agree += found[k] == make_solver(sample.pattern).factorise(sample.exact)
-                elif not found[k]:
+            data = getattr(systems, kind)[first : first + 10]
+            found = solver.factorise(torch.from_numpy(data).to(device)).tolist()
+            rhs = rng.standard_normal((len(data), systems.pattern.size))
+            solutions = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
+            for row, b, x, good in zip(data, rhs, solutions, found, strict=True):
+                if good:
+                    error = systems.pattern.symmetric(row) @ x - b
+                    residuals.append(np.linalg.norm(error) / np.linalg.norm(b))
+                elif kind == "convex":
                     residuals.append(np.inf)
+                if kind == "exact":
+                    definite += good
+                    agree += good == other.factorise(row)
     return {
-        "matrices": len(samples),
+        "matrices": len(systems.exact),
         "systems_solved": len(residuals),
         "largest_residual": float(max(residuals)),
         "median_residual": float(np.median(residuals)),
@@ -188,21 +153,20 @@ def check(unknowns: GridUnknowns, samples: list[Sample], device: str) -> dict:
     }
 
 
-def counts(analysis: Analysis, pattern: SparsePattern) -> dict:
+def counts(solver: FrontalSolver, pattern: SparsePattern) -> dict:
     """What the analysis says of a factorisation."""
-    fronts = analysis.fronts
+    groups = solver.fronts.groups
+    p, u = solver.fronts.sizes.T.astype(np.float64)
+    padded = [g.count * front_flops(float(g.pivots), float(g.others)) for g in groups]
     return {
-        "unknowns": fronts.size,
+        "unknowns": pattern.size,
         "matrix_entries": len(pattern.indices),
-        "factor_entries": fronts.factor_entries,
-        "largest_front": fronts.largest,
-        "front_sizes": fronts.distinct_sizes,
-        "heights": len(fronts.levels),
-        "groups": len(analysis.groups),
-        "calls": analysis.calls,
-        "gflop": fronts.flops / 1e9,
-        "gflop_carried_out": analysis.padded_flops / 1e9,
-        "index_MiB": analysis.index_bytes / 2**20,
+        "factor_entries": int((p * (p + 1) / 2 + p * u).sum()),
+        "largest_front": int((p + u).max()),
+        "fronts": len(p),
+        "groups": len(groups),
+        "gflop": float((front_flops(p, u) - p * u**2).sum()) / 1e9,  # one triangle of updates
+        "gflop_carried_out": sum(padded) / 1e9,
     }
 
 
@@ -217,53 +181,55 @@ def fastest(work: list[Callable[[], object]], repeats: int) -> list[float]:
     return least
 
 
-def time_batches(
-    unknowns: GridUnknowns, samples: list[Sample], analysis: Analysis, config: dict
-) -> list[dict]:
-    """Milliseconds a sample for each batch size and number of threads, both solvers."""
-    sample, device = samples[0], config["device"]
-    # Several at a time, so that memory set free before cannot hide them.
-    began = _resident()
-    others = [make_solver(sample.pattern) for _ in range(4)]
-    for other in others:
-        other.factorise(sample.convex)
-    other_memory = (_resident() - began) / len(others)
-    del others
-    data = embedded(unknowns, samples, "convex")
-    right = np.ones(len(sample.rows))
-    rows = []
+def time_batches(edge: float, systems: Systems, solver: FrontalSolver, config: dict) -> list[dict]:
+    """Milliseconds a sample for each batch size and number of threads, all solvers."""
+    pattern, device = systems.pattern, config["device"]
+    matrix, right = systems.convex[0], np.ones(pattern.size)
+    others = {name: make_solver(pattern, name) for name in available_solvers()}
+    memory = {name: _memory_of(name, pattern, matrix) for name in others}
+    work = [call for other in others.values()
+            for call in (lambda other=other: other.factorise(matrix),
+                         lambda other=other: other.solve(right))]
+    rows, largest = [], 0
     for threads in config["threads"]:
         torch.set_num_threads(threads)
         for batch in config["batches"]:
-            values = torch.from_numpy(data[np.arange(batch) % len(data)]).to(device)
-            rhs = torch.ones(batch, unknowns.size, dtype=torch.float64, device=device)
-            solver = BatchedCholesky(analysis)
+            chosen = np.arange(batch) % len(systems.convex)
+            values = torch.from_numpy(systems.convex[chosen]).to(device)
+            rhs = torch.ones(batch, pattern.size, dtype=torch.float64, device=device)
 
-            def factorise(solver=solver, values=values) -> bool:
+            def factorise(values=values) -> bool:
                 return bool(solver.factorise(values).all())  # waits for the device
 
-            def solve(solver=solver, rhs=rhs) -> float:
+            def solve(rhs=rhs) -> float:
                 return solver.solve(rhs).sum().item()
 
-            seconds = fastest(
-                [factorise, solve, lambda: other.factorise(sample.convex),
-                 lambda: other.solve(right)],
-                config["repeats"],
-            )
-            rows.append({
-                "vertices": unknowns.shape[0],
+            seconds = fastest([factorise, solve, *work], config["repeats"])
+            largest = max(largest, batch)  # for which the solver has kept memory
+            row = {
+                "edge_mm": edge,
                 "threads": threads,
                 "batch": batch,
                 "factor_ms": 1e3 * seconds[0] / batch,
                 "solve_ms": 1e3 * seconds[1] / batch,
-                "memory_MiB": solver.nbytes / batch / 2**20,
-                "single_factor_ms": 1e3 * seconds[2],
-                "single_solve_ms": 1e3 * seconds[3],
-                "single_memory_MiB": other_memory,
-            })
-            del solver
+                "memory_MiB": solver.nbytes / largest / 2**20,
+            }
+            for k, name in enumerate(others):
+                row |= {f"{name}_factor_ms": 1e3 * seconds[2 + 2 * k],
+                        f"{name}_solve_ms": 1e3 * seconds[3 + 2 * k],
+                        f"{name}_memory_MiB": memory[name]}
+            rows.append(row)
     torch.set_num_threads(1)
     return rows
+
+
+def _memory_of(name: str, pattern: SparsePattern, matrix: np.ndarray) -> float:
+    """MiB of one solver with its factor."""
+    # Several at a time, so that memory set free before cannot hide them.
+    began, solvers = _resident(), [make_solver(pattern, name) for _ in range(4)]
+    for solver in solvers:
+        solver.factorise(matrix)
+    return (_resident() - began) / len(solvers)
 
 
 def _resident() -> float:
@@ -273,27 +239,28 @@ def _resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def picture(unknowns: GridUnknowns, rows: list[dict], path: Path) -> None:
-    """The heights at which a grid's unknowns are eliminated, and the times."""
+def picture(systems: Systems, solver: FrontalSolver, rows: list[dict], path: Path) -> None:
+    """The order in which a mesh's unknowns are eliminated, and the times."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5))
-    pattern = unknowns.pattern
-    tree = dissect(pattern.indptr, pattern.indices, unknowns.places, leaf=LEAF)
-    for pivots, height in zip(tree.pivots, tree.height, strict=True):
-        left.scatter(*unknowns.places[pivots].T, s=5, c=np.full(len(pivots), height),
-                     cmap="viridis_r", vmin=0, vmax=tree.height.max(), linewidths=0)
+    groups = solver.fronts.groups
+    for number, group in enumerate(groups):
+        unknowns = group.own.cpu().numpy()
+        unknowns = unknowns[unknowns < systems.pattern.size]
+        left.scatter(*systems.places[unknowns].T, s=3, c=np.full(len(unknowns), number),
+                     cmap="viridis_r", vmin=0, vmax=len(groups), linewidths=0)
     left.set_aspect("equal")
     left.set_title("order of elimination: the darker, the later")
     left.set_axis_off()
-    for vertices in dict.fromkeys(row["vertices"] for row in rows):
+    single = available_solvers()[0]
+    for edge in dict.fromkeys(row["edge_mm"] for row in rows):
+        of_edge = [row for row in rows if row["edge_mm"] == edge]
         for threads in dict.fromkeys(row["threads"] for row in rows):
-            chosen = [r for r in rows if (r["vertices"], r["threads"]) == (vertices, threads)]
-            right.plot([r["batch"] for r in chosen],
-                       [r["factor_ms"] + r["solve_ms"] for r in chosen], "o-",
-                       label=f"{vertices} × {vertices}, {threads} thread{'s' * (threads > 1)}")
-        least = min(r["single_factor_ms"] + r["single_solve_ms"]
-                    for r in rows if r["vertices"] == vertices)
-        right.axhline(least, color="0.5", linestyle=":",
-                      label=f"{vertices} × {vertices}, one by one")
+            chosen = [row for row in of_edge if row["threads"] == threads]
+            right.plot([row["batch"] for row in chosen],
+                       [row["factor_ms"] + row["solve_ms"] for row in chosen], "o-",
+                       label=f"{edge:g} mm, {threads} thread{'s' * (threads > 1)}")
+        least = min(row[f"{single}_factor_ms"] + row[f"{single}_solve_ms"] for row in of_edge)
+        right.axhline(least, color="0.5", linestyle=":", label=f"{edge:g} mm, {single}")
     right.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
     tick_short_scales(right.xaxis, right.yaxis)
     right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
@@ -307,25 +274,24 @@ def main(argv: list[str]) -> None:
     if config["device"] == "cuda" and not torch.cuda.is_available():
         raise InputError("device=cuda: PyTorch finds no such device here")
     torch.set_num_threads(1)
-    report = {"dtype": "float64", "single_solver": available_solvers()[0],
+    report = {"dtype": "float64", "single_solvers": available_solvers(),
               "settings": {k: v for k, v in config.items() if k != "out"}}
-    unknowns, samples = make_samples(config["matrices"], config["vertices"], STAGES)
-    report["check"] = check(unknowns, samples, config["device"])
+    systems = make_systems(config["matrices"], config["edge"], STAGES)
+    report["check"] = check(systems, config["device"])
     print(", ".join(f"{k} {v:.3g}" for k, v in report["check"].items()), flush=True)
     report["counts"], report["times"] = [], []
-    shown = unknowns
-    for n in config["resolutions"]:
-        unknowns, samples = make_samples(4, n, (0,))
+    for edge in config["edges"]:
+        systems = make_systems(4, edge, (0,))
         began = time.perf_counter()
-        analysis = analyse(unknowns.pattern, unknowns.places, device=config["device"])
-        found = {"vertices": n, **counts(analysis, unknowns.pattern),
-                 "analysis_s": time.perf_counter() - began}
+        solver = FrontalSolver(systems.pattern, systems.places, device=config["device"])
+        found = {"edge_mm": edge, "analysis_s": time.perf_counter() - began,
+                 **counts(solver, systems.pattern)}
         report["counts"].append(found)
         print(", ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
-        report["times"] += time_batches(unknowns, samples, analysis, config)
+        report["times"] += time_batches(edge, systems, solver, config)
     print(table(report["times"][0], [row.values() for row in report["times"]]))
     path = Path(config["out"])
-    picture(shown, report["times"], path.with_suffix(".png"))
+    picture(systems, solver, report["times"], path.with_suffix(".png"))
     write_report(path, report)
 
 
