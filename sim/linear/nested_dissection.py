@@ -74,11 +74,12 @@ def _cut(
             cross = pairs[:, side[pairs[0]] != side[pairs[1]]]
             low = np.where(side[cross[0]] == 1, *cross)
             cover = _cover(low, cross.sum(axis=0) - low)
-            cost = (1 + len(cover)) * (1.0 + abs(side[region].mean() - 1.5))  # prefer equal halves
+            side[cover] = 0
+            _, small, large = np.bincount(side[region], minlength=3)
+            cost = (1 + len(cover)) * (1.0 + abs(large - small) / len(region))
             if cost < least:
                 least, separator, chosen = cost, cover, side[region]
     side[region] = chosen
-    side[separator] = 0
     parts = [(region[side[region] == part], pairs[:, (side[pairs] == part).all(axis=0)])
              for part in (1, 2)]
     return separator, [part for part in parts if len(part[0])]
