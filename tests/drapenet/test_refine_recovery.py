@@ -158,9 +158,9 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 
 @pytest.mark.slow
 def test_held_cloth_that_touches_itself_feels_it() -> None:
-    alpha = np.array([2.0, 2.2, 1.8]) * MICRO
+    alpha = np.array([0.8, 0.88, 0.72]) * MICRO
     theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
-    soft = drape(fabric_from_theta(theta), edge=6e-3, seed=2, start="fold")
+    soft = drape(fabric_from_theta(theta), edge=5e-3, seed=1, start="fold")
     assert soft.converged and soft.touches
     springs = [springs_to_vertices(soft)]
     same = follow(soft.at(soft.positions), soft.fabric, extra=springs)
