@@ -1,15 +1,22 @@
 """Check and time the batched direct solver: ``python -m benchmarks.linear [key=value ...]``.
 
-Hessians of drapes in all stages are solved in batches and, one after another, by the sparse solver
-of single drapes: residuals, agreement on which matrices are positive definite, time and memory.
+Hessians of drapes of one unstructured mesh in all stages are solved in batches and, one after
+another, by the sparse solvers of single drapes: residuals, agreement on which matrices are
+positive definite, time and memory.
 
 Keys (``key=value``):
 
+<<<<<<< HEAD
     matrices     Hessians of the residual's check; more than the largest batch
     edge_mm      edges at the rim of their mesh
     edges_mm     the same of the timing
+=======
+    matrices     Hessians of the check; more than the largest batch
+    edge         mean length of the check's edges, mm
+    edges        likewise, of the timing
+>>>>>>> refs/heads/frontal
     batches      samples at a time
-    threads      of the batched solver; the other one has a single thread
+    threads      of the batched solver; the others have a single thread
     repeats      of each timing, of which the fastest counts
     device       of the batched solver: cpu or cuda
     out          the report, JSON; the picture beside it
@@ -17,7 +24,7 @@ Keys (``key=value``):
 
 import os
 
-# The other solver has one thread, and PyTorch what `threads` says.
+# The other solvers have one thread, and PyTorch what `threads` says.
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[_name] = "1"
 
@@ -48,6 +55,7 @@ from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
+<<<<<<< HEAD
 from sim.cloth import Cloth  # noqa: E402
 from sim.drape import drape, scene_on, start_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
@@ -63,16 +71,33 @@ DEFAULTS = {
     "matrices": 100,
     "edge_mm": 4.0,
     "edges_mm": [4.0, 2.0],
+=======
+from sim.energies.base import SeldomEnergy  # noqa: E402
+from sim.equilibrium import build_potential, find_equilibrium  # noqa: E402
+from sim.initial import initial_positions  # noqa: E402
+from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
+from sim.linear.fronts import front_flops  # noqa: E402
+from sim.linear.multifrontal import FrontalSolver  # noqa: E402
+from sim.newton import NewtonOptions  # noqa: E402
+from sim.scene import Rig, Scene, State  # noqa: E402
+from sim.unstructured import unstructured_square  # noqa: E402
+
+DEFAULTS = {
+    "matrices": 100,
+    "edge": 7.0,
+    "edges": [7.0, 4.5],
+>>>>>>> refs/heads/frontal
     "batches": [1, 4, 16],
     "threads": [1, 2],
     "repeats": 4,
     "device": "cpu",
     "out": str(REPORTS / "linear.json"),
 }
-STAGES = (0, 3, 10, 400)  # Newton steps on the final mesh; the last reach equilibrium
+STAGES = (0, 3, 10, 400)  # Newton steps; the last reach equilibrium
 
 
 @dataclass(frozen=True)
+<<<<<<< HEAD
 class Sample:
     """A drape's Hessians.
 
@@ -156,9 +181,84 @@ def check(samples: Samples, device: str) -> dict:
                     definite += found[k]
                     agree += found[k] == make_solver(samples.pattern).factorise(sample.exact)
                 elif not found[k]:
+=======
+class Systems:
+    """Hessians of drapes of one mesh.
+
+    Attributes:
+        pattern: of all.
+        places: (n, 2) of the unknowns on the flat specimen, m.
+        exact, convex: (B, nnz) CSR data.
+    """
+
+    pattern: SparsePattern
+    places: np.ndarray
+    exact: np.ndarray
+    convex: np.ndarray
+
+
+def make_systems(count: int, edge: float, stages: tuple[int, ...]) -> Systems:
+    """Hessians of ``count`` fabrics of the prior, stage after stage; ``edge`` in mm.
+
+    But for those of cloth that feels the limit of folds.
+    """
+    prior, rig = load_prior("gaussian"), Rig()
+    mesh, held = unstructured_square(size=rig.specimen_size, edge=1e-3 * edge,
+                                    plate_radius=rig.plate_radius)
+    scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
+    everywhere = np.concatenate([np.repeat(mesh.rest, 3, axis=0),
+                                 mesh.rest[mesh.edges].mean(axis=1)])
+    exact, convex = [], []
+    for seed in range(count):
+        fabric = fabric_from_theta(
+            sample_admissible(prior, stream(77, Stream.FABRIC, seed))[0]
+        ).at_density(0.3)
+        positions = initial_positions(mesh.rest, rig=rig, start="sine",
+                                      rng=np.random.default_rng(seed))
+        positions[held] = rig.place(mesh.rest[held])
+        state = State.at(mesh, positions)
+        steps = stages[seed % len(stages)]
+        if steps:
+            options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=steps)
+            state, _ = find_equilibrium(scene, fabric, state, options=options)
+        potential = build_potential(scene, fabric, state)
+        q = state.unknowns
+        if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
+            continue  # its matrix has another pattern
+        pattern, data = potential.hessian(potential.free_part(q), 0.0)
+        exact.append(data)
+        convex.append(potential.hessian(potential.free_part(q), 1.0)[1])
+    return Systems(pattern, potential.free_part(everywhere), np.stack(exact), np.stack(convex))
+
+
+def check(systems: Systems, device: str) -> dict:
+    """Residuals of definite Hessians; which exact ones are definite for both solvers."""
+    solver = FrontalSolver(systems.pattern, systems.places, device=device)
+    other = make_solver(systems.pattern)
+    rng = np.random.default_rng(0)
+    residuals, definite, agree = [], 0, 0
+    for first in range(0, len(systems.exact), 10):
+        for kind in ("convex", "exact"):
+            data = getattr(systems, kind)[first : first + 10]
+            found = solver.factorise(torch.from_numpy(data).to(device)).tolist()
+            rhs = rng.standard_normal((len(data), systems.pattern.size))
+            solutions = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
+            for row, b, x, good in zip(data, rhs, solutions, found, strict=True):
+                if good:
+                    error = systems.pattern.symmetric(row) @ x - b
+                    residuals.append(np.linalg.norm(error) / np.linalg.norm(b))
+                elif kind == "convex":
+>>>>>>> refs/heads/frontal
                     residuals.append(np.inf)
+                if kind == "exact":
+                    definite += good
+                    agree += good == other.factorise(row)
     return {
+<<<<<<< HEAD
         "matrices": len(samples.drapes),
+=======
+        "matrices": len(systems.exact),
+>>>>>>> refs/heads/frontal
         "systems_solved": len(residuals),
         "largest_residual": float(max(residuals)),
         "median_residual": float(np.median(residuals)),
@@ -169,12 +269,27 @@ def check(samples: Samples, device: str) -> dict:
 
 def counts(solver: FrontalSolver, pattern: SparsePattern) -> dict:
     """What the analysis says of a factorisation."""
+<<<<<<< HEAD
     return {
         "unknowns": pattern.size,
         "matrix_entries": len(pattern.indices),
         "factor_entries": solver.fronts.factor_entries,
         "gflop": solver.fronts.flops / 1e9,
         "gflop_carried_out": solver.fronts.padded_flops / 1e9,
+=======
+    groups = solver.fronts.groups
+    p, u = solver.fronts.sizes.T.astype(np.float64)
+    padded = [g.count * front_flops(float(g.pivots), float(g.others)) for g in groups]
+    return {
+        "unknowns": pattern.size,
+        "matrix_entries": len(pattern.indices),
+        "factor_entries": int((p * (p + 1) / 2 + p * u).sum()),
+        "largest_front": int((p + u).max()),
+        "fronts": len(p),
+        "groups": len(groups),
+        "gflop": float((front_flops(p, u) - p * u**2).sum()) / 1e9,  # one triangle of updates
+        "gflop_carried_out": sum(padded) / 1e9,
+>>>>>>> refs/heads/frontal
     }
 
 
@@ -189,6 +304,7 @@ def fastest(work: list[Callable[[], object]], repeats: int) -> list[float]:
     return least
 
 
+<<<<<<< HEAD
 def time_batches(
     edge_mm: float, samples: Samples, solver: FrontalSolver, config: dict
 ) -> list[dict]:
@@ -209,6 +325,24 @@ def time_batches(
         for batch in config["batches"]:
             values = torch.from_numpy(data[np.arange(batch) % len(data)]).to(device)
             rhs = torch.ones(batch, len(right), dtype=torch.float64, device=device)
+=======
+def time_batches(edge: float, systems: Systems, solver: FrontalSolver, config: dict) -> list[dict]:
+    """Milliseconds a sample for each batch size and number of threads, all solvers."""
+    pattern, device = systems.pattern, config["device"]
+    matrix, right = systems.convex[0], np.ones(pattern.size)
+    others = {name: make_solver(pattern, name) for name in available_solvers()}
+    memory = {name: _memory_of(name, pattern, matrix) for name in others}
+    work = [call for other in others.values()
+            for call in (lambda other=other: other.factorise(matrix),
+                         lambda other=other: other.solve(right))]
+    rows, largest = [], 0
+    for threads in config["threads"]:
+        torch.set_num_threads(threads)
+        for batch in config["batches"]:
+            chosen = np.arange(batch) % len(systems.convex)
+            values = torch.from_numpy(systems.convex[chosen]).to(device)
+            rhs = torch.ones(batch, pattern.size, dtype=torch.float64, device=device)
+>>>>>>> refs/heads/frontal
 
             def factorise(values=values) -> bool:
                 return bool(solver.factorise(values).all())  # waits for the device
@@ -216,6 +350,7 @@ def time_batches(
             def solve(rhs=rhs) -> float:
                 return solver.solve(rhs).sum().item()
 
+<<<<<<< HEAD
             seconds = fastest(
                 [factorise, solve, lambda: other.factorise(sample.convex),
                  lambda: other.solve(right)],
@@ -223,17 +358,42 @@ def time_batches(
             )
             rows.append({
                 "edge_mm": edge_mm,
+=======
+            seconds = fastest([factorise, solve, *work], config["repeats"])
+            largest = max(largest, batch)  # for which the solver has kept memory
+            row = {
+                "edge_mm": edge,
+>>>>>>> refs/heads/frontal
                 "threads": threads,
                 "batch": batch,
                 "factor_ms": 1e3 * seconds[0] / batch,
                 "solve_ms": 1e3 * seconds[1] / batch,
+<<<<<<< HEAD
                 "memory_MiB": solver.nbytes / batch / 2**20,
                 "single_factor_ms": 1e3 * seconds[2],
                 "single_solve_ms": 1e3 * seconds[3],
                 "single_memory_MiB": other_memory,
             })
+=======
+                "memory_MiB": solver.nbytes / largest / 2**20,
+            }
+            for k, name in enumerate(others):
+                row |= {f"{name}_factor_ms": 1e3 * seconds[2 + 2 * k],
+                        f"{name}_solve_ms": 1e3 * seconds[3 + 2 * k],
+                        f"{name}_memory_MiB": memory[name]}
+            rows.append(row)
+>>>>>>> refs/heads/frontal
     torch.set_num_threads(1)
     return rows
+
+
+def _memory_of(name: str, pattern: SparsePattern, matrix: np.ndarray) -> float:
+    """MiB of one solver with its factor."""
+    # Several at a time, so that memory set free before cannot hide them.
+    began, solvers = _resident(), [make_solver(pattern, name) for _ in range(4)]
+    for solver in solvers:
+        solver.factorise(matrix)
+    return (_resident() - began) / len(solvers)
 
 
 def _resident() -> float:
@@ -243,6 +403,7 @@ def _resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
+<<<<<<< HEAD
 def picture(rows: list[dict], path: Path) -> None:
     """Times against batch size, a line a mesh and number of threads."""
     figure, axis = plt.subplots(figsize=(6, 5))
@@ -258,6 +419,33 @@ def picture(rows: list[dict], path: Path) -> None:
     axis.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
     tick_short_scales(axis.xaxis, axis.yaxis)
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
+=======
+def picture(systems: Systems, solver: FrontalSolver, rows: list[dict], path: Path) -> None:
+    """The order in which a mesh's unknowns are eliminated, and the times."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5))
+    groups = solver.fronts.groups
+    for number, group in enumerate(groups):
+        unknowns = group.own.cpu().numpy()
+        unknowns = unknowns[unknowns < systems.pattern.size]
+        left.scatter(*systems.places[unknowns].T, s=3, c=np.full(len(unknowns), number),
+                     cmap="viridis_r", vmin=0, vmax=len(groups), linewidths=0)
+    left.set_aspect("equal")
+    left.set_title("order of elimination: the darker, the later")
+    left.set_axis_off()
+    single = available_solvers()[0]
+    for edge in dict.fromkeys(row["edge_mm"] for row in rows):
+        of_edge = [row for row in rows if row["edge_mm"] == edge]
+        for threads in dict.fromkeys(row["threads"] for row in rows):
+            chosen = [row for row in of_edge if row["threads"] == threads]
+            right.plot([row["batch"] for row in chosen],
+                       [row["factor_ms"] + row["solve_ms"] for row in chosen], "o-",
+                       label=f"{edge:g} mm, {threads} thread{'s' * (threads > 1)}")
+        least = min(row[f"{single}_factor_ms"] + row[f"{single}_solve_ms"] for row in of_edge)
+        right.axhline(least, color="0.5", linestyle=":", label=f"{edge:g} mm, {single}")
+    right.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
+    tick_short_scales(right.xaxis, right.yaxis)
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
+>>>>>>> refs/heads/frontal
     figure.tight_layout()
     write_figure(path, figure)
 
@@ -268,8 +456,9 @@ def main(argv: list[str]) -> None:
     if config["device"] == "cuda" and not torch.cuda.is_available():
         raise InputError("device=cuda: PyTorch finds no such device here")
     torch.set_num_threads(1)
-    report = {"dtype": "float64", "single_solver": available_solvers()[0],
+    report = {"dtype": "float64", "single_solvers": available_solvers(),
               "settings": {k: v for k, v in config.items() if k != "out"}}
+<<<<<<< HEAD
     samples = make_samples(config["matrices"], config["edge_mm"], STAGES)
     report["check"] = check(samples, config["device"])
     print(", ".join(f"{k} {v:.3g}" for k, v in report["check"].items()), flush=True)
@@ -286,6 +475,24 @@ def main(argv: list[str]) -> None:
     print(table(report["times"][0], [row.values() for row in report["times"]]))
     path = Path(config["out"])
     picture(report["times"], path.with_suffix(".png"))
+=======
+    systems = make_systems(config["matrices"], config["edge"], STAGES)
+    report["check"] = check(systems, config["device"])
+    print(", ".join(f"{k} {v:.3g}" for k, v in report["check"].items()), flush=True)
+    report["counts"], report["times"] = [], []
+    for edge in config["edges"]:
+        systems = make_systems(4, edge, (0,))
+        began = time.perf_counter()
+        solver = FrontalSolver(systems.pattern, systems.places, device=config["device"])
+        found = {"edge_mm": edge, "analysis_s": time.perf_counter() - began,
+                 **counts(solver, systems.pattern)}
+        report["counts"].append(found)
+        print(", ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
+        report["times"] += time_batches(edge, systems, solver, config)
+    print(table(report["times"][0], [row.values() for row in report["times"]]))
+    path = Path(config["out"])
+    picture(systems, solver, report["times"], path.with_suffix(".png"))
+>>>>>>> refs/heads/frontal
     write_report(path, report)
 
 

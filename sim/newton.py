@@ -8,6 +8,7 @@ exact Hessian at the end proves a minimum rather than a saddle.
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -33,23 +34,22 @@ class Objective(Protocol):
     """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
 
     A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
-    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
-    ``pattern``. ``regularisation`` (size,) is added to the diagonal, in multiples, where even the
-    convex Hessian is singular; its entries have the units of the Hessian's diagonal.
+    the step; states need not form a linear space, steps do. ``hessian`` returns what the solver
+    factorises, CSR data in ``pattern``, with ``shift`` times the ``regularisation`` (size,) on the
+    diagonal, where even the convex Hessian is singular.
     ``energy_scale`` is the size of differences in energy; those below :data:`NOISE` of it are
     rounding.
     """
 
     size: int
     pattern: SparsePattern
-    regularisation: np.ndarray
     energy_scale: float
 
     def value(self, q: np.ndarray) -> float: ...
 
     def gradient(self, q: np.ndarray) -> np.ndarray: ...
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray: ...
+    def hessian(self, q: np.ndarray, convexity: float, shift: float) -> np.ndarray: ...
 
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
 
@@ -128,10 +128,18 @@ def ending(status: Status, residual: float, iterations: int) -> str:
 
 
 def minimise(
-    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
+    objective: Objective,
+    start: np.ndarray,
+    options: NewtonOptions | None = None,
+    *,
+    make_solver: Callable[..., CholeskySolver] = make_solver,
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
-    run = _Run(objective, np.array(start, dtype=np.float64), options or NewtonOptions())
+    """Find a local minimum near the state ``start``. Never raises for a numerical failure.
+
+    ``make_solver`` makes the solver of the Newton systems as :func:`sim.linear.make_solver` does.
+    """
+    start = np.array(start, dtype=np.float64)
+    run = _Run(objective, start, options or NewtonOptions(), make_solver)
     began = time.thread_time()
     with np.errstate(all="ignore"):
         run.iterate()
@@ -142,8 +150,14 @@ def minimise(
 class _Run:
     """State of one minimisation."""
 
-    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
-        self.objective, self.options = objective, options
+    def __init__(
+        self,
+        objective: Objective,
+        q: np.ndarray,
+        options: NewtonOptions,
+        make_solver: Callable[..., CholeskySolver],
+    ) -> None:
+        self.objective, self.options, self.make_solver = objective, options, make_solver
         self.convexity, self.shift = 1.0, 0
         self.rest = False
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
@@ -215,15 +229,13 @@ class _Run:
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         objective = self.objective
         with self._timed("assemble"):
-            data = objective.hessian(self.result.q, convexity)
-            if shift:
-                data[objective.pattern.diagonal] += shift * objective.regularisation
+            data = objective.hessian(self.result.q, convexity, shift)
         if self.solver is None:
             with self._timed("analyse"):
-                self.solver = make_solver(objective.pattern, self.options.linear_solver)
+                self.solver = self.make_solver(objective.pattern, self.options.linear_solver)
         with self._timed("factorise"):
             self.result.factorisations += 1
-            return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
+            return self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         with self._timed("factorise"):

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.ctrl_c import require_interruption
 from data.cameras import Camera
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
@@ -141,9 +142,10 @@ def refine_views(
         for mesh, (evaluations, pull) in zip(rounds, HELD_ROUNDS, strict=True):
             run.hold(mesh, evaluations, pull)
         run.conclude()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         if run.best is None:
-            raise
+            raise KeyboardInterrupt from None
         run.status, run.message = Status.INTERRUPTED, "interrupted; the best so far"
         if run.held and not run.drape:
             run.message += ", its drape still held to the views by springs"

@@ -17,13 +17,13 @@ from sim.anisotropy import (
 from sim.energies.hinge_stencils import find_hinges
 from sim.equilibrium import find_equilibrium
 from sim.hinge_laws import HingeLaw
-from sim.lagged import Settling, find_settled_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import strip
 from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions, Status
-from sim.scene import Rig, Scene, State
+from sim.scene import Rig, Scene
+from sim.state import State
 
 MODULI = np.array([90e-6, 25e-6, 40e-6])
 OPTIONS = NewtonOptions(residual=1e-6, step=1e-6)
@@ -143,11 +143,10 @@ def test_curvature_based_strip_feels_the_modulus_along_it(warp_strip):
         ("edge", moduli, "hinge_edge"),
         ("mean", moduli, "hinge"),
     ):
-        state, result, settling = find_settled_equilibrium(
-            scene, Fabric(alpha), start, laws=Laws(bending=law), options=OPTIONS
-        )
-        assert result.status is Status.CONVERGED and settling.settled
-        heights[name] = tip(state)
+        found = find_equilibrium(scene, Fabric(alpha), start, laws=Laws(bending=law),
+                                 options=OPTIONS)
+        assert found.converged
+        heights[name] = tip(found.state)
     assert heights["curvature"] == pytest.approx(heights["warp alone"], rel=0.03)
     assert heights["edge"] < 1.1 * heights["warp alone"]  # hangs lower: the diagonals are soft
     assert heights["mean"] < 1.2 * heights["warp alone"]
@@ -156,21 +155,12 @@ def test_curvature_based_strip_feels_the_modulus_along_it(warp_strip):
 def test_an_isotropic_fabric_needs_no_second_shape(warp_strip):
     scene, start = warp_strip
     fabric = Fabric(np.full(3, 30e-6), np.full(3, -60e-9))
-    plain, _ = find_equilibrium(scene, fabric, start, laws=Laws(bending="hinge"), options=OPTIONS)
-    state, _, settling = find_settled_equilibrium(
-        scene, fabric, start, laws=Laws(bending="hinge_curvature"), options=OPTIONS
-    )
-    assert settling.rounds == 2 and settling.change < 1e-4
-    assert np.allclose(state.positions, plain.positions, atol=1e-8)
-
-
-def test_laws_without_memory_pass_straight_through(warp_strip):
-    scene, start = warp_strip
-    fabric = Fabric(MODULI)
-    once, _ = find_equilibrium(scene, fabric, start, options=OPTIONS)
-    state, _, settling = find_settled_equilibrium(scene, fabric, start, options=OPTIONS)
-    assert settling == Settling(rounds=1, change=0.0, settled=True)
-    assert np.array_equal(state.positions, once.positions)
+    plain, settled = (
+        find_equilibrium(scene, fabric, start, laws=Laws(bending=law), options=OPTIONS)
+        for law in ("hinge", "hinge_curvature"))
+    assert plain.rounds == 1 and plain.change == 0.0
+    assert settled.rounds == 2 and settled.change < 1e-4
+    assert np.allclose(settled.state.positions, plain.state.positions, atol=1e-8)
 
 
 def test_a_drape_settles_where_its_directions_are_its_own():
@@ -180,36 +170,32 @@ def test_a_drape_settles_where_its_directions_are_its_own():
     x, y = mesh.rest.T
     far = np.maximum(np.hypot(x, y) - 0.05, 0)
     height = -0.5 * far + 0.2 * far * np.cos(4 * np.arctan2(y, x))
-    start = State.at(mesh, np.column_stack([0.9 * x, 0.9 * y, height]))
-    start.positions[held] = np.column_stack([mesh.rest[held], np.zeros(held.sum())])
+    bent = np.column_stack([0.9 * x, 0.9 * y, height])
+    bent[held] = np.column_stack([mesh.rest[held], np.zeros(held.sum())])
     scene = Scene(mesh=mesh, held=held, obstacles=Rig().obstacles)
+    start = scene.state(bent)
     fabric = Fabric(np.array([98.8e-6, 23.5e-6, 21.2e-6]), np.array([-247e-9, -59e-9, -53e-9]))
     laws = Laws(bending="hinge_curvature")
-    state, result, settling = find_settled_equilibrium(
-        scene, fabric, start, laws=laws, options=OPTIONS
-    )
-    assert result.status is Status.CONVERGED and settling.settled
-    assert 3 <= settling.rounds <= 15 and settling.change < 0.01
+    found = find_equilibrium(scene, fabric, start, laws=laws, options=OPTIONS)
+    state = found.state
+    assert found.converged and 3 <= found.rounds <= 15 and found.change < 0.01
     # its own directions, all at once, leave it where it is
     axes = hinge_directions(mesh, scene.active, state.positions)
     own = replace(laws, bending=HingeLaw("hinge", "curvature", axes))
-    again, _ = find_equilibrium(scene, fabric, state, laws=own, options=OPTIONS)
-    moved = np.linalg.norm(again.positions - state.positions, axis=1).max()
+    again = find_equilibrium(scene, fabric, state, laws=own, options=OPTIONS)
+    moved = np.linalg.norm(again.state.positions - state.positions, axis=1).max()
     assert moved < 2e-5
-    mean, _ = find_equilibrium(scene, fabric, state, laws=Laws(bending="hinge"), options=OPTIONS)
-    assert np.linalg.norm(mean.positions - state.positions, axis=1).max() > 2e-3
+    mean = find_equilibrium(scene, fabric, state, laws=Laws(bending="hinge"), options=OPTIONS)
+    assert np.linalg.norm(mean.state.positions - state.positions, axis=1).max() > 2e-3
 
 
-def test_an_unsettled_iteration_says_so(warp_strip):
+def test_an_unsettled_iteration_says_so(warp_strip, monkeypatch):
     scene, start = warp_strip
     laws = Laws(bending="hinge_curvature")
-    _, result, settling = find_settled_equilibrium(
-        scene, Fabric(MODULI), start, laws=laws, options=OPTIONS, max_rounds=1
-    )
-    assert result.status is Status.MAX_ITERATIONS and "do not settle" in result.message
-    assert settling.settled is False and settling.rounds == 1 and settling.change == np.inf
     short = NewtonOptions(max_iterations=1)
-    _, result, settling = find_settled_equilibrium(
-        scene, Fabric(MODULI), start, laws=laws, options=short
-    )
-    assert result.status is Status.MAX_ITERATIONS and not settling.settled
+    found = find_equilibrium(scene, Fabric(MODULI), start, laws=laws, options=short)
+    assert found.status is Status.MAX_ITERATIONS and found.rounds == 1
+    monkeypatch.setattr("sim.lagged.MAX_ROUNDS", 1)
+    found = find_equilibrium(scene, Fabric(MODULI), start, laws=laws, options=OPTIONS)
+    assert found.status is Status.MAX_ITERATIONS and "do not settle" in found.message
+    assert found.rounds == 1 and found.change == np.inf
