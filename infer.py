@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from common.cli import parse_overrides, run_command
-from common.ctrl_c import deferred
+from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from data.captures import Capture, read_capture
 from data.configs import read_config
@@ -79,7 +79,8 @@ def infer(
             picture = draw_report(
                 estimate, views, drape, content=content,
                 title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         # A minute of refinement must not be lost for it.
         content["warnings"].append("interrupted: there is no report, and typical errors may be "
                                    "smaller than what a drape can tell")

@@ -51,7 +51,7 @@ from data.sampling import Stream, stream  # noqa: E402
 from sim.cloth import Cloth  # noqa: E402
 from sim.drape import drape, scene_on, start_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
-from sim.linear.multifrontal import Analysis, BatchedCholesky, analyse  # noqa: E402
+from sim.linear.multifrontal import FrontalSolver  # noqa: E402
 from sim.material import REFERENCE_DENSITY  # noqa: E402
 from sim.mesh.specimens import TOPOLOGIES, make_specimen  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
@@ -139,7 +139,7 @@ def make_samples(count: int, edge_mm: float, stages: tuple[int, ...]) -> Samples
 
 def check(samples: Samples, device: str) -> dict:
     """Residuals of convex Hessians; which exact ones are positive definite for both solvers."""
-    solver = BatchedCholesky(analyse(samples.pattern, samples.places, device=device))
+    solver = FrontalSolver(samples.pattern, samples.places, device=device)
     rng = np.random.default_rng(0)
     residuals, definite, agree = [], 0, 0
     for first in range(0, len(samples.drapes), 10):
@@ -167,14 +167,14 @@ def check(samples: Samples, device: str) -> dict:
     }
 
 
-def counts(analysis: Analysis, pattern: SparsePattern) -> dict:
+def counts(solver: FrontalSolver, pattern: SparsePattern) -> dict:
     """What the analysis says of a factorisation."""
     return {
-        "unknowns": analysis.fronts.size,
+        "unknowns": pattern.size,
         "matrix_entries": len(pattern.indices),
-        "factor_entries": analysis.fronts.factor_entries,
-        "largest_front": analysis.fronts.largest,
-        "gflop": analysis.fronts.flops / 1e9,
+        "factor_entries": solver.fronts.factor_entries,
+        "gflop": solver.fronts.flops / 1e9,
+        "gflop_carried_out": solver.fronts.padded_flops / 1e9,
     }
 
 
@@ -190,7 +190,7 @@ def fastest(work: list[Callable[[], object]], repeats: int) -> list[float]:
 
 
 def time_batches(
-    edge_mm: float, samples: Samples, analysis: Analysis, config: dict
+    edge_mm: float, samples: Samples, solver: FrontalSolver, config: dict
 ) -> list[dict]:
     """Milliseconds a sample for each batch size and number of threads, both solvers."""
     sample, device = samples.drapes[0], config["device"]
@@ -209,12 +209,11 @@ def time_batches(
         for batch in config["batches"]:
             values = torch.from_numpy(data[np.arange(batch) % len(data)]).to(device)
             rhs = torch.ones(batch, len(right), dtype=torch.float64, device=device)
-            solver = BatchedCholesky(analysis)
 
-            def factorise(solver=solver, values=values) -> bool:
+            def factorise(values=values) -> bool:
                 return bool(solver.factorise(values).all())  # waits for the device
 
-            def solve(solver=solver, rhs=rhs) -> float:
+            def solve(rhs=rhs) -> float:
                 return solver.solve(rhs).sum().item()
 
             seconds = fastest(
@@ -233,7 +232,6 @@ def time_batches(
                 "single_solve_ms": 1e3 * seconds[3],
                 "single_memory_MiB": other_memory,
             })
-            del solver
     torch.set_num_threads(1)
     return rows
 
@@ -279,12 +277,12 @@ def main(argv: list[str]) -> None:
     for edge_mm in config["edges_mm"]:
         samples = make_samples(4, edge_mm, (0,))
         began = time.perf_counter()
-        analysis = analyse(samples.pattern, samples.places, device=config["device"])
-        found = {"edge_mm": edge_mm, **counts(analysis, samples.pattern),
+        solver = FrontalSolver(samples.pattern, samples.places, device=config["device"])
+        found = {"edge_mm": edge_mm, **counts(solver, samples.pattern),
                  "analysis_s": time.perf_counter() - began}
         report["counts"].append(found)
         print(", ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
-        report["times"] += time_batches(edge_mm, samples, analysis, config)
+        report["times"] += time_batches(edge_mm, samples, solver, config)
     print(table(report["times"][0], [row.values() for row in report["times"]]))
     path = Path(config["out"])
     picture(report["times"], path.with_suffix(".png"))

@@ -67,9 +67,9 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 DEFAULTS = {
     "fabrics": "all",
     "laws": "midedge,hinge",
-    "edge_mm": 1.5,
-    "refinement_mm": [4.0, 3.0, 2.0, 1.5],
-    "start_mm": 1.5,
+    "edge_mm": 1.0,
+    "refinement_mm": [4.0, 3.0, 2.0, 1.5, 1.0],
+    "start_mm": 1.0,
     "membrane": 200.0,
     "seed": 0,
     "workers": 1,

@@ -57,8 +57,8 @@ BOUND_EDGE_MM = 3.5  # at the rim
 DEFAULTS = {
     "fabrics": 20,
     "other_folds": False,
-    "edge_mm": 2.5,
-    "truth_mm": 1.75,
+    "edge_mm": 1.75,
+    "truth_mm": 1.0,
     "sensor": "tof",
     "seed": 77,
     "workers": 2,

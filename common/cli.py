@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from common.ctrl_c import require_interruption
 from common.errors import InputError
 from common.memory import keep_freed_memory
 
@@ -91,7 +93,10 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
+        # From here on, another Ctrl-C ends the process at once, and Python does not report it.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         print("interrupted", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:

@@ -141,7 +141,7 @@ def main(argv: list[str]) -> None:
         print(describe_config("generate", ["dataset", "prior", "solver", "launcher", "rig"]))
         return
     if MULTIRUN & set(argv):
-        launch([word for word in argv if word not in MULTIRUN])
+        launch([word for word in argv if word not in MULTIRUN], run)
         return
     if words := [word for word in argv if word.startswith(("launcher=", "hydra/launcher="))]:
         raise InputError(f"{words[0]} starts many jobs, which needs the word --multirun as well")

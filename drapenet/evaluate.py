@@ -29,7 +29,7 @@ from data.configs import compose_config, read_config
 from data.fresh import open_views
 from data.generate import generate_dataset
 from data.options import Options, config_from_options
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.splits import SplitDataset, finished_manifest
 from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
 from drapenet.metrics import regression_metrics
@@ -95,7 +95,7 @@ def main(argv: list[str]) -> None:
     out, data = folder_named(config["out"]), config["data"]
     require_folder(out)
     header = read_header(config["checkpoint"] or BUNDLED)
-    noise = SensorNoise.load(config["sensor"])  # before minutes of simulation
+    noise = load_sensor(config["sensor"])  # before minutes of simulation
     if data:
         require_unseen(header, finished_manifest(data)["config"])
     else:

@@ -21,7 +21,7 @@ from data.cameras import CameraRig
 from data.captures import checked_density, write_capture
 from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.structured_light import StructuredLight
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> None:
     require_folder(out)
     density = checked_density(config["density"], "density")
     rig = CameraRig.load()
-    noise = SensorNoise.load(config["sensor"])
+    noise = load_sensor(config["sensor"])
     if isinstance(noise, StructuredLight):
         # A 16-bit capture has no 8-bit steps; they belong to the published format.
         noise = replace(noise, eight_bit_probability=0.0)

@@ -33,7 +33,7 @@ from sim.scene import CONTACT_PRESSURE, Rig, Scene
 from sim.self_contact import self_intersections
 from sim.state import State
 
-COARSE_MEMBRANE = 0.01
+COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003

@@ -54,6 +54,7 @@ class Topology:
             "boundary": mesh.edge_faces[mesh.face_edges[active], 1] < 0,
         }
         self.vertices, self.device = len(mesh.rest), torch.device(device)
+        self.has_clamp = bool(first.any() and arrays["second"].any())
         for name, array in arrays.items():
             setattr(self, name, torch.from_numpy(np.ascontiguousarray(array)).to(device))
 
@@ -329,7 +330,7 @@ def _returned(k: Tensor, alpha: Tensor, base: Tensor, rho: Tensor, limit: Tensor
 
 def _bending_areas(topology: Topology, areas: Tensor) -> Tensor:
     """Areas (B, N) with the weights of :mod:`sim.energies.clamp`."""
-    if not (topology.first.any() and topology.second.any()):
+    if not topology.has_clamp:
         return areas
     near, behind = ((areas * row).sum(1, keepdim=True) for row in (topology.first, topology.second))
     moved_area = (1 - 1 / FIRST) * near / behind

@@ -1,11 +1,11 @@
 """Many drapes at once: fabrics in, drapes out, each as :func:`sim.drape.drape` would make it.
 
-On a GPU drapes on one topology are minimised together: each follows the algorithm of a single drape
-in a thread of its own (:mod:`sim.batch.rendezvous`), while energies, derivatives and factors of all
-of them are calculated in one batch (:mod:`sim.batch.device`). On a CPU that is slower than the sparse
-solver of single drapes, which works in cache and partly in single precision: there, by default, each
-drape is made on its own, by as many worker processes as there are cores (``benchmarks/batched.py``
-measures both).
+On a GPU drapes on one topology are minimised together: each follows the algorithm of a single
+drape in a thread of its own (:mod:`sim.batch.rendezvous`), while energies, derivatives and factors
+of all of them are calculated in one batch (:mod:`sim.batch.device`). On a CPU that is slower than
+the sparse solver of single drapes, which works in cache and partly in single precision: there, by
+default, each drape is made on its own, by as many worker processes as there are cores
+(``benchmarks/batched.py`` measures both).
 """
 
 import os
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from common.errors import InputError
-from common.workers import pool_for
+from common.workers import worker_pool
 from sim import reference
 from sim.batch.device import DeviceCloths
 from sim.batch.rendezvous import Rendezvous, together
@@ -71,8 +71,7 @@ def drape_batch(
         at_a_time: so many at most, which limits the memory.
         workers: processes that make drapes each on its own; they take a second to start, and stay
             for a minute. None for one a core. With 1, as for a single drape, this process does it
-            itself. Otherwise a script that defines laws of its own must keep what it runs under
-            ``if __name__ == "__main__"``, for the processes import it.
+            itself.
 
     Returns:
         The drapes in the order of ``fabrics``; a numerical failure is in a drape's ``status``. Of
@@ -176,7 +175,7 @@ def _one_by_one(requests: list[_Request], shared: dict, workers: int) -> list[Dr
         return requests[k].edge**-2 / softest**0.5
 
     longest = sorted(range(len(requests)), key=expected_work, reverse=True)
-    with pool_for(workers, shared) as pool:
+    with worker_pool(workers) as pool:
         made = {k: pool.submit(drape, **vars(requests[k]), **shared) for k in longest}
         return [made[k].result() for k in range(len(requests))]
 

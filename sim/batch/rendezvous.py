@@ -1,8 +1,8 @@
 """Many runs of one algorithm, each in a thread of its own, whose costly calls are made together.
 
-Each run is written as if it were alone. Where it needs a costly number it waits; once all runs wait,
-the requests of one kind are answered in one call, and these runs go on. So what a run does depends
-on its own numbers only, and the order of the calls on nothing that changes from one time to another.
+Each run is written as if it were alone. Where it needs a costly number it waits; once all runs
+wait, the requests of one kind are answered in one call, and these runs go on. So a run depends on
+its own numbers only, and the order of the calls is the same every time.
 """
 
 import threading

@@ -1,25 +1,26 @@
-"""Symbolic part of a multifrontal Cholesky factorisation: dense fronts, and what flows between.
+"""Symbolic part of a supernodal Cholesky factorisation: dense fronts, and what flows between.
 
 Eliminating a node of the elimination tree works on a dense matrix, its front: the node's pivots
-and the later unknowns they couple with, its others. What is left of the front after the
-elimination, the update, is added to the parent's front (Duff and Reid 1983; Liu 1992). Fronts of
-one depth in the tree do not depend on each other; those of similar sizes are padded to one size
-and form a group, to be handled as one stack of matrices.
-
-The fronts of one depth lie in one array: group after group (c, m, m) row-major, of which the
-lower triangles are used, with the p pivots before the u = m - p others. Padded pivots have a one
-on the diagonal, everything else padded is zero. For solves, vectors (c, m) lie likewise.
+and the later unknowns that they couple with, its others (Duff and Reid 1983). The pivots' columns
+are the front's panel; the change of the others' rows and columns, its update, is added to the
+panels of the nodes that own these columns. Fronts of one depth do not depend on each other; those
+of similar sizes are padded to p pivots and u others and form a group of c fronts, one stack of
+matrices. All panels lie in one array, group after group, (c, p + u, p) row-major; updates are
+(c, u, u). Lower triangles are used. Padded pivots have a one on the diagonal; the rest of the
+padding is zero.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from sim.linear.nested_dissection import EliminationTree
+from sim.linear.pattern import SparsePattern
 
 Flow = tuple[torch.Tensor, torch.Tensor]
-"""Entries to take from one array and where to add them in another; no target occurs twice, so
+"""Entries to take from one array, and where to add them in another. No target occurs twice, so
 that sums have one order on every device."""
 
 
@@ -29,58 +30,26 @@ class Group:
 
     Attributes:
         count, pivots, others: c, p and u.
-        matrix, vector: where the group begins in the depth's matrices and vectors.
+        first: where its panels begin.
+        own, later: rows of the matrix that are pivots (c p,) and others (c u,), n for padding.
+        updates: from its updates to later panels, in as many flows as a target has summands.
+        carried: from vectors (c u,) to those of all rows, likewise.
     """
 
     count: int
     pivots: int
     others: int
-    matrix: int
-    vector: int
-
-    @property
-    def size(self) -> int:
-        """Rows of each front, m."""
-        return self.pivots + self.others
-
-    def fronts(self, matrices: torch.Tensor) -> torch.Tensor:
-        """The group's (B, c, m, m) in the matrices of its depth in B samples."""
-        length = self.count * self.size**2
-        return matrices[:, self.matrix : self.matrix + length].view(
-            -1, self.count, self.size, self.size)
-
-    def columns(self, vectors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The group's pivots (B, c, p, 1) and others (B, c, u, 1) in the vectors of its depth."""
-        part = vectors[:, self.vector : self.vector + self.count * self.size]
-        both = part.view(-1, self.count, self.size, 1).split((self.pivots, self.others), dim=2)
-        return both[0], both[1]
-
-
-@dataclass(frozen=True)
-class Level:
-    """The fronts of one depth.
-
-    Attributes:
-        groups: by size.
-        unknowns: (R,) the row of the whole matrix for each entry of the depth's vectors, n for
-            padding.
-        ones: (M,) entries of the matrices that are padded pivots' diagonal.
-        values: from the CSR data to the matrices.
-        updates: from the matrices of the next depth, of first children, of second children.
-        carried: from the vectors of the next depth, likewise.
-    """
-
-    groups: list[Group]
-    unknowns: torch.Tensor
-    ones: torch.Tensor
-    values: Flow
+    first: int
+    own: torch.Tensor
+    later: torch.Tensor
     updates: list[Flow]
     carried: list[Flow]
 
-    @property
-    def entries(self) -> int:
-        """Numbers in the depth's matrices."""
-        return sum(group.count * group.size**2 for group in self.groups)
+    def panels(self, array: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Its corners (B, c, p, p) and the rows below them (B, c, u, p) in an array (B, ...)."""
+        shape = self.count, self.pivots + self.others, self.pivots
+        part = array[:, self.first : self.first + math.prod(shape)].view(len(array), *shape)
+        return part.split((self.pivots, self.others), dim=2)
 
 
 @dataclass(frozen=True)
@@ -88,80 +57,18 @@ class Fronts:
     """All fronts of a matrix.
 
     Attributes:
-        levels: by depth, the root first.
+        groups: in the order of elimination.
+        panel_size: numbers in the panels.
+        ones: (M,) entries of the panels that are padded pivots' diagonal.
+        values: from the CSR data to the panels.
         sizes: (N, 2) pivots and others of each front without padding.
     """
 
-    levels: list[Level]
+    groups: list[Group]
+    panel_size: int
+    ones: torch.Tensor
+    values: list[Flow]
     sizes: np.ndarray
-
-    @property
-    def flops(self) -> float:
-        """Floating point operations of a factorisation without padding, of one triangle each."""
-        p, u = self.sizes.T.astype(np.float64)
-        return float((p**3 / 3 + p**2 * u + p * u**2).sum())
-
-    @property
-    def factor_entries(self) -> int:
-        """Of the Cholesky factor without padding."""
-        p, u = self.sizes.T
-        return int((p * (p + 1) // 2 + p * u).sum())
-
-    @property
-    def padded_flops(self) -> float:
-        """Floating point operations of a factorisation as carried out."""
-        return sum(group.count * front_flops(group.pivots, group.others)
-                   for level in self.levels for group in level.groups)
-
-
-def front_flops(p: float, u: float) -> float:
-    """Of a front as carried out: Cholesky, triangular solve, the update's both triangles."""
-    return p**3 / 3 + p**2 * u + 2 * p * u**2
-
-
-def plan_fronts(
-    tree: EliminationTree,
-    indptr: np.ndarray,
-    indices: np.ndarray,
-    *,
-    group_cost: float,
-    device: torch.device,
-) -> Fronts:
-    """Fronts of all matrices with the upper triangle ``indptr``, ``indices`` (CSR).
-
-    Args:
-        group_cost: floating point operations of padding that one group less is worth: the
-            overhead of a handful of calls.
-        device: of the index lists.
-    """
-    n = len(indptr) - 1
-    # Positions in the order of elimination: the deepest nodes first.
-    order = np.concatenate(tree.pivots[::-1])
-    position = np.empty(n, dtype=np.int64)
-    position[order] = np.arange(n)
-    pairs = np.stack([position[np.repeat(np.arange(n), np.diff(indptr))], position[indices]])
-    pairs.sort(axis=0)
-    by_row = np.argsort(pairs[0], kind="stable")
-    bounds = np.searchsorted(pairs[0, by_row], np.arange(n + 1))
-
-    children: list[list[_Front]] = [[] for _ in tree.pivots]
-    depths: list[list[_Front]] = [[] for _ in range(tree.depth[-1] + 1)]
-    end = 0
-    for node in reversed(range(len(tree.pivots))):
-        start, end = end, end + len(tree.pivots[node])
-        entries = by_row[bounds[start] : bounds[end]]
-        reached = [pairs[1, entries], *(child.rows[child.own :] for child in children[node])]
-        later = np.unique(np.concatenate(reached))
-        rows = np.concatenate([np.arange(start, end), later[later >= end]])
-        front = _Front(rows, end - start, entries, children[node])
-        depths[tree.depth[node]].append(front)
-        if tree.parent[node] >= 0:
-            children[tree.parent[node]].append(front)
-
-    groups = [_place(fronts, group_cost) for fronts in depths]
-    levels = [_level(*both, pairs, order, device) for both in zip(groups, depths, strict=True)]
-    sizes = [(front.own, len(front.rows) - front.own) for fronts in depths for front in fronts]
-    return Fronts(levels, np.array(sizes))
 
 
 @dataclass
@@ -169,113 +76,147 @@ class _Front:
     """One front and where it lies.
 
     Attributes:
-        rows: positions of its rows without padding, ascending.
+        rows: ascending positions of its rows in the order of elimination.
         own: how many of them are pivots.
-        entries: of the matrix, that belong to it and to none of its descendants.
-        children: the fronts whose updates it receives.
-        pivots, size: padded.
-        matrix, vector: where it begins in the matrices and vectors of its depth.
+        entries: of the matrix, in its panel.
+        pivots: with padding; set by :func:`plan_fronts`.
+        first: where its panel begins, likewise.
     """
 
     rows: np.ndarray
     own: int
     entries: np.ndarray
-    children: list["_Front"]
     pivots: int = 0
-    size: int = 0
-    matrix: int = 0
-    vector: int = 0
+    first: int = 0
 
-    def local(self, positions: np.ndarray) -> np.ndarray:
-        """Padded rows of positions that the front has."""
-        row = np.searchsorted(self.rows, positions)
-        return np.where(row < self.own, row, row + self.pivots - self.own)
+    @property
+    def size(self) -> tuple[int, int]:
+        """Pivots and others without padding."""
+        return self.own, len(self.rows) - self.own
 
-    def address(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Where padded rows and columns are in the matrices of its depth."""
-        return self.matrix + rows * self.size + columns
-
-
-def _place(fronts: list[_Front], group_cost: float) -> list[Group]:
-    """Give all fronts of one depth their places, in groups."""
-    sizes = np.array([(front.own, len(front.rows) - front.own) for front in fronts])
-    groups, matrix, vector = [], 0, 0
-    for members in _similar(sizes, group_cost):
-        pivots, others = (int(size) for size in sizes[members].max(axis=0))
-        groups.append(Group(len(members), pivots, others, matrix, vector))
-        for member in members:
-            front = fronts[member]
-            front.pivots, front.size = pivots, pivots + others
-            front.matrix, front.vector = matrix, vector
-            matrix += front.size**2
-            vector += front.size
-    return groups
+    def address(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Where entries are in the panels; ``low`` are positions of pivots, ``high`` of rows."""
+        row, column = np.searchsorted(self.rows, high), np.searchsorted(self.rows, low)
+        row += np.where(row < self.own, 0, self.pivots - self.own)
+        return self.first + row * self.pivots + column
 
 
-def _similar(sizes: np.ndarray, group_cost: float) -> list[np.ndarray]:
-    """Split fronts of sizes (N, 2) into groups, as long as that saves more than it costs."""
-    def cost(count: np.ndarray | int, size: np.ndarray) -> np.ndarray:
-        return count * front_flops(*size.T.astype(np.float64))
+def front_flops(pivots: np.ndarray | float, others: np.ndarray | float) -> np.ndarray | float:
+    """Cholesky of the corner, triangular solve below it, both triangles of the update."""
+    return pivots**3 / 3 + pivots**2 * others + 2 * pivots * others**2
 
-    least, parts = cost(len(sizes), sizes.max(axis=0)) - group_cost, None
+
+def plan_fronts(
+    pattern: SparsePattern, tree: EliminationTree, *, group_cost: float, device: torch.device
+) -> Fronts:
+    """Fronts of all matrices of a pattern.
+
+    Args:
+        group_cost: floating point operations of padding that one group less is worth: the
+            overhead of a handful of calls.
+        device: of the index lists.
+    """
+    order = np.concatenate(tree.pivots)
+    position = np.argsort(order)
+    rows = np.repeat(np.arange(pattern.size), np.diff(pattern.indptr))
+    pairs = np.sort(np.stack([position[rows], position[pattern.indices]]), axis=0)
+    fronts = _find_fronts(tree, pairs)
+    stacks = [
+        stack
+        for depth in reversed(range(tree.depth.max() + 1))
+        for stack in _similar([fronts[k] for k in np.flatnonzero(tree.depth == depth)], group_cost)
+    ]
+    panel_size, ones = 0, []
+    for stack in stacks:
+        pivots, others = np.max([front.size for front in stack], axis=0)
+        for front in stack:
+            front.pivots, front.first = pivots, panel_size
+            ones.append(panel_size + np.arange(front.own, pivots) * (pivots + 1))
+            panel_size += (pivots + others) * pivots
+    take = np.concatenate([front.entries for front in fronts])
+    put = np.concatenate([front.address(*pairs[:, front.entries]) for front in fronts])
+    return Fronts(
+        groups=[_group(stack, fronts, order, device) for stack in stacks],
+        panel_size=int(panel_size),
+        ones=torch.from_numpy(np.concatenate(ones)).to(device),
+        values=_flows(take, put, device),
+        sizes=np.array([front.size for front in fronts]),
+    )
+
+
+def _find_fronts(tree: EliminationTree, pairs: np.ndarray) -> list[_Front]:
+    """The front of each node; ``pairs`` (2, nnz) positions of the entries, the smaller first."""
+    by_row = np.argsort(pairs[0], kind="stable")
+    ends = np.cumsum([len(pivots) for pivots in tree.pivots])
+    bounds = np.searchsorted(pairs[0, by_row], np.append(0, ends))
+    fronts: list[_Front] = []
+    beyond: list[list[np.ndarray]] = [[] for _ in tree.pivots]
+    for node, end in enumerate(ends):
+        own = len(tree.pivots[node])
+        entries = by_row[bounds[node] : bounds[node + 1]]
+        reached = np.unique(np.concatenate([pairs[1, entries], *beyond[node]]))
+        later = reached[reached >= end]
+        fronts.append(_Front(np.append(np.arange(end - own, end), later), own, entries))
+        beyond[tree.parent[node]].append(later)  # the root, whose parent is -1, has none
+    return fronts
+
+
+def _similar(fronts: list[_Front], group_cost: float) -> list[list[_Front]]:
+    """Split fronts of one depth into groups, as long as that saves more than it costs."""
+    sizes = np.array([front.size for front in fronts], dtype=np.float64)
+    count = np.arange(1, len(fronts))
+    least, parts = len(fronts) * front_flops(*sizes.max(axis=0)) - group_cost, None
     for axis in (0, 1):
         order = np.argsort(sizes[:, axis], kind="stable")
         small = np.maximum.accumulate(sizes[order])[:-1]
         large = np.maximum.accumulate(sizes[order[::-1]])[-2::-1]
-        count = np.arange(1, len(sizes))
-        total = cost(count, small) + cost(len(sizes) - count, large)
-        if len(total) and total.min() < least:
-            at = total.argmin() + 1
-            least, parts = total[at - 1], (order[:at], order[at:])
+        cost = count * front_flops(*small.T) + count[::-1] * front_flops(*large.T)
+        if cost.min(initial=np.inf) < least:
+            least, at = cost.min(), cost.argmin() + 1
+            parts = order[:at], order[at:]
     if parts is None:
-        return [np.arange(len(sizes))]
-    return [part[group] for part in parts for group in _similar(sizes[part], group_cost)]
+        return [fronts]
+    return [group for part in parts for group in _similar([fronts[k] for k in part], group_cost)]
 
 
-def _level(
-    groups: list[Group],
-    fronts: list[_Front],
-    pairs: np.ndarray,
-    order: np.ndarray,
-    device: torch.device,
-) -> Level:
-    """The index lists of one depth; all fronts have their places.
-
-    Args:
-        pairs: (2, nnz) positions of the matrix's entries, the smaller first.
-        order: (n,) row of each position.
-    """
-    unknowns = np.full(sum(group.count * group.size for group in groups), len(order))
-    ones, values = [], []
-    for front in fronts:
-        unknowns[front.vector + front.local(front.rows)] = order[front.rows]
-        padded = np.arange(front.own, front.pivots)
-        ones.append(front.address(padded, padded))
-        low, high = front.local(pairs[:, front.entries])
-        values.append((front.entries, front.address(high, low)))
-    updates, carried = [], []
-    for rank in range(max(len(front.children) for front in fronts)):
-        matrices, vectors = [], []
-        for front in fronts:
-            for child in front.children[rank : rank + 1]:
-                later = child.rows[child.own :]
-                here, there = front.local(later), child.local(later)
-                i, j = np.tril_indices(len(later))
-                matrices.append((child.address(there[i], there[j]), front.address(here[i], here[j])))
-                vectors.append((child.vector + there, front.vector + here))
-        updates.append(_joined(matrices, device))
-        carried.append(_joined(vectors, device))
-    return Level(
-        groups=groups,
-        unknowns=torch.from_numpy(unknowns).to(device),
-        ones=torch.from_numpy(np.concatenate(ones)).to(device),
-        values=_joined(values, device),
-        updates=updates,
-        carried=carried,
+def _group(
+    stack: list[_Front], fronts: list[_Front], order: np.ndarray, device: torch.device
+) -> Group:
+    """One group; ``fronts`` are all, in their places, and ``order`` (n,) the positions' rows."""
+    owner = np.repeat(np.arange(len(fronts)), [front.own for front in fronts])
+    p, u = (int(size) for size in np.max([front.size for front in stack], axis=0))
+    own, later = (np.full((len(stack), size), len(order)) for size in (p, u))
+    take, put = [], []
+    for k, front in enumerate(stack):
+        pivots, others = np.split(front.rows, [front.own])
+        own[k, : len(pivots)], later[k, : len(others)] = order[pivots], order[others]
+        i, j = np.tril_indices(len(others))
+        target = np.empty_like(i)
+        for node in np.unique(owner[others]):
+            there = owner[others[j]] == node
+            target[there] = fronts[node].address(others[j[there]], others[i[there]])
+        take.append((k * u + i) * u + j)
+        put.append(target)
+    real = np.flatnonzero(later < len(order))
+    return Group(
+        count=len(stack),
+        pivots=p,
+        others=u,
+        first=int(stack[0].first),
+        own=torch.from_numpy(own.ravel()).to(device),
+        later=torch.from_numpy(later.ravel()).to(device),
+        updates=_flows(np.concatenate(take), np.concatenate(put), device),
+        carried=_flows(real, later.ravel()[real], device),
     )
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray]], device: torch.device) -> Flow:
-    take, put = (torch.from_numpy(np.concatenate(column)).to(device)
-                 for column in zip(*parts, strict=True))
-    return take, put
+def _flows(take: np.ndarray, put: np.ndarray, device: torch.device) -> list[Flow]:
+    """As many flows as needed for none to have a target twice."""
+    order = np.argsort(put, kind="stable")
+    place = np.arange(len(put))
+    is_first = np.diff(put[order], prepend=-1) > 0
+    rank = np.empty_like(order)
+    rank[order] = place - np.maximum.accumulate(np.where(is_first, place, 0))
+    chosen = [np.flatnonzero(rank == k) for k in range(rank.max(initial=-1) + 1)]
+    return [(torch.from_numpy(take[some]).to(device), torch.from_numpy(put[some]).to(device))
+            for some in chosen]

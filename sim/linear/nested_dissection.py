@@ -11,6 +11,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, maximum_bipartite_matching
 
+from sim.linear.pattern import SparsePattern
+
 _QUANTILES = (0.4, 0.45, 0.5, 0.55, 0.6)  # where cuts are tried, as shares of a region
 
 
@@ -21,8 +23,7 @@ class EliminationTree:
     A node may couple with its own descendants and ancestors only.
 
     Attributes:
-        pivots: for each node, its unknowns (int64). Parents come before their children, and
-            nodes after all those of less depth.
+        pivots: for each node, its unknowns (int64). Deeper nodes come first, the root last.
         parent: (N,) index of each node's parent, -1 for the root.
         depth: (N,) steps from the root; nodes of one depth do not depend on each other.
     """
@@ -32,22 +33,19 @@ class EliminationTree:
     depth: np.ndarray
 
 
-def dissect(
-    indptr: np.ndarray, indices: np.ndarray, places: np.ndarray, *, leaf: int
-) -> EliminationTree:
-    """Nested dissection of the graph of a symmetric matrix whose unknowns have places.
+def dissect(pattern: SparsePattern, places: np.ndarray, *, leaf: int) -> EliminationTree:
+    """Nested dissection of the graph of symmetric matrices whose unknowns have places.
 
     Args:
-        indptr, indices: CSR structure of the upper triangle.
         places: (n, 2) of the unknowns, in any unit.
-        leaf: mean number of unknowns of the regions that are not cut any more. All leaves have
+        leaf: mean number of unknowns in the regions that are not cut any more. All leaves have
             the same depth, so that nodes of one depth are of similar sizes.
     """
-    n = len(places)
-    pairs = np.stack([np.repeat(np.arange(n), np.diff(indptr)), indices])
+    n = pattern.size
+    pairs = np.stack([np.repeat(np.arange(n), np.diff(pattern.indptr)), pattern.indices])
     regions = [(np.arange(n), pairs[:, pairs[0] != pairs[1]], -1)]
     nodes: list[tuple[np.ndarray, int, int]] = []
-    last = max(0, round(np.log2(max(n, 1) / leaf)))
+    last = max(0, round(np.log2(n / leaf)))
     for depth in range(last + 1):
         below = []
         for region, inner, parent in regions:
@@ -55,8 +53,9 @@ def dissect(
             below += [(*part, len(nodes)) for part in parts]
             nodes.append((separator, parent, depth))
         regions = below
-    pivots, parent, depth = zip(*nodes, strict=True)
-    return EliminationTree(pivots, np.array(parent), np.array(depth))
+    pivots, parent, depth = zip(*reversed(nodes), strict=True)
+    parent = [len(nodes) - 1 - above for above in parent[:-1]]
+    return EliminationTree(pivots, np.array([*parent, -1]), np.array(depth))
 
 
 def _cut(
@@ -67,16 +66,17 @@ def _cut(
     Without a cut that has unknowns on both sides, the separator is the whole region.
     """
     side = np.zeros(len(places), dtype=np.int8)
-    least, separator, chosen = np.inf, region, side[region]
+    least, separator, chosen = np.inf, region, 0
     for coordinate in places[region].T:
-        for limit in np.unique(np.quantile(coordinate, _QUANTILES, method="nearest"))[1:]:
+        limits = np.quantile(coordinate, _QUANTILES, method="nearest")
+        for limit in np.unique(limits[limits > coordinate.min()]):
             side[region] = np.where(coordinate < limit, 1, 2)
             cross = pairs[:, side[pairs[0]] != side[pairs[1]]]
             low = np.where(side[cross[0]] == 1, *cross)
             cover = _cover(low, cross.sum(axis=0) - low)
-            imbalance = abs(np.mean(side[region]) - 1.5)
-            if len(cover) * (1.0 + imbalance) < least:
-                least, separator, chosen = len(cover) * (1.0 + imbalance), cover, side[region]
+            cost = (1 + len(cover)) * (1.0 + abs(side[region].mean() - 1.5))  # prefer equal halves
+            if cost < least:
+                least, separator, chosen = cost, cover, side[region]
     side[region] = chosen
     side[separator] = 0
     parts = [(region[side[region] == part], pairs[:, (side[pairs] == part).all(axis=0)])

@@ -14,7 +14,7 @@ from data.dataset import DrapeDataset
 from data.fabrics import fabric_from_theta
 from data.fresh import FreshDataset, Shot, open_views
 from data.render import VIEWS, DepthRenderer, render_views
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.shards import Shard
 from data.view_order import reorder_axis, reorder_views
 from sim.mesh.specimens import DEFAULT_EDGES, TOPOLOGIES, default_edge
@@ -116,7 +116,7 @@ def test_drapes_of_different_meshes_make_one_batch(tmp_path):
 
 
 def noisy(root, **options):
-    return FreshDataset(root, noise=SensorNoise.load("smooth"), augment=True,
+    return FreshDataset(root, noise=load_sensor("smooth"), augment=True,
                         orientations_per_epoch=2, **options)
 
 

@@ -37,26 +37,25 @@ def test_drapes_made_together_are_those_made_alone(rig):
     alone = drape_batch(FABRICS, **settings, workers=1)
     for one, other in zip(made, alone, strict=True):
         assert one.converged and one.positive_definite
-        assert abs(one.iterations - other.iterations) <= 1
+        assert abs(one.iterations - other.iterations) <= 0.1 * other.iterations
         assert np.abs(one.positions - other.positions).max() < 1e-7
         assert one.residual < 1e-4
 
 
-def test_a_failure_and_cloth_that_meets_itself_spoil_no_other(monkeypatch):
-    """The second folds through itself on its coarse mesh and is finished with self-contact."""
+def test_a_failure_spoils_no_other():
     soft = Fabric(np.full(3, 0.4e-6))
-    options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=60)
-    made = drape_batch([FABRICS[0], soft], edge=EDGE, seeds=SAME[:2], options=options,
+    options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=25)
+    made = drape_batch([FABRICS[1], soft], edge=0.02, seeds=SAME[:2], options=options,
                        together=True)
-    alone = drape(FABRICS[0], edge=EDGE, seed=SAME[0], options=options)
+    alone = drape(FABRICS[1], edge=0.02, seed=SAME[0], options=options)
     assert np.abs(made[0].positions - alone.positions).max() < 1e-7 and made[0].converged
-    assert made[1].converged or made[1].status in (Status.MAX_ITERATIONS, Status.SELF_CONTACT)
+    assert made[1].status is Status.MAX_ITERATIONS and "25 iterations" in made[1].message
 
 
 def test_sizes_and_topologies_form_batches_of_their_own():
-    made = drape_batch([FABRICS[1]] * 3, edge=[0.016, 0.012, 0.016], seeds=[0, 1, 8],
+    made = drape_batch([FABRICS[1]] * 3, edge=[0.02, 0.016, 0.02], seeds=[0, 1, 8],
                        together=True, at_a_time=1)
-    assert [result.edge for result in made] == [0.016, 0.012, 0.016]
+    assert [result.edge for result in made] == [0.02, 0.016, 0.02]
     assert np.array_equal(made[0].faces, made[2].faces)
     assert all(result.converged for result in made)
 
@@ -94,13 +93,17 @@ def test_hessians_of_a_batch_are_those_of_the_kernels():
 
 
 def test_solutions_go_to_those_who_asked():
-    cloths, there, states = batch_of("cpu")
+    cloths, there, _ = batch_of("cpu")
+    scene = cloths[0].scene
+    rest = scene.mesh.rest
+    bulged = np.column_stack([rest, -0.5 * (rest**2).sum(axis=1)])
+    states = [scene.state(bulged).q] * 3
     asked = [(k, states[k], 1.0) for k in (2, 0, 1)]
     verdicts = there.factorise(asked)
     rhs = np.random.default_rng(1).standard_normal(there.pattern.size)
-    some = [number for (number, *_), good in zip(asked, verdicts, strict=True) if good][:2]
+    assert verdicts == [True] * 3
+    some = [0, 2]  # one of them needs no solution
     found = there.solve([(number, rhs) for number in some])
-    assert some
     for number, x in zip(some, found, strict=True):
         matrix = there.pattern.symmetric(cloths[number].potential.hessian(states[number], 0.5))
         assert np.linalg.norm(matrix @ x - rhs) < 1e-6 * np.linalg.norm(rhs)

@@ -212,13 +212,16 @@ def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
 def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
     chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (1000, 100, 20, 10, 3, 0.1)]
     assert chosen == sorted(chosen, reverse=True)
-    assert chosen == [0.004, 0.004, 0.003, 0.0025, 0.002, 0.002]
+    assert chosen == [0.004, 0.004, 0.003, 0.0025, 0.0025, 0.0025]
     assert 5.5 * 0.003 <= (20e-6 / (0.3 * 9.81)) ** (1 / 3) < 5.5 * 0.004
     assert default_edge(isotropic(20).at_density(0.1), Rig()) == 0.003
     assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.012)
 
 
-def test_levels_halve_the_edges():
-    assert coarse_to_fine(0.0025) == [0.01, 0.005, 0.0025]
-    assert coarse_to_fine(0.0025, 0.0065) == [0.005, 0.0025]
+def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
+    assert coarse_to_fine(0.002) == pytest.approx([0.0125, 0.005, 0.002])
+    assert coarse_to_fine(0.0025, 0.008) == pytest.approx([0.00625, 0.0025])
     assert coarse_to_fine(0.02) == [0.02]
+    for edge in (0.0, -1.0, 1e-4, np.nan):
+        with pytest.raises(InputError, match=r"edge=.* between"):
+            coarse_to_fine(edge)
