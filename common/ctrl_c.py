@@ -20,6 +20,13 @@ def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
+def end(number: int, frame: FrameType | None) -> None:
+    """A handler for a command that has reported its interruption: another press ends it at once."""
+    if time.monotonic() - _last > ONE_PRESS:
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
+
+
 def require_interruption(error: KeyboardInterrupt | SystemError) -> None:
     """Raise ``error`` again unless it is Ctrl-C.
 

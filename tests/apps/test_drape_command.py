@@ -11,6 +11,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import apps
@@ -19,6 +20,8 @@ from common.cli import parse_overrides
 from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from common.workers import worker_pool
+from sim.mesh.specimens import make_specimen
+from sim.scene import Rig
 
 
 def run(*words: str) -> subprocess.CompletedProcess:
@@ -35,11 +38,14 @@ def test_writes_mesh_picture_and_figures(tmp_path):
     assert figures["status"] == "converged" and figures["positive_definite"]
     assert figures["parameters"]["alpha_uN_m"] == {"warp": 60.0, "bias": 60.0, "weft": 60.0}
     assert 0 < figures["drape_coefficient"] < 1
+    assert figures["parameters"]["edge_mm"] == 12 and figures["coarser_meshes"] == []
 
     import trimesh
 
     mesh = trimesh.load(tmp_path / "drape.ply", process=False)
-    assert mesh.vertices.shape == (256, 3)
+    specimen = make_specimen(Rig(), edge=0.012).mesh
+    np.testing.assert_array_equal(mesh.faces, specimen.faces)
+    assert len(mesh.vertices) == len(specimen.rest)
     assert abs(mesh.vertices[:, 2].max()) < 1e-6 and mesh.vertices[:, 2].min() < -0.05
 
 
@@ -226,7 +232,7 @@ def test_other_errors_of_python_are_not_ctrl_c(cause):
 SCRIPT = """
 print("imported")
 import numpy as np
-from sim.batched.drape import drape_batch
+from sim.batch import drape_batch
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
@@ -235,7 +241,7 @@ def heavier(mesh, active, *, fabric):
     return Gravity(mesh, density=fabric.density, gravity=5.0)
 
 fabrics = [Fabric(np.full(3, alpha)) for alpha in (30e-6, 60e-6)]
-made = drape_batch(fabrics, resolution=16, laws=Laws(others=(heavier,)), workers=2)
+made = drape_batch(fabrics, edge=0.012, laws=Laws(others=(heavier,)), workers=2)
 print([result.status.value for result in made])
 """
 
