@@ -20,8 +20,8 @@ from benchmarks import (
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
+from drapenet.comparison import compare
 from sim.cloth import Cloth
-from sim.comparison import compare
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
