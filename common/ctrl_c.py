@@ -47,7 +47,7 @@ def deferred() -> Iterator[None]:
     Nothing changes in other threads than the main one, which never meet it, and where Ctrl-C means
     something else, as in jobs in the background, which ignore it.
 
-    For imports of torch: at some moments of its loading an interruption ends the process with an
+    For imports of torch and Open3D: at some moments of their loading an interruption ends the process with an
     abort and C++'s own words, at others Python swallows it. And for the end of worker processes,
     which would go on if it was cut short.
     """
