@@ -35,7 +35,6 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
-from sim.unstructured import unstructured_square  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -58,10 +57,11 @@ from sim.linear.fronts import front_flops  # noqa: E402
 from sim.linear.multifrontal import FrontalSolver  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
+from sim.unstructured import unstructured_square  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
-    "edge": 7.0,
+    "edge": 9.0,
     "edges": [7.0, 4.5],
     "batches": [1, 4, 16],
     "threads": [1, 2],
