@@ -258,18 +258,16 @@ def outer(cloths: Cloths, x: Tensor) -> Tensor:
     return total
 
 
-def touched(
-    cloths: Cloths, x: Tensor
-) -> list[tuple[str, Tensor, Tensor, int]]:
+def touched(cloths: Cloths, x: Tensor) -> list[tuple[str, Tensor, Tensor, int]]:
     """Points that may touch the cylinder: the vertices, then the middles of the edges.
 
     Returns:
         Name, points (B, P, 3), scale (B, P) in J/m³ and number of vertices of each point; the
         scale is zero where all are held. Nothing without a plate.
     """
+    topology = cloths.topology
     if cloths.plate_radius == 0:
         return []
-    topology = cloths.topology
     areas = _areas(cloths.rest[:, topology.all_faces])
     scale = cloths.pressure / (3 * 1e-4**2) / 4
     at_vertices = _gathered(areas / 3, topology.all_faces, topology.vertices) * topology.free

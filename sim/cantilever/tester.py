@@ -20,7 +20,7 @@ CELLS, CELLS_ACROSS = 20, 10
 """Of simulated strips, along the bending length of their direction and across them; alpha is then
 right to 1 %."""
 Guide = Callable[[Mesh, int, float], Sequence[Energy]]
-"""Energies that keep a strip's rulings level, of its grid of so many vertices across and an alpha."""
+"""Energies that keep a strip's rulings level: of its grid, its vertices across and an alpha."""
 
 
 @dataclass(frozen=True)
