@@ -17,8 +17,8 @@ GRADING = 4.0
 """Edges at the hem over edges at the rim."""
 LONGEST = 0.020
 """Length, m, to which edges grow at most, so that coarse meshes hold the folds of a start."""
-DEFAULT_EDGES = (2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
-EDGES_PER_LENGTH = 5.5
+DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
+EDGES_PER_LENGTH = 6.5
 _STEP = 2.5  # of the edges' length from one mesh of a drape to the next
 COARSEST = 0.013
 """Longest edges at the rim, m, that a drape is started on."""
