@@ -141,11 +141,11 @@ def share_of_offset(
 
 
 def default_edge(fabric: Fabric, rig: Rig) -> float:
-    """Edge length at the rim, m, that suits the fabric: 2.5, 3 or 4 mm.
+    """Edge length at the rim, m, that suits the fabric: 2, 2.5, 3 or 4 mm.
 
     The longest of these that goes :data:`EDGES_PER_LENGTH` times into the bending length
     (alpha/rho g)^⅓ of the softest direction, because softer cloth makes narrower folds; few
-    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 10 to
+    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 8 to
     16 mm.
     """
     length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
