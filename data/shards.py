@@ -123,11 +123,9 @@ def write_shard(
     layout: Layout,
     attributes: Mapping[str, str | int | float],
 ) -> None:
-    """Write ``records`` to ``path``.
+    """Write ``records`` to ``path``: whole or not at all; several processes may write it.
 
-    A record maps each name of :func:`fields` but "mesh" to its row, and "faces" to its triangles
-    (F, 3). The file appears under its name only when it is complete; several processes may write
-    it.
+    A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
 
     Raises:
         InputError: the system refuses to write.
@@ -152,8 +150,7 @@ def shard_bytes(
         places, meshes = _distinct([record[FACES] for record in records])
         rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
         own = [fields(layout, int(record["vertices"])) for record in rows]
-        finest = max(int(record["vertices"]) for record in rows)
-        for name, field in fields(layout, finest).items():
+        for name, field in fields(layout, max(int(record["vertices"]) for record in rows)).items():
             for record, expected in zip(rows, own, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
