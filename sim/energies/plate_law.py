@@ -7,11 +7,11 @@ With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
     a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²,     d = |Sxx - Syy|,
     g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
-H(u) = 2 e(u)/u², e the integral of t, and t(u) = u (1 - u) up to u_c, continued with its slope
-1 - 2 u_c. The first term is convex where g is a multiple of a. It softens at least as fast as
-the fabric does in each direction, and the others put back what it takes too much: F_w and F_f
-do nothing to cloth bent along the bias, where Sxx = Syy, and F_b nothing along the yarns, where
-Sxy = 0. Each is the difference of two torque laws of one direction, convex in its argument.
+H the shape of a softening law (:func:`sim.material.softening_shape`). The first term is convex
+where g is a multiple of a. It softens at least as fast as the fabric does in each direction, and
+the others put back what it takes too much: F_w and F_f do nothing to cloth bent along the bias,
+where Sxx = Syy, and F_b nothing along the yarns, where Sxy = 0. Each is the difference of two
+torque laws of one direction, convex in its argument.
 
 Cloth bent to a cylinder along warp, bias or weft so carries exactly the torque
 alpha kappa + beta kappa² (up to u_c); other directions follow smoothly. psi is positive for
@@ -23,7 +23,15 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants
+from sim.material import (
+    BIAS,
+    SOFTENING_LIMIT,
+    WARP,
+    WEFT,
+    Fabric,
+    plate_constants,
+    softening_shape,
+)
 
 
 class PlateConstants(NamedTuple):
@@ -70,21 +78,7 @@ def constants(fabric: Fabric) -> PlateConstants:
     )))  # fmt: skip
 
 
-@numba.njit(inline="always")
-def _shape(u, limit):
-    """H, dH/du, d²H/du²."""
-    if u <= limit:
-        return 1.0 - 2.0 * u / 3.0, -2.0 / 3.0, 0.0
-    # e(u) = s u²/2 + c u + d with the slope s and continuity at the limit
-    s = 1.0 - 2.0 * limit
-    c = limit * limit
-    d = -limit * limit * limit / 3.0
-    v = 1.0 / u
-    return (
-        s + 2.0 * v * (c + d * v),
-        -2.0 * v * v * (c + 2.0 * d * v),
-        4.0 * v * v * v * (c + 3.0 * d * v),
-    )
+_shape = numba.njit(inline="always")(softening_shape)
 
 
 @numba.njit(inline="always")
