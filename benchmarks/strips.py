@@ -25,10 +25,10 @@ from benchmarks.cylinders import cylinder_moduli, cylinder_torque, free_modulus
 from benchmarks.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
 from common.cli import run_command
 from common.errors import InputError
-from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.tester import HungStrip, bending_length
+from sim.hinges import modulus_along
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational

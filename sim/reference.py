@@ -18,8 +18,9 @@ from torch import Tensor
 from sim.cloth import Cloth
 from sim.energies.clamp import FIRST
 from sim.energies.contact import RIM_RADIUS, Cylinder
+from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.membrane import CorotationalMembrane
-from sim.energies.midedge import LIMIT_START, MidEdgeBending
+from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
 from sim.scene import Scene

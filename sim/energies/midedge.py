@@ -12,14 +12,10 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
-Meshes too coarse for the cloth would fold through themselves, where phi jumps. A barrier
-
-    k e/h (-(|phi| - s)² log((p - |phi|)/(p - s)))
-
-prevents that beyond s = ``LIMIT_START`` times the pole p: p is a quarter turn, which leaves half a
-turn between two triangles, and half a turn at a clamp, whose other side is fixed. k is the least
-alpha, e/h the rest length of the edge over the rest height of the triangle. A converged drape that
-feels it is not resolved by its mesh.
+Meshes too coarse for the cloth would fold through themselves, where phi jumps. The barrier of
+:mod:`sim.energies.fold_barrier` prevents that, times the least alpha and the rest length of the
+edge over the rest height of the triangle. Its pole is a quarter turn, which leaves half a turn
+between two triangles, and half a turn at a clamp, whose other side is fixed.
 """
 
 import copy
@@ -27,7 +23,7 @@ import copy
 import numba
 import numpy as np
 
-from sim.energies import dihedral, plate_law
+from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
 from sim.energies.clamp import bending_areas
 from sim.energies.remember import Remembered
@@ -35,8 +31,6 @@ from sim.material import Fabric
 from sim.mesh import Mesh
 
 CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
-LIMIT_START = 0.76  # of the pole: 2.4 rad between two triangles
-LEAST_ROOM = 0.2  # share of the way to the pole that a step must leave
 
 
 class MidEdgeBending(Energy):
@@ -107,18 +101,7 @@ class MidEdgeBending(Energy):
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        """False when an angle would pass its pole or take most of its way there in one step.
-
-        The second is the fraction-to-boundary rule of interior-point methods: without it, a
-        step can end so close to the pole that no later one gets away.
-        """
-        before, after = np.abs(self.angles(old)), np.abs(self.angles(new))
-        near = after > LIMIT_START * self._pole
-        if not near.any():
-            return True
-        pole = self._pole[near]
-        room = np.minimum(pole - before[near], (1 - LIMIT_START) * pole)
-        return bool((pole - after[near] >= LEAST_ROOM * room).all())
+        return fold_barrier.stays_clear(self.angles(old), self.angles(new), self._pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) angles phi, rad."""
@@ -138,7 +121,7 @@ class MidEdgeBending(Energy):
 
     def is_folded(self, q: np.ndarray) -> bool:
         """Whether the barrier acts anywhere."""
-        return bool((np.abs(self.angles(q)) > LIMIT_START * self._pole).any())
+        return bool(fold_barrier.acts(self.angles(q), self._pole).any())
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
         """(N, 3) derivatives of the energy by the angles phi, J/rad."""
@@ -147,18 +130,8 @@ class MidEdgeBending(Energy):
 
     def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
-        phi = self.angles(q)
-        first, second = np.zeros(phi.shape), np.zeros(phi.shape)
-        bent = np.abs(phi) > LIMIT_START * self._pole
-        if not bent.any():
-            return 0.0, first, second
-        angle, pole, scale = np.abs(phi[bent]), self._pole[bent], self._barrier[bent]
-        over, left = angle - LIMIT_START * pole, pole - angle
-        with np.errstate(invalid="ignore"):
-            logarithm = np.log(left / ((1 - LIMIT_START) * pole))
-        first[bent] = np.sign(phi[bent]) * scale * (over**2 / left - 2.0 * over * logarithm)
-        second[bent] = scale * (4.0 * over / left + (over / left) ** 2 - 2.0 * logarithm)
-        return float(scale @ (-(over**2) * logarithm)), first, second
+        value, slope, bend = fold_barrier.barrier(self.angles(q), self._pole)
+        return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import sparse
+from sim.specimens import make_specimen
 
 from common.errors import InputError
 from sim.drape import drape
@@ -13,7 +14,6 @@ from sim.linear.multifrontal import BatchedCholesky, analyse
 from sim.linear.nested_dissection import EliminationTree, dissect
 from sim.material import Fabric
 from sim.scene import Rig, Scene, State
-from sim.specimens import make_specimen
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -1,21 +1,101 @@
-"""Bending moduli by direction, and the direction in which cloth bends, for the hinge laws.
+"""The hinge bending laws by name: form of the energy, modulus by the direction of bending.
 
-A direction is that of greatest curvature, in material axes, phi from warp. It is kept as the
-double-angle vector s (cos 2 phi, sin 2 phi), because angles do not average: adding such vectors
-adds the tensors of rank one that they stand for. The length s, from 0 to 1, says how far the cloth
-bends in one direction at all: 1 on a cylinder, 0 where it is flat or where its two principal
-curvatures have the same size.
+A direction of bending is that of greatest curvature, in material axes, phi from warp. It is kept
+as the double-angle vector s (cos 2 phi, sin 2 phi), because angles do not average: adding such
+vectors adds the tensors of rank one that they stand for. The length s, from 0 to 1, says how far
+the cloth bends in one direction at all: 1 on a cylinder, 0 where it is flat or where its two
+principal curvatures have the same size.
 """
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.energies.hinge_stencils import HingeStencils, find_hinges, hinge_angles
-from sim.material import BIAS, WARP, WEFT
-from sim.mesh import Mesh
+from common.errors import InputError
+from sim.energies.base import Energy
+from sim.energies.hinge_bending import (
+    DihedralBending,
+    Hinges,
+    QuadraticBending,
+    find_hinges,
+    hinge_angles,
+)
+from sim.material import BIAS, WARP, WEFT, Fabric
+from sim.mesh import Mesh, adjacency
 
+FORMS = ("hinge", "hinge_linear", "quadratic")
+DIRECTIONS = ("mean", "edge", "curvature")
 SMOOTHING_ROUNDS = 2
 """Rounds of averaging over neighbours that the vertices' shape operators get. Without them the
 lagged iteration of :mod:`sim.lagged` ends in a cycle."""
+
+
+@dataclass(frozen=True)
+class HingeLaw:
+    """A hinge law: the form of its energy and how the fabric's direction enters.
+
+    Attributes:
+        form: ``hinge`` (torque alpha kappa + beta kappa²), ``hinge_linear`` (beta left out) or
+            ``quadratic`` (gamma = alpha/3, beta left out).
+        direction: ``mean``: every hinge has the mean modulus over all directions; ``edge``: the
+            modulus across its rest edge (Wang et al. 2011); ``curvature``: the modulus along
+            ``axes``.
+        axes: (N, 2) directions of bending of the hinges of
+            :func:`sim.energies.hinge_bending.find_hinges`; for ``curvature`` only.
+            :func:`sim.equilibrium.find_equilibrium` finds them.
+
+    Raises:
+        InputError: unknown form or direction.
+    """
+
+    form: str = "hinge"
+    direction: str = "mean"
+    axes: np.ndarray | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InputError(f"unknown hinge law '{self.form}'; choose from {', '.join(FORMS)}")
+        if self.direction not in DIRECTIONS:
+            raise InputError(
+                f"unknown direction '{self.direction}'; choose from {', '.join(DIRECTIONS)}"
+            )
+
+    @property
+    def lagged(self) -> bool:
+        """Whether the directions of bending must come from a previous solution."""
+        return self.direction == "curvature"
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
+        """The energy of the hinges beside the triangles ``active`` (F,) bool of ``mesh``.
+
+        Raises:
+            InputError: the law follows the curvature and has no ``axes`` for these hinges.
+        """
+        hinges = find_hinges(mesh, active)
+        if self.direction == "edge":
+            axes = edge_directions(hinges)
+        elif self.direction == "mean":
+            axes = np.zeros((len(hinges.edge), 2))
+        elif self.axes is None or len(self.axes) != len(hinges.edge):
+            raise InputError(
+                f"the law '{self.form}_curvature' needs the cloth's directions of bending; "
+                "find equilibria with sim.equilibrium.find_equilibrium"
+            )
+        else:
+            axes = self.axes
+        alpha = modulus_of_bending(fabric.alpha, axes)
+        if self.form == "quadratic":
+            return QuadraticBending(hinges, gamma=alpha / 3)
+        beta = modulus_of_bending(fabric.beta, axes) * (self.form == "hinge")
+        return DihedralBending(hinges, alpha=alpha, beta=beta, stop=fabric.alpha.min())
+
+
+HINGE_LAWS = {
+    form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
+    for form in FORMS
+    for direction in DIRECTIONS
+}
+"""hinge, hinge_edge, hinge_curvature, hinge_linear, ..., quadratic_curvature."""
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -51,7 +131,7 @@ def modulus_of_bending(moduli: np.ndarray, directions: np.ndarray) -> np.ndarray
     return (1 - share) * mean_modulus(moduli) + share * modulus_along(moduli, angle)
 
 
-def edge_directions(hinges: HingeStencils) -> np.ndarray:
+def edge_directions(hinges: Hinges) -> np.ndarray:
     """(N, 2) directions across the hinges' rest edges."""
     nx, ny = hinges.normals.T
     return np.stack([nx * nx - ny * ny, 2 * nx * ny], axis=1)
@@ -79,17 +159,15 @@ def shape_operators(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np
 
 def smoothed(mesh: Mesh, values: np.ndarray, rounds: int = SMOOTHING_ROUNDS) -> np.ndarray:
     """Values (V, K) averaged with those of the neighbours, ``rounds`` times."""
+    adjacent = adjacency(mesh)
+    count = 1 + np.diff(adjacent.indptr)[:, None]
     for _ in range(rounds):
-        total, count = values.copy(), np.ones(len(values))
-        for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-            np.add.at(total, a, values[b])
-            np.add.at(count, a, 1)
-        values = total / count[:, None]
+        values = (values + adjacent @ values) / count
     return values
 
 
 def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Directions (N, 2) in which the hinges of :func:`find_hinges` bend.
+    """Directions (N, 2) in which the hinges of ``find_hinges`` bend.
 
     The mean of those at the edge's two ends (section 4.4), from smoothed shape operators S. A
     vertex contributes the deviator of S², whose first axis is the direction of greater |curvature|
