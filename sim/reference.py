@@ -19,10 +19,10 @@ from sim.cloth import Cloth
 from sim.energies.clamp import FIRST
 from sim.energies.contact import RIM_RADIUS, Cylinder
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
+from sim.membranes import Corotational
 from sim.scene import Scene
 
 
@@ -91,7 +91,7 @@ class Cloths:
 def covers(cloth: Cloth) -> bool:
     """Whether a cloth's energies are those of the default laws; its self-contact is left out."""
     return (type(cloth.bending) is MidEdgeBending
-            and type(cloth.membrane) is CorotationalMembrane and not cloth.others
+            and type(cloth.laws.membrane) is Corotational and not cloth.others
             and all(isinstance(energy, SelfContact) for energy in cloth.extra)
             and all(isinstance(o, Cylinder) for o in cloth.scene.obstacles))
 
@@ -112,8 +112,8 @@ def cloths_of(cloths: Sequence[Cloth], device: torch.device | str = "cpu") -> Cl
         rest=rest.to(device),
         law=PlateConstants(*(column(values) for values in zip(*laws, strict=True))),
         softest=column(cloth.fabric.alpha.min() for cloth in cloths),
-        mu=column(cloth.membrane.mu for cloth in cloths),
-        lam=column(cloth.membrane.lam for cloth in cloths),
+        mu=column(cloth.laws.membrane.mu for cloth in cloths),
+        lam=column(cloth.laws.membrane.lam for cloth in cloths),
         weight=column(weights),
         pressure=column(cloth.scene.contact_pressure * weight
                         for cloth, weight in zip(cloths, weights, strict=True)),

@@ -26,6 +26,7 @@ import numpy as np
 from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
 from sim.energies.clamp import bending_areas
+from sim.energies.convex import raise_eigenvalues
 from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
@@ -95,7 +96,7 @@ class MidEdgeBending(Energy):
         if convex:
             # The rotations of the edges have no other stiffness: the floor is positive.
             law = self.law
-            _convexify(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
+            raise_eigenvalues(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
         moments = None if convex else self._moments(q, stress)
         return _hessian(q, self._corners, self._sign, self.maps, self.areas, tangent,
                         self._fold(q)[2], moments)
@@ -216,25 +217,6 @@ def _gradient(q, corners, sign, moments):
             for k in range(12):
                 result[t, k] += moments[t, i] * rows[i, k]
     return result
-
-
-@numba.njit(cache=True)
-def _convexify(tangents, floor):
-    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` to it, in place."""
-    for matrix in tangents:
-        # Pivots of what lies above the floor: most matrices need no eigenvectors.
-        first = matrix[0, 0] - floor
-        second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
-        if first > 0.0 and second > 0.0:
-            cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
-            if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
-                continue
-        value, vector = np.linalg.eigh(matrix)
-        for k in range(3):
-            if value[k] < floor:
-                for i in range(3):
-                    for j in range(3):
-                        matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
 
 
 @numba.njit(cache=True)
