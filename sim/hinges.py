@@ -17,7 +17,6 @@ from sim.energies.hinge_bending import (
     DihedralBending,
     Hinges,
     QuadraticBending,
-    find_hinges,
     hinge_angles,
 )
 from sim.material import BIAS, WARP, WEFT, Fabric
@@ -41,7 +40,7 @@ class HingeLaw:
             modulus across its rest edge (Wang et al. 2011); ``curvature``: the modulus along
             ``axes``.
         axes: (N, 2) directions of bending of the hinges of
-            :func:`sim.energies.hinge_bending.find_hinges`; for ``curvature`` only.
+            :class:`sim.energies.hinge_bending.Hinges`; for ``curvature`` only.
             :func:`sim.equilibrium.find_equilibrium` finds them.
 
     Raises:
@@ -71,7 +70,7 @@ class HingeLaw:
         Raises:
             InputError: the law follows the curvature and has no ``axes`` for these hinges.
         """
-        hinges = find_hinges(mesh, active)
+        hinges = Hinges(mesh, active)
         if self.direction == "edge":
             axes = edge_directions(hinges)
         elif self.direction == "mean":
@@ -147,7 +146,7 @@ def shape_operators(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np
         active: (F,) bool, triangles that can move; other hinges count as flat.
         positions: (V, 3) m.
     """
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     bend = 0.5 * hinge_angles(positions.ravel(), hinges.dofs) * hinges.lengths
     nx, ny = hinges.normals.T
     per_hinge = bend[:, None] * np.stack([nx * nx, ny * ny, nx * ny], axis=1)
@@ -167,7 +166,7 @@ def smoothed(mesh: Mesh, values: np.ndarray, rounds: int = SMOOTHING_ROUNDS) -> 
 
 
 def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Directions (N, 2) in which the hinges of ``find_hinges`` bend.
+    """Directions (N, 2) in which :class:`~sim.energies.hinge_bending.Hinges` bend.
 
     The mean of those at the edge's two ends (section 4.4), from smoothed shape operators S. A
     vertex contributes the deviator of S², whose first axis is the direction of greater |curvature|
@@ -179,6 +178,6 @@ def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> n
     # dev(S²) = tr(S) dev(S), and (Sxx - Syy, 2 Sxy) is the double-angle vector of S
     vectors = np.stack([sxx - syy, 2 * sxy], axis=1) * (sxx + syy)[:, None]
     sizes = sxx**2 + syy**2 + 2 * sxy**2
-    ends = find_hinges(mesh, active).corners[:, :2]
+    ends = Hinges(mesh, active).corners[:, :2]
     total, size = vectors[ends].sum(axis=1), sizes[ends].sum(axis=1)[:, None]
     return np.divide(total, size, out=np.zeros_like(total), where=size > 0)

@@ -8,8 +8,6 @@ An edge between held and free cloth clamps its free triangle. As in the default 
 the free side alone: H is then the height of the free triangle, not the sum of two heights.
 """
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 
@@ -20,61 +18,39 @@ from sim.material import bending_work
 from sim.mesh import Mesh
 
 
-@dataclass(frozen=True, eq=False)
 class Hinges:
-    """N edges between two triangles of which one at least can move, in the mesh's order.
+    """Edges between two triangles of which one at least can move, N in the order of the mesh's.
+
+    Args:
+        active: (F,) bool, triangles of ``mesh`` that can move.
 
     Attributes:
-        edge: (N,) the mesh's edges they fold about.
+        edge: (N,) which of the mesh's edges they are.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
             then the corners opposite it. The first triangle can move.
-        areas: (N, 2) m², rest areas of the two triangles.
-        movable: (N, 2) bool, which of the two triangles can move; column 0 is all true.
-        vectors: (N, 2) m, the rest edges from their start.
-        opposite: (N, 2, 2) m, the two corners opposite the edge, from its start.
+        dofs: (N, 12) their coordinates, as :class:`sim.energies.base.Energy` asks for.
+        rest: (N, 4, 2) m, the corners at rest.
+        lengths, normals: (N,) m, the edges' rest lengths, and (N, 2) unit vectors across them.
+        areas, bent_areas: (N,) m², of both triangles at rest, and of those that can move.
     """
 
-    edge: np.ndarray
-    corners: np.ndarray
-    areas: np.ndarray
-    movable: np.ndarray
-    vectors: np.ndarray
-    opposite: np.ndarray
-
-    @property
-    def dofs(self) -> np.ndarray:
-        """(N, 12) entries of the unknowns, as :class:`sim.energies.base.Energy` asks for."""
-        return (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
-
-    @property
-    def lengths(self) -> np.ndarray:
-        """(N,) m, rest lengths of the edges."""
-        return np.linalg.norm(self.vectors, axis=1)
-
-    @property
-    def normals(self) -> np.ndarray:
-        """(N, 2) unit vectors across the rest edges, in material axes."""
-        return np.stack([self.vectors[:, 1], -self.vectors[:, 0]], axis=1) / self.lengths[:, None]
-
-    @property
-    def bent_areas(self) -> np.ndarray:
-        """(N,) m², rest area of the triangles of each hinge that can move, e (H0 + H1) / 2."""
-        return (self.areas * self.movable).sum(axis=1)
-
-
-def find_hinges(mesh: Mesh, active: np.ndarray) -> Hinges:
-    """Hinges of ``mesh`` beside the triangles ``active`` (F,) bool."""
-    pair = mesh.edge_faces
-    edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
-    pair = np.where(active[pair[edge, :1]], pair[edge], pair[edge, ::-1])
-    # The first triangle's corners in their order, from the one opposite the edge
-    side = (mesh.face_edges[pair[:, 0]] == edge[:, None]).argmax(axis=1)
-    opposite, start, end = mesh.faces[pair[:, :1], (side[:, None] + np.arange(3)) % 3].T
-    across = mesh.faces[pair[:, 1]].sum(axis=1) - start - end
-    corners = np.stack([start, end, opposite, across], axis=1)
-    from_start = mesh.rest[corners[:, 1:]] - mesh.rest[start][:, None]
-    return Hinges(edge, corners, mesh.areas[pair], active[pair], from_start[:, 0],
-                  from_start[:, 1:])
+    def __init__(self, mesh: Mesh, active: np.ndarray) -> None:
+        pair = mesh.edge_faces
+        self.edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
+        pair = pair[self.edge]
+        pair = np.where(active[pair[:, :1]], pair, pair[:, ::-1])
+        # The first triangle's corners in their order, from the one opposite the edge
+        side = (mesh.face_edges[pair[:, 0]] == self.edge[:, None]).argmax(axis=1)
+        opposite, start, end = mesh.faces[pair[:, :1], (side[:, None] + np.arange(3)) % 3].T
+        across = mesh.faces[pair[:, 1]].sum(axis=1) - start - end
+        self.corners = np.stack([start, end, opposite, across], axis=1)
+        self.dofs = (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
+        self.rest = mesh.rest[self.corners]
+        x, y = (self.rest[:, 1] - self.rest[:, 0]).T
+        self.lengths = np.hypot(x, y)
+        self.normals = np.stack([y, -x], axis=1) / self.lengths[:, None]
+        self.areas = mesh.areas[pair].sum(axis=1)
+        self.bent_areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
 
 
 class DihedralBending(Energy):
@@ -100,19 +76,23 @@ class DihedralBending(Energy):
         self._areas, self._lengths = hinges.bent_areas, hinges.lengths
         # kappa = spread * |theta|, 1/m per rad; e H / 2 is the area
         self._spread = self._lengths / self._areas
-        self._stop = stop * self._lengths**2 / hinges.areas.sum(axis=1)
+        self._stop = stop * self._lengths**2 / hinges.areas
 
     def value(self, q: np.ndarray) -> float:
         angle = hinge_angles(q, self.dofs)
         return float(self._areas @ self._work(angle)[0] + self._stop @ barrier(angle, np.pi)[0])
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return _chain_gradient(q, self.dofs, self._derivatives(q)[0])
+        return self._derivatives(q)[0][:, None] * _angle_gradients(q, self.dofs)
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         # Torque and barrier always grow, so that only the turning of the hinges is indefinite.
         slope, bend = self._derivatives(q)
-        return _chain_hessian(q, self.dofs, 0.0 * slope if convex else slope, bend)
+        rows = _angle_gradients(q, self.dofs)
+        blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
+        if not convex:
+            _add_turning(q, self.dofs, slope, blocks)
+        return blocks
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """False when a hinge would fold through itself, or take most of its way there."""
@@ -144,7 +124,11 @@ class QuadraticBending(Energy):
 
     def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
         self.dofs = hinges.dofs
-        self._weights = _flatness_weights(hinges)
+        # sin(theta/2) and theta/2 have the same derivatives by the heights of flat corners.
+        flat = np.pad(hinges.rest, ((0, 0), (0, 0), (0, 1)))
+        places = np.arange(flat.size).reshape(-1, 12)
+        by_height = _angle_gradients(flat.ravel(), places)[:, 2::3]
+        self._weights = hinges.lengths[:, None] * by_height
         self._scale = 1.5 * gamma / hinges.bent_areas
         blocks = np.einsum("n,ni,nj,ab->niajb", 2 * self._scale, self._weights, self._weights,
                            np.eye(3))
@@ -165,16 +149,6 @@ class QuadraticBending(Energy):
         return np.einsum("ni,nik->nk", self._weights, q[self.dofs].reshape(-1, 4, 3))
 
 
-def _flatness_weights(hinges: Hinges) -> np.ndarray:
-    """(N, 4) weights K of the corners: e times the unit heights of both triangles, added up."""
-    squared = (hinges.lengths**2)[:, None]
-    # foot of the height on the edge, as a fraction from its start, and e over the height
-    foot = np.einsum("nsk,nk->ns", hinges.opposite, hinges.vectors) / squared
-    ratio = squared / (2 * hinges.areas)
-    ends = np.stack([(ratio * (1 - foot)).sum(axis=1), (ratio * foot).sum(axis=1)], axis=1)
-    return np.hstack([ends, -ratio])
-
-
 @numba.njit(cache=True)
 def hinge_angles(q, dofs):
     """(N,) dihedral angles, rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
@@ -187,37 +161,28 @@ def hinge_angles(q, dofs):
 
 
 @numba.njit(cache=True)
-def _chain_gradient(q, dofs, slope):
-    """(N, 12) gradients of energies E(theta) with the derivatives ``slope`` (N,), J/rad."""
+def _angle_gradients(q, dofs):
+    """(N, 12) derivatives of the angles by the coordinates of the corners, 1/m."""
     result = np.empty((len(dofs), 12))
     x, g = np.empty((4, 3)), np.empty((4, 3))
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
-        _angle_gradient(x, g)
-        for k in range(12):
-            result[t, k] = slope[t] * g[k // 3, k % 3]
+        g[:, :] = 0.0
+        dihedral.add_side_gradient(x, 2, 1.0, g)
+        dihedral.add_side_gradient(x, 3, -1.0, g)
+        result[t] = g.ravel()
     return result
 
 
 @numba.njit(cache=True)
-def _chain_hessian(q, dofs, slope, bend):
-    """(N, 12, 12) Hessians of energies E(theta) with derivatives ``slope`` and ``bend`` (N,).
-
-    The part of ``slope`` is indefinite, that of ``bend`` has the sign of ``bend``.
-    """
-    result = np.empty((len(dofs), 12, 12))
-    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
+def _add_turning(q, dofs, slope, blocks):
+    """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
+    x, frame = np.empty((4, 3)), np.empty((3, 3))
+    first = (0, 3, 6, 9)
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
-        _angle_gradient(x, g)
-        for a in range(12):
-            for b in range(12):
-                result[t, a, b] = bend[t] * g[a // 3, a % 3] * g[b // 3, b % 3]
-        if slope[t] != 0.0:
-            for corner, sign in ((2, 1.0), (3, -1.0)):
-                dihedral.add_side_hessian(x, corner, sign, slope[t], (0, 3, 6, 9), frame,
-                                          result[t])
-    return result
+        dihedral.add_side_hessian(x, 2, 1.0, slope[t], first, frame, blocks[t])
+        dihedral.add_side_hessian(x, 3, -1.0, slope[t], first, frame, blocks[t])
 
 
 @numba.njit(inline="always")
@@ -225,11 +190,3 @@ def _load(q, dofs, x):
     """Copy the corners of one hinge to x (4, 3)."""
     for k in range(12):
         x[k // 3, k % 3] = q[dofs[k]]
-
-
-@numba.njit(inline="always")
-def _angle_gradient(x, g):
-    """Fill g (4, 3) with the derivatives of the angle by the corners x (4, 3)."""
-    g[:, :] = 0.0
-    dihedral.add_side_gradient(x, 2, 1.0, g)
-    dihedral.add_side_gradient(x, 3, -1.0, g)

@@ -15,8 +15,8 @@ from common.errors import InputError
 from sim.energies.fold_barrier import LIMIT_START, acts
 from sim.energies.hinge_bending import (
     DihedralBending,
+    Hinges,
     QuadraticBending,
-    find_hinges,
     hinge_angles,
 )
 from sim.hinges import HINGE_LAWS, HingeLaw
@@ -157,22 +157,25 @@ def test_the_clamp_counts_on_its_free_side_alone():
     free_side = np.array([False, True])
     energy = HingeLaw("hinge_linear")(mesh, free_side, fabric=ISOTROPIC)
     assert energy.value(q) == pytest.approx(20e-6 * 0.4**2 * edge / heights[1], rel=1e-12)
-    assert len(find_hinges(mesh, np.zeros(2, dtype=bool)).edge) == 0
+    assert len(Hinges(mesh, np.zeros(2, dtype=bool)).edge) == 0
 
 
 def test_hinges_are_the_inner_edges_once_each():
     mesh, active, _ = crumpled_strip()
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     inner = mesh.edge_faces[:, 1] >= 0
     beside = active[mesh.edge_faces].any(axis=1)
     assert np.array_equal(hinges.edge, np.flatnonzero(inner & beside))
     assert np.array_equal(np.sort(hinges.corners[:, :2], axis=1), mesh.edges[hinges.edge])
-    assert hinges.movable[:, 0].all() and not hinges.movable.all()
-    # both triangles' areas from the corners themselves
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        e, a = hinges.vectors, hinges.opposite[:, side]
-        twice = sign * (e[:, 0] * a[:, 1] - e[:, 1] * a[:, 0])
-        assert np.allclose(hinges.areas[:, side], twice / 2, rtol=1e-12)
+    # both triangles' areas from the corners themselves, the first of a triangle that can move
+    edge, *sides = (hinges.rest[:, k] - hinges.rest[:, 0] for k in (1, 2, 3))
+    first, second = (sign / 2 * (edge[:, 0] * a[:, 1] - edge[:, 1] * a[:, 0])
+                     for sign, a in zip((1, -1), sides, strict=True))
+    assert min(first.min(), second.min()) > 0
+    assert np.allclose(hinges.areas, first + second, rtol=1e-12)
+    clamped = ~active[mesh.edge_faces[hinges.edge]].all(axis=1)
+    assert clamped.any()
+    assert np.allclose(hinges.bent_areas, np.where(clamped, first, first + second), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("turn", "modulus"), [(0, 0), (45, 1), (90, 2), (-45, 1), (180, 0)])
@@ -204,7 +207,7 @@ def test_an_imposed_cylinder_costs_what_the_plate_costs_on_a_grid(diagonals):
 
 def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
     mesh, active, q = crumpled_strip()
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     count = len(hinges.edge)
     once, thrice = (QuadraticBending(hinges, gamma=np.full(count, g)).value(q)
                     for g in (1e-5, 3e-5))
