@@ -41,10 +41,6 @@ class Convention:
         """Moduli a (N·m) and b (N·m²) of the convention for alpha (N·m) and beta (N·m²) here."""
         return alpha / self.curvature, beta / self.curvature**2
 
-    def to_here(self, a: float, b: float = 0.0) -> tuple[float, float]:
-        """alpha (N·m) and beta (N·m²) here for moduli a (N·m) and b (N·m²) of the convention."""
-        return a * self.curvature, b * self.curvature**2
-
 
 ARCSIM = Convention("ARCSim", 1 / 4)
 DISCRETE_SHELLS = Convention("discrete shells", 3.0)

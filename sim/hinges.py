@@ -52,12 +52,10 @@ class HingeLaw:
     axes: np.ndarray | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        if self.form not in FORMS:
-            raise InputError(f"unknown hinge law '{self.form}'; choose from {', '.join(FORMS)}")
-        if self.direction not in DIRECTIONS:
-            raise InputError(
-                f"unknown direction '{self.direction}'; choose from {', '.join(DIRECTIONS)}"
-            )
+        for name, value, known in (("hinge law", self.form, FORMS),
+                                   ("direction", self.direction, DIRECTIONS)):
+            if value not in known:
+                raise InputError(f"unknown {name} '{value}'; choose from {', '.join(known)}")
 
     @property
     def lagged(self) -> bool:

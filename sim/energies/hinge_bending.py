@@ -79,15 +79,14 @@ class DihedralBending(Energy):
         self._stop = stop * self._lengths**2 / hinges.areas
 
     def value(self, q: np.ndarray) -> float:
-        angle = hinge_angles(q, self.dofs)
-        return float(self._areas @ self._work(angle)[0] + self._stop @ barrier(angle, np.pi)[0])
+        return float(self._of_angles(q)[0].sum())
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return self._derivatives(q)[0][:, None] * _angle_gradients(q, self.dofs)
+        return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         # Torque and barrier always grow, so that only the turning of the hinges is indefinite.
-        slope, bend = self._derivatives(q)
+        _, slope, bend = self._of_angles(q)
         rows = _angle_gradients(q, self.dofs)
         blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
         if not convex:
@@ -98,15 +97,13 @@ class DihedralBending(Energy):
         """False when a hinge would fold through itself, or take most of its way there."""
         return stays_clear(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
 
-    def _work(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
-
-    def _derivatives(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First (N,) and second (N,) derivatives of each hinge's energy by its angle, J."""
+    def _of_angles(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
-        _, torque, tangent = self._work(angle)
-        _, slope, bend = barrier(angle, np.pi)
-        return (self._lengths * np.sign(angle) * torque + self._stop * slope,
+        work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
+        value, slope, bend = barrier(angle, np.pi)
+        return (self._areas * work + self._stop * value,
+                self._lengths * np.sign(angle) * torque + self._stop * slope,
                 self._lengths * self._spread * tangent + self._stop * bend)
 
 

@@ -191,34 +191,36 @@ def _strains(q, dofs, shape):
 
 
 @numba.njit(cache=True)
+def _strain_rows(q, dofs, shape, f, b):
+    """Fill b (3, 9) with the derivatives of one triangle's strain; f (3, 2) is scratch."""
+    _deformation(q, dofs, shape, f)
+    for a in range(3):
+        gu, gv = shape[a]
+        for i in range(3):
+            b[0, 3 * a + i] = f[i, 0] * gu
+            b[1, 3 * a + i] = f[i, 1] * gv
+            b[2, 3 * a + i] = f[i, 0] * gv + f[i, 1] * gu
+
+
+@numba.njit(cache=True)
 def _gradient(q, dofs, shape, areas, stress):
     result = np.empty((len(dofs), 9))
-    f = np.empty((3, 2))
+    f, b = np.empty((3, 2)), np.empty((3, 9))
     for t in range(len(dofs)):
-        _deformation(q, dofs[t], shape[t], f)
-        for a in range(3):
-            gu, gv = shape[t, a]
-            wu = areas[t] * (stress[t, 0] * gu + stress[t, 2] * gv)
-            wv = areas[t] * (stress[t, 2] * gu + stress[t, 1] * gv)
-            for i in range(3):
-                result[t, 3 * a + i] = wu * f[i, 0] + wv * f[i, 1]
+        _strain_rows(q, dofs[t], shape[t], f, b)
+        for j in range(9):
+            result[t, j] = areas[t] * (
+                stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j] + stress[t, 2] * b[2, j]
+            )
     return result
 
 
 @numba.njit(cache=True)
 def _hessian(q, dofs, shape, areas, stress, tangent):
     result = np.empty((len(dofs), 9, 9))
-    f = np.empty((3, 2))
-    b = np.empty((3, 9))  # derivative of the strain by the corners
-    cb = np.empty((3, 9))
+    f, b, cb = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9))
     for t in range(len(dofs)):
-        _deformation(q, dofs[t], shape[t], f)
-        for a in range(3):
-            gu, gv = shape[t, a]
-            for i in range(3):
-                b[0, 3 * a + i] = f[i, 0] * gu
-                b[1, 3 * a + i] = f[i, 1] * gv
-                b[2, 3 * a + i] = f[i, 0] * gv + f[i, 1] * gu
+        _strain_rows(q, dofs[t], shape[t], f, b)
         for m in range(3):
             for j in range(9):
                 cb[m, j] = areas[t] * (
