@@ -40,8 +40,9 @@ test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets i
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python -m benchmarks.perturbed
 
-lint: $(STAMP)  ## style
+lint: $(STAMP)  ## style, and which module imports which
 	$(BIN)/ruff check .
+	$(BIN)/python tools/check_layers.py
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 	$(BIN)/python -m apps.drape

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from common.cli import parse_overrides, run_command
-from common.ctrl_c import deferred
+from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from data.captures import Capture, read_capture
 from data.configs import read_config
@@ -34,11 +34,13 @@ def infer(
         from data.captures import to_camera
         from drapenet.estimate import belief, make_estimate, to_json
         from drapenet.predict import predict
+        from drapenet.preprocess import crop_doubts
         from drapenet.registration import camera_doubts, locate_camera
         from sim.scene import Rig
 
     rig = CameraRig.load(header.rig)
     views = to_camera(capture, rig)
+    cut = crop_doubts(views, form=header.form)
     camera = locate_camera(views, rig.nominal())
     prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
     estimate = make_estimate(prediction, capture=capture, header=header)
@@ -55,7 +57,7 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
-    content["warnings"] += camera_doubts(camera, rig)
+    content["warnings"] += [*cut, *camera_doubts(camera, rig)]
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:
@@ -79,7 +81,8 @@ def infer(
             picture = draw_report(
                 estimate, views, drape, content=content,
                 title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         # A minute of refinement must not be lost for it.
         content["warnings"].append("interrupted: there is no report, and typical errors may be "
                                    "smaller than what a drape can tell")

@@ -98,8 +98,7 @@ def train(config: TrainConfig) -> Path:
                 losses.append(loss.detach())
                 bar.update()
 
-            metrics = validate(model, validation, device=device,
-                               ratio_weight=config.optim.ratio_weight)
+            metrics = validate(model, validation, device=device, optim=config.optim)
             train_loss = torch.stack(losses).mean().item()
             if not math.isfinite(train_loss) or not math.isfinite(metrics["loss"]):
                 raise InputError(f"the loss of epoch {epoch} is no finite number; try a smaller "

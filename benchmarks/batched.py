@@ -31,13 +31,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from sim.batch import drape_batch
 
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from benchmarks.speed import peak_memory, prior_fabrics
 from common.cli import run_command
 from common.errors import InputError
 from common.workers import worker_pool
+from sim.batch import drape_batch
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 
@@ -108,9 +108,8 @@ def apart(a: DrapeResult, b: DrapeResult) -> float:
     return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
 
 
-def together(fabrics: list[Fabric], *, edge_mm: float, device: str, threads: int) -> dict:
+def together(fabrics: list[Fabric], *, edge_mm: float, device: str) -> dict:
     """Figures of drapes minimised together, all at once, kernels and analysis at hand."""
-    torch.set_num_threads(threads)
     settings = {"edge": 1e-3 * edge_mm or None, "device": device, "together": True}
     drape_batch(fabrics[:1], **settings)
     if device != "cpu":
@@ -189,9 +188,9 @@ def main(argv: list[str]) -> None:
         report["together"] = rows = []
         for edge_mm in config["edges_mm"]:
             for count in batches:
-                settings = {"edge_mm": edge_mm, "device": device, "threads": config["threads"]}
+                settings = {"edge_mm": edge_mm, "device": device}
                 if device == "cpu":  # a fresh process, for its peak memory
-                    with worker_pool(1) as pool:
+                    with worker_pool(1, torch.set_num_threads, config["threads"]) as pool:
                         rows.append(pool.submit(together, fabrics[:count], **settings).result())
                 else:
                     rows.append(together(fabrics[:count], **settings))

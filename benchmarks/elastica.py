@@ -26,14 +26,13 @@ from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.equivalent import equivalent_modulus, free_end
 from sim.cantilever.tester import TIGHT
 from sim.equilibrium import find_equilibrium
-from sim.hinge_export import ARCSIM, DISCRETE_SHELLS
+from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.newton import Status
 from sim.scene import Scene
-from sim.state import State
 
 LENGTH, WIDTH = 0.09, 0.027  # m
 LIMIT = 0.005  # of the default law's H/W
@@ -88,15 +87,15 @@ def hang_series(
     for level in CELLS:
         grid, held = make_strip(mesh, edge=LENGTH / level, width=WIDTH, clamp=CLAMP)
         flat = np.column_stack([grid.rest, np.zeros(len(grid.rest))])
-        state, shapes = State.at(grid, flat), {}
+        scene = Scene(mesh=grid, held=held)
+        state, shapes = scene.state(flat), {}
         for gamma, finest in zip(gammas, cells, strict=True):
             if level > finest:
                 continue
             if coarse:
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
-                state = State.at(grid, positions)
-            scene = Scene(mesh=grid, held=held)
+                state = scene.state(positions)  # with the clamp's own normals
             found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
                                      options=TIGHT)
             state = found.state

@@ -43,7 +43,7 @@ from benchmarks.common import (
 from common.cli import run_command
 from common.errors import InputError
 from data.fresh import open_views
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.splits import SplitDataset, finished_manifest
 from drapenet.checkpoint import read_header
 from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
@@ -107,7 +107,7 @@ def learn(
 
 def open_unseen(folder: str) -> SplitDataset:
     """Two captures of each drape of a dataset."""
-    return open_views(folder, noise=SensorNoise.load("smooth"), orientations_per_epoch=2)
+    return open_views(folder, noise=load_sensor("smooth"), orientations_per_epoch=2)
 
 
 def picture(results: list[dict], out: Path) -> None:

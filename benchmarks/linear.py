@@ -1,15 +1,16 @@
 """Check and time the batched direct solver: ``python -m benchmarks.linear [key=value ...]``.
 
-Hessians of drapes in all stages are solved in batches and, one after another, by the sparse solver
-of single drapes: residuals, agreement on which matrices are positive definite, time and memory.
+Hessians of drapes of one unstructured mesh in all stages are solved in batches and, one after
+another, by the sparse solvers of single drapes: residuals, agreement on which matrices are
+positive definite, time and memory.
 
 Keys (``key=value``):
 
-    matrices     Hessians of the residual's check; more than the largest batch
-    edge_mm      edges at the rim of their mesh
-    edges_mm     the same of the timing
+    matrices     Hessians of the check; more than the largest batch
+    edge         mean length of the check's edges, mm
+    edges        likewise, of the timing
     batches      samples at a time
-    threads      of the batched solver; the other one has a single thread
+    threads      of the batched solver; the others have a single thread
     repeats      of each timing, of which the fastest counts
     device       of the batched solver: cpu or cuda
     out          the report, JSON; the picture beside it
@@ -17,7 +18,7 @@ Keys (``key=value``):
 
 import os
 
-# The other solver has one thread, and PyTorch what `threads` says.
+# The other solvers have one thread, and PyTorch what `threads` says.
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[_name] = "1"
 
@@ -25,7 +26,7 @@ import ctypes  # noqa: E402
 import resource  # noqa: E402
 import time  # noqa: E402
 from collections.abc import Callable  # noqa: E402
-from dataclasses import dataclass, replace  # noqa: E402
+from dataclasses import dataclass  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import matplotlib  # noqa: E402
@@ -34,6 +35,7 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+from sim.unstructured import unstructured_square  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -48,133 +50,127 @@ from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.cloth import Cloth  # noqa: E402
-from sim.drape import drape, scene_on, start_positions  # noqa: E402
+from sim.energies.base import SeldomEnergy  # noqa: E402
+from sim.equilibrium import build_potential, find_equilibrium  # noqa: E402
+from sim.initial import initial_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
-from sim.linear.multifrontal import Analysis, BatchedCholesky, analyse  # noqa: E402
-from sim.material import REFERENCE_DENSITY  # noqa: E402
-from sim.mesh.specimens import TOPOLOGIES, make_specimen  # noqa: E402
+from sim.linear.fronts import front_flops  # noqa: E402
+from sim.linear.multifrontal import FrontalSolver  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
-from sim.potential import Potential  # noqa: E402
-from sim.scene import Rig  # noqa: E402
-from sim.sensitivity.parameters import hessian_product  # noqa: E402
+from sim.scene import Rig, Scene, State  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
-    "edge_mm": 4.0,
-    "edges_mm": [4.0, 2.0],
+    "edge": 9.0,
+    "edges": [7.0, 4.5],
     "batches": [1, 4, 16],
     "threads": [1, 2],
     "repeats": 4,
     "device": "cpu",
     "out": str(REPORTS / "linear.json"),
 }
-STAGES = (0, 3, 10, 400)  # Newton steps on the final mesh; the last reach equilibrium
+STAGES = (0, 3, 10, 400)  # Newton steps; the last reach equilibrium
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A drape's Hessians.
+class Systems:
+    """Hessians of drapes of one mesh.
 
     Attributes:
-        potential, q: whose and where.
-        exact, convex: CSR data in the potential's pattern.
+        pattern: of all.
+        places: (n, 2) of the unknowns on the flat specimen, m.
+        exact, convex: (B, nnz) CSR data.
     """
-
-    potential: Potential
-    q: np.ndarray
-    exact: np.ndarray
-    convex: np.ndarray
-
-    def residual(self, x: np.ndarray, rhs: np.ndarray, *, convex: bool) -> float:
-        """Relative residual of a solution x (m,) for a right-hand side (m,).
-
-        The Hessian is summed from the energies' own blocks.
-        """
-        potential = self.potential
-        product = hessian_product(potential.energies, self.q, potential.all_unknowns(x),
-                                  convex=convex)
-        error = potential.free_unknowns(product) - rhs
-        return float(np.linalg.norm(error) / np.linalg.norm(rhs))
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Hessians on one mesh: their pattern, the places (m, 2) of their unknowns, and each one."""
 
     pattern: SparsePattern
     places: np.ndarray
-    drapes: list[Sample]
-
-    def data(self, kind: str) -> np.ndarray:
-        """(B, nnz) data of the Hessians, ``kind`` "exact" or "convex"."""
-        return np.stack([getattr(sample, kind) for sample in self.drapes])
+    exact: np.ndarray
+    convex: np.ndarray
 
 
-def make_samples(count: int, edge_mm: float, stages: tuple[int, ...]) -> Samples:
-    """Hessians of ``count`` fabrics of the prior on one mesh, stage after stage."""
-    prior, rig, edge = load_prior("gaussian"), Rig(), 1e-3 * edge_mm
-    specimen = make_specimen(rig, edge=edge)
-    scene, mesh = scene_on(specimen, rig), specimen.mesh
-    drapes = []
-    for number in range(count):
-        theta, _ = sample_admissible(prior, stream(77, Stream.FABRIC, number))
-        fabric = fabric_from_theta(theta).at_density(REFERENCE_DENSITY)
-        steps = stages[number % len(stages)]
-        seed = TOPOLOGIES * number  # all on the first triangulation
+def make_systems(count: int, edge: float, stages: tuple[int, ...]) -> Systems:
+    """Hessians of ``count`` fabrics of the prior, stage after stage; ``edge`` in mm.
+
+    But for those of cloth that feels the limit of folds.
+    """
+    prior, rig = load_prior("gaussian"), Rig()
+    mesh, held = unstructured_square(size=rig.specimen_size, edge=1e-3 * edge,
+                                    plate_radius=rig.plate_radius)
+    scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
+    everywhere = np.concatenate([np.repeat(mesh.rest, 3, axis=0),
+                                 mesh.rest[mesh.edges].mean(axis=1)])
+    exact, convex = [], []
+    for seed in range(count):
+        fabric = fabric_from_theta(
+            sample_admissible(prior, stream(77, Stream.FABRIC, seed))[0]
+        ).at_density(0.3)
+        positions = initial_positions(mesh.rest, rig=rig, start="sine",
+                                      rng=np.random.default_rng(seed))
+        positions[held] = rig.place(mesh.rest[held])
+        state = State.at(mesh, positions)
+        steps = stages[seed % len(stages)]
         if steps:
             options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=steps)
-            state = drape(fabric, rig=rig, edge=edge, seed=seed, options=options).state
-        else:
-            state = scene.state(
-                start_positions(specimen, rig, coarse=None, start="sine", seed=seed))
-        potential = Cloth(scene, fabric).potential
-        exact, convex = (potential.hessian(state.q, c) for c in (0.0, 1.0))
-        drapes.append(Sample(potential, state.q, exact, convex))
-    middles = mesh.rest[mesh.edges].mean(axis=1)
-    places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), middles])
-    free = potential.free_unknowns(np.arange(potential.unknowns))
-    return Samples(potential.pattern, places[free], drapes)
+            state, _ = find_equilibrium(scene, fabric, state, options=options)
+        potential = build_potential(scene, fabric, state)
+        q = state.unknowns
+        if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
+            continue  # its matrix has another pattern
+        pattern, data = potential.hessian(potential.free_part(q), 0.0)
+        exact.append(data)
+        convex.append(potential.hessian(potential.free_part(q), 1.0)[1])
+    return Systems(pattern, potential.free_part(everywhere), np.stack(exact), np.stack(convex))
 
 
-def check(samples: Samples, device: str) -> dict:
-    """Residuals of convex Hessians; which exact ones are positive definite for both solvers."""
-    solver = BatchedCholesky(analyse(samples.pattern, samples.places, device=device))
+def check(systems: Systems, device: str) -> dict:
+    """Residuals of both solvers for definite Hessians; which exact ones are so for both."""
+    solver = FrontalSolver(systems.pattern, systems.places, device=device)
+    other = make_solver(systems.pattern)
     rng = np.random.default_rng(0)
-    residuals, definite, agree = [], 0, 0
-    for first in range(0, len(samples.drapes), 10):
-        part = replace(samples, drapes=samples.drapes[first : first + 10])
+    residuals, of_other, definite, agree = [], [], 0, 0
+    for first in range(0, len(systems.exact), 10):
         for kind in ("convex", "exact"):
-            values = torch.from_numpy(part.data(kind)).to(device)
-            found = solver.factorise(values).tolist()
-            rhs = rng.standard_normal((len(part.drapes), len(samples.places)))
-            x = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
-            for k, sample in enumerate(part.drapes):
-                if found[k]:
-                    residuals.append(sample.residual(x[k], rhs[k], convex=kind == "convex"))
-                if kind == "exact":
-                    definite += found[k]
-                    agree += found[k] == make_solver(samples.pattern).factorise(sample.exact)
-                elif not found[k]:
+            data = getattr(systems, kind)[first : first + 10]
+            found = solver.factorise(torch.from_numpy(data).to(device)).tolist()
+            rhs = rng.standard_normal((len(data), systems.pattern.size))
+            solutions = solver.solve(torch.from_numpy(rhs).to(device)).cpu().numpy()
+            for row, b, x, good in zip(data, rhs, solutions, found, strict=True):
+                same = good == other.factorise(row)
+                if good and same:
+                    matrix, size = systems.pattern.symmetric(row), np.linalg.norm(b)
+                    residuals.append(np.linalg.norm(matrix @ x - b) / size)
+                    of_other.append(np.linalg.norm(matrix @ other.solve(b) - b) / size)
+                elif kind == "convex":
                     residuals.append(np.inf)
+                if kind == "exact":
+                    definite += good
+                    agree += same
     return {
-        "matrices": len(samples.drapes),
+        "matrices": len(systems.exact),
         "systems_solved": len(residuals),
         "largest_residual": float(max(residuals)),
         "median_residual": float(np.median(residuals)),
+        "single_largest_residual": float(max(of_other)),
+        "single_median_residual": float(np.median(of_other)),
         "exact_positive_definite": definite,
         "definiteness_agrees": agree,
     }
 
 
-def counts(analysis: Analysis, pattern: SparsePattern) -> dict:
+def counts(solver: FrontalSolver, pattern: SparsePattern) -> dict:
     """What the analysis says of a factorisation."""
+    groups = solver.fronts.groups
+    p, u = solver.fronts.sizes.T.astype(np.float64)
+    padded = [g.count * front_flops(float(g.pivots), float(g.others)) for g in groups]
     return {
-        "unknowns": analysis.fronts.size,
+        "unknowns": pattern.size,
         "matrix_entries": len(pattern.indices),
-        "factor_entries": analysis.fronts.factor_entries,
-        "largest_front": analysis.fronts.largest,
-        "gflop": analysis.fronts.flops / 1e9,
+        "factor_entries": int((p * (p + 1) / 2 + p * u).sum()),
+        "largest_front": int((p + u).max()),
+        "fronts": len(p),
+        "groups": len(groups),
+        "gflop": float((front_flops(p, u) - p * u**2).sum()) / 1e9,  # one triangle of updates
+        "gflop_carried_out": sum(padded) / 1e9,
     }
 
 
@@ -189,53 +185,55 @@ def fastest(work: list[Callable[[], object]], repeats: int) -> list[float]:
     return least
 
 
-def time_batches(
-    edge_mm: float, samples: Samples, analysis: Analysis, config: dict
-) -> list[dict]:
-    """Milliseconds a sample for each batch size and number of threads, both solvers."""
-    sample, device = samples.drapes[0], config["device"]
-    # Several at a time, so that memory set free before cannot hide them.
-    began = _resident()
-    others = [make_solver(samples.pattern) for _ in range(4)]
-    for other in others:
-        other.factorise(sample.convex)
-    other_memory = (_resident() - began) / len(others)
-    del others
-    data = samples.data("convex")
-    right = np.ones(len(samples.places))
-    rows = []
+def time_batches(edge: float, systems: Systems, solver: FrontalSolver, config: dict) -> list[dict]:
+    """Milliseconds a sample for each batch size and number of threads, all solvers."""
+    pattern, device = systems.pattern, config["device"]
+    matrix, right = systems.convex[0], np.ones(pattern.size)
+    others = {name: make_solver(pattern, name) for name in available_solvers()}
+    memory = {name: _memory_of(name, pattern, matrix) for name in others}
+    work = [call for other in others.values()
+            for call in (lambda other=other: other.factorise(matrix),
+                         lambda other=other: other.solve(right))]
+    rows, largest = [], 0
     for threads in config["threads"]:
         torch.set_num_threads(threads)
         for batch in config["batches"]:
-            values = torch.from_numpy(data[np.arange(batch) % len(data)]).to(device)
-            rhs = torch.ones(batch, len(right), dtype=torch.float64, device=device)
-            solver = BatchedCholesky(analysis)
+            chosen = np.arange(batch) % len(systems.convex)
+            values = torch.from_numpy(systems.convex[chosen]).to(device)
+            rhs = torch.ones(batch, pattern.size, dtype=torch.float64, device=device)
 
-            def factorise(solver=solver, values=values) -> bool:
+            def factorise(values=values) -> bool:
                 return bool(solver.factorise(values).all())  # waits for the device
 
-            def solve(solver=solver, rhs=rhs) -> float:
+            def solve(rhs=rhs) -> float:
                 return solver.solve(rhs).sum().item()
 
-            seconds = fastest(
-                [factorise, solve, lambda: other.factorise(sample.convex),
-                 lambda: other.solve(right)],
-                config["repeats"],
-            )
-            rows.append({
-                "edge_mm": edge_mm,
+            seconds = fastest([factorise, solve, *work], config["repeats"])
+            largest = max(largest, batch)  # for which the solver has kept memory
+            row = {
+                "edge_mm": edge,
                 "threads": threads,
                 "batch": batch,
                 "factor_ms": 1e3 * seconds[0] / batch,
                 "solve_ms": 1e3 * seconds[1] / batch,
-                "memory_MiB": solver.nbytes / batch / 2**20,
-                "single_factor_ms": 1e3 * seconds[2],
-                "single_solve_ms": 1e3 * seconds[3],
-                "single_memory_MiB": other_memory,
-            })
-            del solver
+                "memory_MiB": solver.nbytes / largest / 2**20,
+            }
+            for k, name in enumerate(others):
+                row |= {f"{name}_factor_ms": 1e3 * seconds[2 + 2 * k],
+                        f"{name}_solve_ms": 1e3 * seconds[3 + 2 * k],
+                        f"{name}_memory_MiB": memory[name]}
+            rows.append(row)
     torch.set_num_threads(1)
     return rows
+
+
+def _memory_of(name: str, pattern: SparsePattern, matrix: np.ndarray) -> float:
+    """MiB of one solver with its factor."""
+    # Several at a time, so that memory set free before cannot hide them.
+    began, solvers = _resident(), [make_solver(pattern, name) for _ in range(4)]
+    for solver in solvers:
+        solver.factorise(matrix)
+    return (_resident() - began) / len(solvers)
 
 
 def _resident() -> float:
@@ -245,21 +243,31 @@ def _resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def picture(rows: list[dict], path: Path) -> None:
-    """Times against batch size, a line a mesh and number of threads."""
-    figure, axis = plt.subplots(figsize=(6, 5))
-    for edge_mm in dict.fromkeys(row["edge_mm"] for row in rows):
-        own = [row for row in rows if row["edge_mm"] == edge_mm]
-        for threads in dict.fromkeys(row["threads"] for row in own):
-            chosen = [row for row in own if row["threads"] == threads]
-            axis.plot([r["batch"] for r in chosen],
-                      [r["factor_ms"] + r["solve_ms"] for r in chosen], "o-",
-                      label=f"{edge_mm:g} mm, {threads} thread{'s' * (threads > 1)}")
-        least = min(r["single_factor_ms"] + r["single_solve_ms"] for r in own)
-        axis.axhline(least, color="0.5", linestyle=":", label=f"{edge_mm:g} mm, one by one")
-    axis.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
-    tick_short_scales(axis.xaxis, axis.yaxis)
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
+def picture(systems: Systems, solver: FrontalSolver, rows: list[dict], path: Path) -> None:
+    """The order in which a mesh's unknowns are eliminated, and the times."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5))
+    groups = solver.fronts.groups
+    for number, group in enumerate(groups):
+        unknowns = group.own.cpu().numpy()
+        unknowns = unknowns[unknowns < systems.pattern.size]
+        left.scatter(*systems.places[unknowns].T, s=3, c=np.full(len(unknowns), number),
+                     cmap="viridis_r", vmin=0, vmax=len(groups), linewidths=0)
+    left.set_aspect("equal")
+    left.set_title("order of elimination: the darker, the later")
+    left.set_axis_off()
+    single = available_solvers()[0]
+    for edge in dict.fromkeys(row["edge_mm"] for row in rows):
+        of_edge = [row for row in rows if row["edge_mm"] == edge]
+        for threads in dict.fromkeys(row["threads"] for row in rows):
+            chosen = [row for row in of_edge if row["threads"] == threads]
+            right.plot([row["batch"] for row in chosen],
+                       [row["factor_ms"] + row["solve_ms"] for row in chosen], "o-",
+                       label=f"{edge:g} mm, {threads} thread{'s' * (threads > 1)}")
+        least = min(row[f"{single}_factor_ms"] + row[f"{single}_solve_ms"] for row in of_edge)
+        right.axhline(least, color="0.5", linestyle=":", label=f"{edge:g} mm, {single}")
+    right.set(xscale="log", yscale="log", xlabel="batch", ylabel="factor and solve, ms a sample")
+    tick_short_scales(right.xaxis, right.yaxis)
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncol=3, fontsize="small")
     figure.tight_layout()
     write_figure(path, figure)
 
@@ -270,24 +278,24 @@ def main(argv: list[str]) -> None:
     if config["device"] == "cuda" and not torch.cuda.is_available():
         raise InputError("device=cuda: PyTorch finds no such device here")
     torch.set_num_threads(1)
-    report = {"dtype": "float64", "single_solver": available_solvers()[0],
+    report = {"dtype": "float64", "single_solvers": available_solvers(),
               "settings": {k: v for k, v in config.items() if k != "out"}}
-    samples = make_samples(config["matrices"], config["edge_mm"], STAGES)
-    report["check"] = check(samples, config["device"])
+    systems = make_systems(config["matrices"], config["edge"], STAGES)
+    report["check"] = check(systems, config["device"])
     print(", ".join(f"{k} {v:.3g}" for k, v in report["check"].items()), flush=True)
     report["counts"], report["times"] = [], []
-    for edge_mm in config["edges_mm"]:
-        samples = make_samples(4, edge_mm, (0,))
+    for edge in config["edges"]:
+        systems = make_systems(4, edge, (0,))
         began = time.perf_counter()
-        analysis = analyse(samples.pattern, samples.places, device=config["device"])
-        found = {"edge_mm": edge_mm, **counts(analysis, samples.pattern),
-                 "analysis_s": time.perf_counter() - began}
+        solver = FrontalSolver(systems.pattern, systems.places, device=config["device"])
+        found = {"edge_mm": edge, "analysis_s": time.perf_counter() - began,
+                 **counts(solver, systems.pattern)}
         report["counts"].append(found)
         print(", ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
-        report["times"] += time_batches(edge_mm, samples, analysis, config)
+        report["times"] += time_batches(edge, systems, solver, config)
     print(table(report["times"][0], [row.values() for row in report["times"]]))
     path = Path(config["out"])
-    picture(report["times"], path.with_suffix(".png"))
+    picture(systems, solver, report["times"], path.with_suffix(".png"))
     write_report(path, report)
 
 

@@ -42,7 +42,7 @@ from benchmarks.common import (
 )
 from common.cli import run_command
 from data.picture import shade
-from sim.comparison import compare, same_folds
+from drapenet.comparison import compare, same_folds
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -71,7 +71,7 @@ DEFAULTS = {
     "edge_mm": 3.5,
     "start_mm": 4.0,
     "coarse_mm": [7.0, 4.0],
-    "fine_mm": 1.75,
+    "fine_mm": 1.5,
     "seed": 1,
     "workers": 1,
     "cases": "outputs/validation/membranes",

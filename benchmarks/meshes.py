@@ -11,7 +11,7 @@ mesh and under every law, without coarser meshes before it. Compared are
   remains between the two are minima that the mesh itself makes.
 
 Two drapes have the same fold configuration when they have as many folds and each lies within a
-quarter of the mean fold distance of its partner (:func:`sim.comparison.same_folds`).
+quarter of the mean fold distance of its partner (:func:`drapenet.comparison.same_folds`).
 
 Keys (``key=value``):
 
@@ -58,7 +58,7 @@ from benchmarks.mesh_cases import (
 )
 from common.cli import run_command
 from data.picture import shade
-from sim.comparison import compare, same_folds
+from drapenet.comparison import compare, same_folds
 from sim.measures import fold_outline
 from sim.scene import Rig
 
@@ -67,9 +67,9 @@ LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
 DEFAULTS = {
     "fabrics": "all",
     "laws": "midedge,hinge",
-    "edge_mm": 1.5,
-    "refinement_mm": [4.0, 3.0, 2.0, 1.5],
-    "start_mm": 1.5,
+    "edge_mm": 1.0,
+    "refinement_mm": [4.0, 3.0, 2.0, 1.5, 1.0],
+    "start_mm": 1.0,
     "membrane": 200.0,
     "seed": 0,
     "workers": 1,

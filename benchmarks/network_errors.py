@@ -43,7 +43,7 @@ DEFAULTS = {
     "checkpoint": "",
     "calibrate": False,
     "fabrics": 96,
-    "fine_mm": 1.75,
+    "fine_mm": 1.25,
     "sensor": "smooth",
     "seed": 79,
     "workers": 2,

@@ -23,9 +23,9 @@ def photographed(
 
     from data.rasterise import camera_tensors
     from data.render import render_views
-    from data.sensor import SensorNoise
+    from data.sensor import load_sensor
 
     views = torch.from_numpy(render_views(shape.positions, shape.faces, camera, turn))
     intrinsics, _ = camera_tensors([camera])
     generator = torch.Generator().manual_seed(seed)
-    return SensorNoise.load(sensor)(views, intrinsics[0], generator).numpy()
+    return load_sensor(sensor)(views, intrinsics[0], generator).numpy()

@@ -59,7 +59,7 @@ def plate(*, kind: str, cells: int) -> dict:
     load = REFERENCE_DENSITY * SMALL_GRAVITY
     exact = load * SIDE**4 * (CLAMPED / fabric.alpha[0] if clamped else navier(fabric))
     deflection = -float(found.state.positions[middle, 2])
-    return {"kind": kind, "cells": cells, "error": deflection / exact - 1}
+    return {"kind": kind, "cells": cells, "error": float(deflection / exact - 1)}
 
 
 def navier(fabric: Fabric) -> float:

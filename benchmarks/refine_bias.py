@@ -51,7 +51,7 @@ PRIOR = np.array([0.2] * 3 + [1.3e-3] * 3)  # usual errors of the network: log a
 DEFAULTS = {
     "fabrics": 12,
     "truth_mm": 1.0,
-    "edges_mm": [4.0, 3.0, 2.5, 2.0, 1.5],
+    "edges_mm": [3.5, 2.5, 1.75, 1.5],
     "pulls": [0.1],
     "seed": 78,
     "workers": 2,

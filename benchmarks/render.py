@@ -39,7 +39,8 @@ from data.generate import generate_dataset
 from data.options import Options, config_from_options
 from data.rasterise import camera_points, camera_tensors, rasterise, rasterise_tensors, render_batch
 from data.render import VIEWS, DepthRenderer
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
+from data.sensor_noise import SensorNoise
 from data.shards import Shard
 
 matplotlib.use("Agg")
@@ -206,7 +207,7 @@ def noise_speed(views: torch.Tensor, intrinsics: torch.Tensor, config: dict) -> 
                         for capture in zip(views, intrinsics, strict=True)]
 
     with torch_threads(1):
-        seconds = shortest({name: apply(SensorNoise.load(name)) for name in SENSORS},
+        seconds = shortest({name: apply(load_sensor(name)) for name in SENSORS},
                           config["repeats"])
     return {name: views.shape[:2].numel() / value for name, value in seconds.items()}
 
@@ -215,7 +216,7 @@ def picture(views: torch.Tensor, rays: np.ndarray, intrinsics: torch.Tensor, out
     """Both renderers, their difference, and the noise on one view, beside each other."""
     panels = {"ray casting": rays[0], "rasteriser": views[0].numpy()}
     for name in SENSORS:
-        noise = SensorNoise.load(name)
+        noise = load_sensor(name)
         panels[f"sensor={name}"] = noise(views, intrinsics, torch.Generator().manual_seed(2))[0]
     cloth = rays[0] > 0
     rows, columns = np.flatnonzero(cloth.any(1)), np.flatnonzero(cloth.any(0))

@@ -45,6 +45,7 @@ from drapenet.refine.captured import CapturedShape, Cloth, turned_rest
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.register import register
 from drapenet.refine.scan import Cloud
+from drapenet.refine.scan_report import EDGE
 from drapenet.refine.shape_search import HELD, scan_objective, search_cloth
 from sim.drape import drape
 from sim.material import MICRO, plate_constants
@@ -53,7 +54,7 @@ from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import DISC_RIG
 
 CORRELATION = 0.0125  # m, how far around a vertex others err like it
-FINE, SCANNED = 2.5e-3, 4e-3  # m, edges at the rim of the simulated specimen and of its scan
+FINE, SCANNED = 2e-3, 6e-3  # m, edges at the rim of the simulated specimen, and all of its scan
 DEFAULTS = {
     "fabrics": 12,
     "seed": 20224,
@@ -78,7 +79,7 @@ def simulated_scan(
         along, across: m, standard deviations of the vertices' errors in each direction along the
             cloth and across it. Vertices on the plate have none.
         seed: of the drape, the mesh and the errors.
-        fine, scanned: m, edges at the rim of the draped specimen and of the scan.
+        fine, scanned: m, edges at the rim of the draped specimen, and all of the scan.
 
     Raises:
         InputError: the drape did not converge.
@@ -86,7 +87,8 @@ def simulated_scan(
     truth = drape(fabric_from_theta(theta), rig=DISC_RIG, edge=fine, seed=seed)
     if not truth.converged:
         raise InputError(f"a drape to be scanned did not converge: {truth.message}")
-    specimen = make_specimen(DISC_RIG, edge=scanned, topology=(seed + 1) % TOPOLOGIES)
+    specimen = make_specimen(DISC_RIG, edge=scanned, grading=1.0,
+                             topology=(seed + 1) % TOPOLOGIES)
     mesh = specimen.mesh
     hem = DISC_RIG.specimen_size / 2
     rng = np.random.default_rng([seed, 2])
@@ -117,7 +119,7 @@ def refined(
     if found.estimate is None or found.nearest is None:
         raise InputError(f"no simulation of scan {seed} ended: {found.effort.failures}")
     surface = Cloud.of_mesh(scan.positions, scan.faces)
-    raw = register(surface, DISC_RIG, edge=SCANNED).shape
+    raw = register(surface, DISC_RIG, edge=EDGE).shape
     of_raw = search_cloth(raw, scan_objective(raw), Cloth(prior.mean.copy()), prior=prior,
                           solves=HELD)
     if of_raw.estimate is None:

@@ -39,9 +39,9 @@ DEFAULTS = {
     "drapes": 32,
     "seed": 77,
     "edge_mm": 0.0,
-    "fine_mm": 1.75,
+    "fine_mm": 1.5,
     "fine_drapes": 8,
-    "growth_mm": [4.0, 3.0, 2.0, 1.5],
+    "growth_mm": [4.0, 2.0, 1.5, 1.0],
     "out": str(REPORTS / "speed.json"),
 }
 MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))

@@ -44,7 +44,7 @@ from data.dataset import DrapeDataset
 from data.fresh import FreshDataset
 from data.generate import generate_dataset
 from data.options import Options, config_from_options
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from drapenet.checkpoint import read_header
 from drapenet.config import ModelConfig
 from drapenet.losses import drape_loss
@@ -107,7 +107,7 @@ def network_step(batch: tuple[torch.Tensor, ...]) -> Callable[[], None]:
 
 def speed(root: Path, form: InputFormat, config: dict) -> dict[str, float]:
     """Milliseconds a batch of each way to make it, on one thread, and of the network's step."""
-    options = {"noise": SensorNoise.load(), "orientations_per_epoch": config["orientations"]}
+    options = {"noise": load_sensor(), "orientations_per_epoch": config["orientations"]}
     stored = DrapeDataset(root, augment=True, **options)
     fresh = FreshDataset(root, augment=True, **options)
     plain = FreshDataset(root, augment=True, orientations_per_epoch=config["orientations"])

@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from common.ctrl_c import end, require_interruption
 from common.errors import InputError
 from common.memory import keep_freed_memory
 
@@ -85,14 +87,18 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     if usage and {"-h", "--help"} & set(sys.argv[1:]):
         print(usage)
         sys.exit(0)
+    import common.interrupt  # noqa: F401 (of a command that does not begin with it)
+
     keep_freed_memory()
     try:
         main(sys.argv[1:])
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         print("interrupted", file=sys.stderr)
+        signal.signal(signal.SIGINT, end)
         sys.exit(130)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough; Python's own last flush must

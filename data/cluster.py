@@ -4,10 +4,9 @@ Hydra starts the jobs, by Slurm or on this machine; each makes one part of the s
 one to end finishes the dataset (``docs/cluster.md``).
 """
 
-import multiprocessing
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from common.errors import InputError, one_line
@@ -18,22 +17,8 @@ MULTIRUN = frozenset({"-m", "--multirun"})
 """The words that ask for many jobs, as everywhere in Hydra."""
 
 
-def job(config: object) -> None:
-    """What one job does, under the configuration that Hydra has composed for it."""
-    from omegaconf import OmegaConf
-
-    from data.generate import run
-
-    # Joblib's own way to start processes is unknown to the workers, which take it over.
-    if multiprocessing.get_start_method(allow_none=True) == "loky":
-        multiprocessing.set_start_method("spawn", force=True)
-    options = OmegaConf.merge(OmegaConf.structured(Options), config)
-    OmegaConf.resolve(options)
-    run(options)
-
-
-def launch(words: list[str]) -> None:
-    """Run the jobs that the overrides ``words`` ask for, and wait for them.
+def launch(words: list[str], run: Callable[[Options], None]) -> None:
+    """Run the jobs that the overrides ``words`` ask for, each by ``run``, and wait for them.
 
     Without a list of parts, it is one job for each of ``parts``. Any other key can be given
     several values too, as in ``seed=0,1 'out=outputs/set_${seed}'``.
@@ -43,6 +28,12 @@ def launch(words: list[str]) -> None:
     """
     from hydra import main
     from hydra.core.override_parser.overrides_parser import OverridesParser
+    from omegaconf import OmegaConf
+
+    def job(config: object) -> None:
+        options = OmegaConf.merge(OmegaConf.structured(Options), config)
+        OmegaConf.resolve(options)
+        run(options)
 
     # All but the lists are checked here, where the user sees it.
     parsed = [(word, _parse(OverridesParser.create(), word)) for word in words]

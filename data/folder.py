@@ -177,9 +177,13 @@ class DatasetFolder:
                     | {"provenance": _provenance(found, made=made)})
         if found != manifest:
             write_manifest(self.root, manifest)
+        self.remove_partial()
+        return manifest
+
+    def remove_partial(self) -> None:
+        """Remove what writers that were ended have left behind (:func:`remove_partial`)."""
         for pattern in (SHARDS, MANIFEST):
             remove_partial(self.root, pattern)
-        return manifest
 
 
 def _provenance(found: dict, *, made: bool) -> list[dict]:

@@ -1,6 +1,6 @@
 """Training samples rendered from drapes as they are asked for: no picture is shown twice.
 
-A dataset then needs drapes only, a fifteenth of what it takes with eight stored sets of views, and
+A dataset then needs drapes only, a tenth of what it takes with eight stored sets of views, and
 all of them stay in memory as whole counts of 10 µm.
 """
 
@@ -126,22 +126,22 @@ class FreshDataset(SplitDataset):
         return self._noise(views, intrinsics, generator)
 
     def _load(self) -> None:
-        """Keep of each drape its counts (V, 3) int16 and which triangulation (F, 3) it has."""
-        self._counts, self._mesh, self._triangulations = [], [], []
-        known: dict[bytes, int] = {}
-        columns = self._read("vertices", "positions", "mesh")
-        for file, *parts in zip(self._rows, *columns.values(), strict=True):
+        """Keep each drape's counts (V, 3) int16, and triangles (F, 3) int32: once for each mesh."""
+        self._counts, self._triangles = [], []
+        known: dict[bytes, torch.Tensor] = {}
+        columns = self._read("vertices", "positions", "mesh").values()
+        for file, *parts in zip(self._rows, *columns, strict=True):
+            meshes = {}
             with Shard(self.root / file) as shard:
-                meshes = [faces.astype(np.int32) for faces in shard.triangulations()]
-            places = [known.setdefault(faces.tobytes(), len(known)) for faces in meshes]
-            for place, faces in zip(places, meshes, strict=True):
-                if place == len(self._triangulations):
-                    self._triangulations.append(torch.from_numpy(faces).to(self.device))
+                for mesh in set(parts[-1].tolist()):
+                    faces = shard.triangulation(mesh).astype(np.int32)
+                    kept = torch.from_numpy(faces).to(self.device)
+                    meshes[mesh] = known.setdefault(faces.tobytes(), kept)
             for vertices, positions, mesh in zip(*parts, strict=True):
                 # A copy: a part of the array would keep all of it.
                 counts = positions[:vertices].copy()
                 self._counts.append(torch.from_numpy(counts).to(self.device))
-                self._mesh.append(places[mesh])
+                self._triangles.append(meshes[mesh])
 
     def _drapes(self, drapes: Sequence[int], mirror: Sequence[bool]) -> torch.Tensor:
         """Vertices (B, V, 3), m, of drapes or their mirror images; zeros follow short rows."""
@@ -152,7 +152,7 @@ class FreshDataset(SplitDataset):
 
     def _faces(self, drapes: Sequence[int]) -> torch.Tensor:
         """Triangles (B, F, 3) of drapes; after short rows such as are a single point."""
-        faces = [self._triangulations[self._mesh[drape]] for drape in drapes]
+        faces = [self._triangles[drape] for drape in drapes]
         return pad_sequence(faces, batch_first=True).long()
 
 

@@ -22,8 +22,7 @@ from data.sampling import (
     stream,
 )
 from data.shards import DEPTH_UNIT, FACES, LENGTH_UNIT, Layout, fields, to_counts
-from sim.material import Fabric
-from sim.mesh.specimens import EDGES
+from sim.mesh.specimens import EDGES, default_edge
 from sim.scene import Rig
 
 Solver = Callable[..., object]
@@ -31,7 +30,7 @@ Solver = Callable[..., object]
 Renderer = Callable[..., object]
 """Like :class:`data.render.DepthRenderer`: of positions and faces, with a method ``view``."""
 Record = Mapping[str, np.ndarray]
-"""One row of each of :func:`data.shards.fields`."""
+"""What :func:`data.shards.write_shard` takes."""
 
 ACCIDENTS = (ArithmeticError, np.linalg.LinAlgError)
 """What befalls the numbers of a single drape, which then fails alone."""
@@ -152,7 +151,7 @@ def simulate(
         # As stored, so that the shard alone is enough to repeat the drape.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
-    edge = config.edge or _own_edge(fabric, config.rig)
+    edge = config.edge or default_edge(fabric, config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
              for name, field in fields(config.layout, 0).items()}
     record = empty | {
@@ -210,14 +209,6 @@ def _accident(error: Exception) -> dict:
     return _outcome("exception", f"{type(error).__name__}: {error}")
 
 
-def _own_edge(fabric: Fabric, rig: Rig) -> float:
-    """The mesh that the simulator chooses for a fabric: its edges at the rim, m."""
-    # Imported here like the solver, see load_solver.
-    from sim.mesh.specimens import default_edge
-
-    return default_edge(fabric, rig)
-
-
 def load_solver() -> Solver:
     """The simulator; imported late: the main process and --help do without compiled kernels."""
     from sim.drape import drape
@@ -234,7 +225,7 @@ def make_record(
     renderer: Renderer | None = None,
     effort: Effort | None = None,
 ) -> dict[str, np.ndarray]:
-    """The record of drape ``index``: one row of each of :func:`data.shards.fields`.
+    """The record of drape ``index``, for :func:`data.shards.write_shard`.
 
     A drape of which no measures or views can be taken fails, and keeps its mesh.
 

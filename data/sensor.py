@@ -1,118 +1,36 @@
-"""What a depth sensor adds to perfect pictures: settings by name, and what the models share.
+"""What a depth sensor adds to perfect pictures: models and settings by name."""
 
-Two models: :class:`data.structured_light.StructuredLight`, that of the paper, and
-:class:`data.time_of_flight.TimeOfFlight`. Both change many captures at once, on the device where
-the pictures are. All randomness comes from the generator given: on one device, equal seeds give
-equal pictures; on another, the numbers differ but their distribution does not.
-"""
-
-import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-
-import torch
+from dataclasses import fields
 
 from common.errors import InputError
 from data.configs import read_option
+from data.sensor_noise import SensorNoise
+from data.structured_light import StructuredLight
+from data.time_of_flight import TimeOfFlight
+
+MODELS: dict[str, type[SensorNoise]] = {
+    "structured_light": StructuredLight,  # that of the paper
+    "time_of_flight": TimeOfFlight,
+}
 
 
-@dataclass(frozen=True)
-class SensorNoise(ABC):
-    """Random changes of depth pictures; calling it returns changed copies.
+def load_sensor(name: str = "smooth") -> SensorNoise:
+    """Read ``configs/sensor/NAME.yaml``; InputError when there is no such file."""
+    return sensor_from_config(read_option("sensor", name))
 
-    Attributes:
-        strength: multiplies everything random; at 0 pictures stay as they are.
+
+def sensor_from_config(config: Mapping) -> SensorNoise:
+    """Build from the mapping of a sensor file (Hydra's group ``sensor`` gives the same).
+
+    Raises:
+        InputError: an unknown model or setting, or a value out of range.
     """
-
-    strength: float = 1.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
-                raise InputError(f"sensor.{field.name} must be a finite number, not below 0")
-
-    @classmethod
-    def load(cls, name: str = "smooth") -> "SensorNoise":
-        """Read ``configs/sensor/NAME.yaml``; InputError when there is no such file."""
-        return cls.from_config(read_option("sensor", name))
-
-    @staticmethod
-    def from_config(config: Mapping) -> "SensorNoise":
-        """Build from the mapping of a sensor file (Hydra's group ``sensor`` gives the same).
-
-        Raises:
-            InputError: an unknown model or setting, or a value out of range.
-        """
-        # Imported late: they are subclasses of this one.
-        from data.structured_light import StructuredLight
-        from data.time_of_flight import TimeOfFlight
-
-        models = {"structured_light": StructuredLight, "time_of_flight": TimeOfFlight}
-        settings = dict(config)
-        name = settings.pop("model", "structured_light")
-        if name not in models:
-            raise InputError(f"unknown sensor.model '{name}'; known: {', '.join(models)}")
-        unknown = set(settings) - {field.name for field in fields(models[name])}
-        if unknown:
-            raise InputError(f"unknown sensor setting '{min(unknown)}'; see configs/sensor")
-        return models[name](**settings)
-
-    def __call__(
-        self, views: torch.Tensor, intrinsics: torch.Tensor, generator: torch.Generator
-    ) -> torch.Tensor:
-        """Noisy copies of the pictures of one or many captures.
-
-        Args:
-            views: (..., K, H, W) z-depth in metres, background 0: K pictures of each capture.
-            intrinsics: (..., 4) fx, fy, cx, cy of each capture, px.
-            generator: source of all randomness, on the device of ``views``.
-
-        Returns:
-            (..., K, H, W) float32 metres, background 0.
-        """
-        views = views.float()
-        if self.strength == 0:
-            return views.clone()
-        noisy = torch.zeros_like(views)
-        rows, columns = cloth_window(views, self.reach(max(views.shape[-2:])))
-        if rows.stop:
-            noisy[..., rows, columns] = self.window(views, rows, columns, intrinsics, generator)
-        return noisy
-
-    def reach(self, size: int) -> float:
-        """Pixels by which cloth may grow in a picture of ``size`` pixels along its longer side."""
-        return 0.0
-
-    @abstractmethod
-    def window(
-        self,
-        views: torch.Tensor,
-        rows: slice,
-        columns: slice,
-        intrinsics: torch.Tensor,
-        generator: torch.Generator,
-    ) -> torch.Tensor:
-        """The part of the noisy pictures outside of which all is background, (..., K, h, w)."""
-
-
-def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
-    """Rows and columns of all pictures (..., H, W) within ``reach`` pixels of cloth."""
-    cloth = (views > 0).flatten(0, -3).any(0)
-    slices = []
-    for axis in (1, 0):
-        indices = cloth.any(axis).nonzero().flatten().tolist() or [0, -1 - math.ceil(reach)]
-        first, last = indices[0] - math.ceil(reach), indices[-1] + math.ceil(reach)
-        slices.append(slice(max(0, first), max(0, min(last + 1, cloth.shape[1 - axis]))))
-    return slices[0], slices[1]
-
-
-def normal(shape: tuple[int, ...], like: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Standard normal numbers, float32, on the device of ``like``."""
-    return torch.randn(shape, generator=generator, device=like.device)
-
-
-def uniform(shape: tuple[int, ...], like: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Numbers in [0, 1), float32, on the device of ``like``."""
-    return torch.rand(shape, generator=generator, device=like.device)
+    settings = dict(config)
+    name = settings.pop("model", "structured_light")
+    if name not in MODELS:
+        raise InputError(f"unknown sensor.model '{name}'; known: {', '.join(MODELS)}")
+    unknown = set(settings) - {field.name for field in fields(MODELS[name])}
+    if unknown:
+        raise InputError(f"unknown sensor setting '{min(unknown)}'; see configs/sensor")
+    return MODELS[name](**settings)

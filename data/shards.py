@@ -290,11 +290,12 @@ class Shard:
         vertices = slice(int(self._file["vertices"][row]))
         positions = self._file["positions"][row, vertices] * LENGTH_UNIT
         rest = self._file["rest"][row, vertices] * LENGTH_UNIT
-        return positions, rest, self.triangulations()[self._file["mesh"][row]]
+        return positions, rest, self.triangulation(int(self._file["mesh"][row]))
 
-    def triangulations(self) -> list[np.ndarray]:
-        """Triangles (F, 3) of each of the shard's triangulations."""
-        return [faces[faces.any(axis=1)].astype(np.int64) for faces in self._file[FACES][:]]
+    def triangulation(self, mesh: int) -> np.ndarray:
+        """Triangles (F, 3) int64 of one of the shard's triangulations."""
+        faces = self._file[FACES][mesh]
+        return faces[faces.any(axis=1)].astype(np.int64)
 
 
 MANIFEST = "dataset.json"

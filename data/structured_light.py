@@ -18,7 +18,7 @@ import torch
 
 from common.errors import InputError
 from data.remap import remap_depth
-from data.sensor import SensorNoise, normal, uniform
+from data.sensor_noise import SensorNoise, normal, uniform
 
 EIGHTHS_OF_DISPARITY = 351.3  # m, K above
 EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures
@@ -68,7 +68,7 @@ class StructuredLight(SensorNoise):
         intrinsics: torch.Tensor,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """See :meth:`data.sensor.SensorNoise.window`; the intrinsics are not needed."""
+        """See :meth:`data.sensor_noise.SensorNoise.window`; the intrinsics are not needed."""
         coarse = uniform((*views.shape[:-3], 1, 1, 1), views, generator)
         u, v = self._look_up(views, rows, columns, generator)
         # Of background, 0, the disparity is infinite and stays so.

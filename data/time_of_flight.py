@@ -20,7 +20,7 @@ from torch.nn.functional import pad
 
 from common.errors import InputError
 from data.remap import EDGE_STEP
-from data.sensor import SensorNoise, normal, uniform
+from data.sensor_noise import SensorNoise, normal, uniform
 
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
 LEAST_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved
@@ -86,7 +86,7 @@ class TimeOfFlight(SensorNoise):
         intrinsics: torch.Tensor,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """See :meth:`data.sensor.SensorNoise.window`."""
+        """See :meth:`data.sensor_noise.SensorNoise.window`."""
         depth = views[..., rows, columns]
         capture = (*views.shape[:-3], 1, 1, 1)
         slope_u, slope_v, edge, other = _surroundings(depth)

@@ -1,12 +1,14 @@
 """Worker processes that make whole shards."""
 
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing import get_context
+
+import numpy as np
 
 from common.workers import worker_pool
 from data.effort import Effort
@@ -31,38 +33,16 @@ class Outcome:
     wall: float
 
 
-class _Board:
-    """Numbers that workers write and the main process reads, without locks.
-
-    A lock would stay closed for ever if its holder was killed.
-    """
-
-    def __init__(self, shards: int) -> None:
-        self._cells = get_context("spawn").RawArray("q", 1 + 2 * shards)
-
-    def stop(self) -> None:
-        """Ask the workers to leave their shards unfinished."""
-        self._cells[0] = 1
-
-    @property
-    def stopped(self) -> bool:
-        return bool(self._cells[0])
-
-    def count(self, place: int, *, drapes: int, failed: int) -> None:
-        """Tell how far the ``place``-th shard is."""
-        self._cells[1 + 2 * place : 3 + 2 * place] = [drapes, failed]
-
-    def totals(self) -> tuple[int, int]:
-        """Drapes made, and how many of them failed."""
-        return sum(self._cells[1::2]), sum(self._cells[2::2])
-
-
 @dataclass
 class _Worker:
-    """What a worker process knows."""
+    """What a worker process knows.
+
+    ``counts`` (shards, 2) are the drapes made of each shard, and those that failed, in memory that
+    all processes share. There is no lock, which would stay closed if its holder was killed.
+    """
 
     folder: DatasetFolder
-    board: _Board
+    counts: np.ndarray
     solver: Solver
     renderer: Renderer | None
     unreported: Counter[str]
@@ -73,17 +53,18 @@ _worker: _Worker | None = None
 
 def _start(
     folder: DatasetFolder,
-    board: _Board,
+    counts: str,
     solver: Solver | None,
     renderer: Renderer | None,
     began: float,
 ) -> None:
-    """Prepare a worker process."""
+    """Prepare a worker process; ``counts`` is the file of those of :class:`_Worker`."""
     global _worker
     import_module("sim.measures")  # not while the first drape is made
     solver = solver or load_solver()
     spent = Counter({"start": time.process_time(), "wall": time.time() - began})
-    _worker = _Worker(folder, board, solver, renderer, spent)
+    shared = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
+    _worker = _Worker(folder, shared, solver, renderer, spent)
 
 
 def _make(place: int, shard: int) -> Counter[str]:
@@ -94,15 +75,12 @@ def _make(place: int, shard: int) -> Counter[str]:
     failed = 0
     if worker.folder.content(shard) is None:
         for index in config.rows(shard):
-            if worker.board.stopped:
-                break
             records.append(make_record(index, config, earlier=records, solver=worker.solver,
                                        renderer=worker.renderer, effort=effort))
             failed += records[-1]["status"] != b"converged"
-            worker.board.count(place, drapes=len(records), failed=failed)
-        else:
-            worker.folder.write(shard, records)
-    worker.board.count(place, drapes=len(config.rows(shard)), failed=failed)
+            worker.counts[place] = len(records), failed
+        worker.folder.write(shard, records)
+    worker.counts[place] = len(config.rows(shard)), failed
     seconds, worker.unreported = worker.unreported, Counter()
     seconds.update(effort.total())
     return seconds
@@ -119,7 +97,6 @@ def make_shards(
 ) -> Outcome:
     """Make ``shards``, each in one of ``workers`` processes.
 
-    ``solver`` and ``renderer`` are sent to the processes by name, so they must be importable.
     ``report`` is called now and then with the number of drapes made, and of those that failed.
 
     Raises:
@@ -129,17 +106,21 @@ def make_shards(
         return Outcome(Counter(), 0, 0.0)
     workers = min(workers, len(shards))
     seconds: Counter[str] = Counter()
-    board, began = _Board(len(shards)), time.time()
-    with worker_pool(workers, _start, folder, board, solver, renderer, began) as pool:
-        try:
+    began = time.time()
+    try:
+        with (
+            tempfile.NamedTemporaryFile() as file,
+            worker_pool(workers, _start, folder, file.name, solver, renderer, began) as pool,
+        ):
+            counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
             running = {pool.submit(_make, *place) for place in enumerate(shards)}
             while running:
                 done, running = wait(running, timeout=REFRESH, return_when=FIRST_COMPLETED)
-                report(*board.totals())
+                report(*counts.sum(axis=0).tolist())
                 for future in done:
                     seconds.update(future.result())
             wall = time.time() - began
-        finally:
-            # Else leaving the pool would wait for whole shards after an error or Ctrl-C.
-            board.stop()
+    except BaseException:
+        folder.remove_partial()  # processes were ended, perhaps while they wrote
+        raise
     return Outcome(seconds, workers, wall)

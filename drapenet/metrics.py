@@ -3,7 +3,7 @@
 import torch
 
 from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
-from drapenet.losses import split_outputs, target_weights
+from drapenet.losses import drape_loss, split_outputs
 from drapenet.targets import axis_angle
 
 ANISOTROPIC = 0.3
@@ -22,6 +22,7 @@ def regression_metrics(
     targets: torch.Tensor,
     directions: torch.Tensor,
     *,
+    direction_weight: float = 0.0,
     ratio_weight: float = 1.0,
 ) -> dict:
     """Errors over a set of drapes.
@@ -30,13 +31,14 @@ def regression_metrics(
         outputs: (N, 8) of the network.
         targets: (N, 6) standardised targets.
         directions: (N, 2) stiff axes, see :func:`drapenet.targets.direction_vectors`.
-        ratio_weight: as in :func:`drapenet.losses.drape_loss`; for ``loss`` only.
+        direction_weight, ratio_weight: of ``loss`` only.
 
     Returns:
         ``rmse_log_alpha``, ``rmse_beta_over_alpha`` (root mean squares over drapes and the three
         directions, standardised: always predicting the training mean scores about 1),
-        ``rmse`` (each of the six), ``loss`` (Eq. 10), ``axis_error_deg`` (median over clearly
-        anisotropic fabrics, None without any; guessing scores 45), ``samples``.
+        ``rmse`` (each of the six), ``loss`` (:func:`drapenet.losses.drape_loss`),
+        ``axis_error_deg`` (median over clearly anisotropic fabrics, None without any; guessing
+        scores 45), ``samples``.
     """
     moduli, axes = split_outputs(outputs)
     squares = (moduli - targets).double().square()
@@ -46,7 +48,8 @@ def regression_metrics(
         "rmse_log_alpha": squares[:, LINEAR].mean().sqrt().item(),
         "rmse_beta_over_alpha": squares[:, RATIO].mean().sqrt().item(),
         "rmse": dict(zip(TARGET_NAMES, squares.mean(dim=0).sqrt().tolist(), strict=True)),
-        "loss": (squares * target_weights(ratio_weight) ** 2).sum(dim=1).mean().sqrt().item(),
+        "loss": drape_loss(outputs.double(), targets, directions, ratio_weight=ratio_weight,
+                           direction_weight=direction_weight).item(),
         "axis_error_deg": torch.rad2deg(errors.median()).item() if len(errors) else None,
         "samples": len(outputs),
     }

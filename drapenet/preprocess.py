@@ -2,10 +2,14 @@
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as functional
 
 from common.errors import InputError
+
+LARGEST_CUT = 0.5
+"""Share of the cloth outside of the network's window beyond which there is no estimate."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,29 @@ def prepare(views: torch.Tensor, *, form: InputFormat) -> torch.Tensor:
     values = (depth - form.centre) / form.scale
     values = torch.where(coverage >= 0.5 - 1e-6, values, torch.full_like(values, form.background))
     return values.reshape(*views.shape[:-2], *size)
+
+
+def crop_doubts(views: np.ndarray, *, form: InputFormat) -> list[str]:
+    """What to report, a line each, of cloth in a capture (4, H, W) that the network cannot see.
+
+    Raises:
+        InputError: it is more than :data:`LARGEST_CUT`.
+    """
+    whole = torch.from_numpy(views > 0)
+    seen = _crop(whole, form)
+    cut = 1 - int(seen.sum()) / max(int(whole.sum()), 1)
+    if not cut:
+        return []
+    rows, columns = (whole.any(dim=0).any(dim=axis).nonzero() for axis in (1, 0))
+    width, height = (int(line.max() - line.min()) + 1 for line in (columns, rows))
+    found = (f"the cloth is {width} x {height} pixels of {views.shape[2]} x {views.shape[1]}, the "
+             f"network sees {seen.shape[2]} x {seen.shape[1]} around its middle: {cut:.1%} of the "
+             "cloth is cut off")
+    remedy = ("check that only cloth is left in the pictures, and their intrinsics, or choose a "
+              "checkpoint with a larger window")
+    if cut > LARGEST_CUT:
+        raise InputError(f"{found}, and at most {LARGEST_CUT:.0%} may be; {remedy}")
+    return [f"{found}, and the estimate may be wrong; {remedy}"]
 
 
 def _crop(views: torch.Tensor, form: InputFormat) -> torch.Tensor:

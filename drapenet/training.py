@@ -18,11 +18,11 @@ from common.errors import InputError
 from common.provenance import release
 from data.dataset import DrapeDataset
 from data.fresh import FreshDataset, open_views
-from data.sensor import SensorNoise
+from data.sensor import sensor_from_config
 from data.splits import SplitDataset
 from data.view_order import ORDERS, reorder_axis, reorder_views
 from drapenet.checkpoint import read_header
-from drapenet.config import TrainConfig
+from drapenet.config import OptimConfig, TrainConfig
 from drapenet.convention import TARGET_NAMES, TARGET_UNITS
 from drapenet.metrics import regression_metrics
 from drapenet.preprocess import InputFormat, prepare
@@ -158,7 +158,7 @@ def open_splits(
         InputError: see :class:`data.dataset.DrapeDataset`; or too few drapes for one batch.
     """
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
-    options = {"fractions": shares, "noise": SensorNoise.from_config(config.sensor),
+    options = {"fractions": shares, "noise": sensor_from_config(config.sensor),
                "seed": config.seed}
     many = {"orientations_per_epoch": config.orientations_per_epoch,
             "fabrics": config.fabrics, "drapes_each": config.drapes_each,
@@ -204,14 +204,18 @@ def training_batches(drapes: DrapeSet, *, epoch: int, config: TrainConfig) -> Da
 
 @torch.no_grad()
 def validate(
-    model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device, ratio_weight: float
+    model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device, optim: OptimConfig
 ) -> dict:
-    """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``."""
+    """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``.
+
+    Their ``loss`` is the one that is minimised on the training drapes.
+    """
     model.eval()
     rows = [(model(views.to(device)).cpu(), targets, axes)
             for views, targets, axes in DataLoader(drapes, batch_size=128, collate_fn=as_they_are)]
     columns = (torch.cat(column) for column in zip(*rows, strict=True))
-    return regression_metrics(*columns, ratio_weight=ratio_weight)
+    return regression_metrics(*columns, direction_weight=optim.direction_weight,
+                              ratio_weight=optim.ratio_weight)
 
 
 def log_metrics(

@@ -4,7 +4,8 @@
 
 Drapes the fabric on a finer mesh than training does, renders it with a camera that stands a
 little off its nominal place, adds sensor noise, and writes the four views with ``capture.yaml``.
-The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates.
+The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates. The
+bundled capture is of a drape on a regular grid of 51 x 51 vertices, from before meshes were graded.
 """
 
 import json
@@ -21,7 +22,7 @@ from data.cameras import CameraRig
 from data.captures import checked_density, write_capture
 from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.structured_light import StructuredLight
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
@@ -33,7 +34,7 @@ DEFAULTS = {
     "beta": [-96.0, -60.0, -44.0],  # nN·m², likewise: beta/alpha is -2 mm
     "density": 210.0,            # g/m²
     "warp_direction": 25.0,      # degrees, in the first view
-    "edge_mm": 3.0,              # edges of the mesh at the plate's rim
+    "edge_mm": 2.0,              # edges of the mesh at the plate's rim
     "sensor": "smooth",          # noise, a file of configs/sensor
     "seed": 2022,                # of the folds, the camera and the noise
 }
@@ -51,7 +52,7 @@ def main(argv: list[str]) -> None:
     require_folder(out)
     density = checked_density(config["density"], "density")
     rig = CameraRig.load()
-    noise = SensorNoise.load(config["sensor"])
+    noise = load_sensor(config["sensor"])
     if isinstance(noise, StructuredLight):
         # A 16-bit capture has no 8-bit steps; they belong to the published format.
         noise = replace(noise, eight_bit_probability=0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.equilibrium import Equilibrium, Minimiser, find_equilibrium, minimise_cloth
 from sim.initial import (
     borrowed_positions,
     check_start,
@@ -33,7 +33,7 @@ from sim.scene import CONTACT_PRESSURE, Rig, Scene
 from sim.self_contact import self_intersections
 from sim.state import State
 
-COARSE_MEMBRANE = 0.01
+COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
 matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
@@ -145,6 +145,7 @@ def drape(
     offset: tuple[float, float] = (0.0, 0.0),
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
+    minimiser: Minimiser = minimise_cloth,
 ) -> DrapeResult:
     """Drape ``fabric`` on ``rig``, coarse mesh first.
 
@@ -164,6 +165,7 @@ def drape(
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
+        minimiser: see :func:`sim.equilibrium.find_equilibrium`.
 
     Returns:
         The drape; look at its ``status``, a numerical failure raises nothing.
@@ -195,6 +197,7 @@ def drape(
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
             self_contact=last,
+            minimiser=minimiser,
         )
         coarse = (specimen.mesh.rest, found.state.positions)
         statuses.append(found.status)

@@ -8,7 +8,7 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.energies.midedge import MidEdgeBending
-from sim.hinges import HINGE_LAWS
+from sim.hinge_laws import HINGE_LAWS
 from sim.material import Fabric
 from sim.membranes import Corotational, Membrane
 from sim.mesh import Mesh

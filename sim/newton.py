@@ -8,6 +8,8 @@ exact Hessian at the end proves a minimum rather than a saddle.
 """
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -33,23 +35,22 @@ class Objective(Protocol):
     """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
 
     A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
-    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
-    ``pattern``. ``regularisation`` (size,) is added to the diagonal, in multiples, where even the
-    convex Hessian is singular; its entries have the units of the Hessian's diagonal.
+    the step; states need not form a linear space, steps do. ``hessian`` returns what the solver
+    factorises, CSR data in ``pattern``, with ``shift`` times the ``regularisation`` (size,) on the
+    diagonal, where even the convex Hessian is singular.
     ``energy_scale`` is the size of differences in energy; those below :data:`NOISE` of it are
     rounding.
     """
 
     size: int
     pattern: SparsePattern
-    regularisation: np.ndarray
     energy_scale: float
 
     def value(self, q: np.ndarray) -> float: ...
 
     def gradient(self, q: np.ndarray) -> np.ndarray: ...
 
-    def hessian(self, q: np.ndarray, convexity: float) -> np.ndarray: ...
+    def hessian(self, q: np.ndarray, convexity: float, shift: float) -> np.ndarray: ...
 
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
 
@@ -115,23 +116,29 @@ NUDGE_HALVINGS = 20
 NEAR = 1.0  # residual from which on steps of the exact Hessian are precise, for they converge fast
 
 
-def ending(status: Status, residual: float, iterations: int) -> str:
-    """What a minimisation that ended with ``status`` says of itself."""
-    return {
-        Status.CONVERGED: "equilibrium",
-        Status.MAX_ITERATIONS: f"residual {residual:.1e} after {iterations} iterations",
-        Status.LINE_SEARCH: f"no descent at residual {residual:.1e}",
-        Status.SADDLE: "stationary but not a minimum",
-        Status.SINGULAR: "no regularisation makes the Hessian definite",
-        Status.NOT_FINITE: "the energy is not a finite number",
-    }[status]
+_ENDINGS = {
+    Status.CONVERGED: "equilibrium",
+    Status.MAX_ITERATIONS: "residual {residual:.1e} after {iterations} iterations",
+    Status.LINE_SEARCH: "no descent at residual {residual:.1e}",
+    Status.SADDLE: "stationary but not a minimum",
+    Status.SINGULAR: "no regularisation makes the Hessian definite",
+    Status.NOT_FINITE: "the energy is not a finite number",
+}
 
 
 def minimise(
-    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
+    objective: Objective,
+    start: np.ndarray,
+    options: NewtonOptions | None = None,
+    *,
+    make_solver: Callable[..., CholeskySolver] = make_solver,
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
-    run = _Run(objective, np.array(start, dtype=np.float64), options or NewtonOptions())
+    """Find a local minimum near the state ``start``. Never raises for a numerical failure.
+
+    ``make_solver`` makes the solver of the Newton systems as :func:`sim.linear.make_solver` does.
+    """
+    start = np.array(start, dtype=np.float64)
+    run = _Run(objective, start, options or NewtonOptions(), make_solver)
     began = time.thread_time()
     with np.errstate(all="ignore"):
         run.iterate()
@@ -142,8 +149,14 @@ def minimise(
 class _Run:
     """State of one minimisation."""
 
-    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
-        self.objective, self.options = objective, options
+    def __init__(
+        self,
+        objective: Objective,
+        q: np.ndarray,
+        options: NewtonOptions,
+        make_solver: Callable[..., CholeskySolver],
+    ) -> None:
+        self.objective, self.options, self.make_solver = objective, options, make_solver
         self.convexity, self.shift = 1.0, 0
         self.rest = False
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
@@ -207,23 +220,25 @@ class _Run:
     def _end(self, status: Status) -> None:
         result = self.result
         result.status = status
-        result.message = ending(status, result.residual, result.iterations)
+        result.message = _ENDINGS[status].format(**vars(result))
 
-    def _timed(self, activity: str) -> "_Timer":
-        return _Timer(self.result.seconds, activity)
+    @contextmanager
+    def _timed(self, activity: str) -> Iterator[None]:
+        """Add the time spent in a ``with`` block to an entry of the result."""
+        began = time.thread_time()
+        yield
+        self.result.seconds[activity] += time.thread_time() - began
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         objective = self.objective
         with self._timed("assemble"):
-            data = objective.hessian(self.result.q, convexity)
-            if shift:
-                data[objective.pattern.diagonal] += shift * objective.regularisation
+            data = objective.hessian(self.result.q, convexity, shift)
         if self.solver is None:
             with self._timed("analyse"):
-                self.solver = make_solver(objective.pattern, self.options.linear_solver)
+                self.solver = self.make_solver(objective.pattern, self.options.linear_solver)
         with self._timed("factorise"):
             self.result.factorisations += 1
-            return bool(np.isfinite(data).all()) and self.solver.factorise(data, rough=not proof)
+            return self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         with self._timed("factorise"):
@@ -297,16 +312,3 @@ class _Run:
                 return there
             move /= 2
         return q
-
-
-class _Timer:
-    """Adds the time spent in a ``with`` block to an entry of a dictionary."""
-
-    def __init__(self, seconds: dict[str, float], activity: str) -> None:
-        self._seconds, self._activity = seconds, activity
-
-    def __enter__(self) -> None:
-        self._began = time.thread_time()
-
-    def __exit__(self, *_: object) -> None:
-        self._seconds[self._activity] += time.thread_time() - self._began

@@ -44,7 +44,7 @@ class Potential:
     Attributes:
         size: n.
         energies: all of them.
-        regularisation: (n,) see :class:`sim.newton.Objective`.
+        regularisation: (n,) forces that count as 1 over moves that do, see :class:`Terms`.
         energy_scale: J, see :class:`Terms`.
     """
 
@@ -93,12 +93,15 @@ class Potential:
         """Of the Hessian."""
         return SparsePattern(self._stencils, self.size)
 
-    def hessian(self, q: np.ndarray, convexity: float = 0.0) -> np.ndarray:
+    def hessian(
+        self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0
+    ) -> np.ndarray:
         """CSR data (nnz,) of the Hessian in :attr:`pattern`.
 
         Args:
             convexity: from 0 (exact) to 1 (all stages convex); in between, stages become convex
                 one after the other, each by the mean of its two forms.
+            shift: multiple of :attr:`regularisation` on the diagonal.
         """
         total = np.zeros(len(self.pattern.indices))
         stages = self._stage[-1] + 1
@@ -108,6 +111,8 @@ class Potential:
                 if weight > 0.0:
                     part = self._part(q, stage, convex)
                     total += part if weight == 1.0 else weight * part
+        if shift:
+            total[self.pattern.diagonal] += shift * self.regularisation
         return total
 
     def _part(self, q: np.ndarray, stage: int, convex: bool) -> np.ndarray:

@@ -9,7 +9,7 @@ are (B, V, 3) m, normals of edges n (B, E, 3) (:mod:`sim.state`), rest points (B
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -39,7 +39,6 @@ class Topology:
         clamped, boundary, first, second: (N, 3), (N, 3), (N,), (N,) bool: edges of held triangles,
             edges of one triangle, rows of triangles next to a clamp.
         free: (V,) bool.
-        touching_edges: (M,) edges with a free vertex.
     """
 
     def __init__(self, scene: Scene, device: torch.device | str = "cpu") -> None:
@@ -54,10 +53,9 @@ class Topology:
             "clamped": clamped, "first": first, "free": ~scene.held,
             "second": rim[mesh.faces[active]].any(axis=1) & ~first,
             "boundary": mesh.edge_faces[mesh.face_edges[active], 1] < 0,
-            "active": active,
-            "touching_edges": np.flatnonzero(~scene.held[mesh.edges].all(axis=1)),
         }
         self.vertices, self.device = len(mesh.rest), torch.device(device)
+        self.has_clamp = bool(first.any() and arrays["second"].any())
         for name, array in arrays.items():
             setattr(self, name, torch.from_numpy(np.ascontiguousarray(array)).to(device))
 
@@ -86,6 +84,12 @@ class Cloths:
     weight: Tensor
     pressure: Tensor
     plate_radius: float
+
+    def take(self, index: Tensor) -> "Cloths":
+        """The cloths ``index`` (b,) int64 alone."""
+        tensors = {name: value[index] for name, value in vars(self).items()
+                   if isinstance(value, Tensor)}
+        return replace(self, law=PlateConstants(*(c[index] for c in self.law)), **tensors)
 
 
 def covers(cloth: Cloth) -> bool:
@@ -123,12 +127,30 @@ def cloths_of(cloths: Sequence[Cloth], device: torch.device | str = "cpu") -> Cl
 
 def moved(topology: Topology, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
     """Normals (B, E, 3) after displacements (B, V, 3) and turns (B, E); see :mod:`sim.state`."""
-    before, after = (_unit(y[:, topology.edges[:, 1]] - y[:, topology.edges[:, 0]])
+    before, after = (y[:, topology.edges[:, 1]] - y[:, topology.edges[:, 0]]
                      for y in (x, x + move))
-    lean = (n * after).sum(-1) / (1 + (before * after).sum(-1))
-    carried = n - lean[..., None] * (before + after)
-    turn = turn[..., None]
-    return torch.cos(turn) * carried + torch.sin(turn) * torch.linalg.cross(after, carried)
+    return _carried(before, after, n, turn)
+
+
+def carried(
+    topology: Topology, corners: Tensor, there: Tensor, normals: Tensor, turns: Tensor
+) -> Tensor:
+    """Normals (B, N, 3, 3) of triangles' edges after their corners (B, N, 3, 3) have moved.
+
+    ``turns`` (B, N, 3) are counted along the edges as in ``mesh.edges``.
+    """
+    before, after = (y.roll(-2, -2) - y.roll(-1, -2) for y in (corners, there))
+    forward = topology.faces.roll(-1, 1) < topology.faces.roll(-2, 1)
+    return _carried(before, after, normals, torch.where(forward, turns, -turns))
+
+
+def _carried(before: Tensor, after: Tensor, normals: Tensor, turns: Tensor) -> Tensor:
+    """Normals carried along by edges (..., 3) and turned about them by ``turns`` (...)."""
+    before, after = (y / y.norm(dim=-1, keepdim=True) for y in (before, after))
+    lean = (normals * after).sum(-1) / (1 + (before * after).sum(-1))
+    along = normals - lean[..., None] * (before + after)
+    turns = turns[..., None]
+    return torch.cos(turns) * along + torch.sin(turns) * torch.linalg.cross(after, along)
 
 
 def energy(cloths: Cloths, x: Tensor, n: Tensor) -> Tensor:
@@ -211,11 +233,11 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
     returned = (share * _returned(d, law.A11, law.base_w, law.rho_w, law.u_c)
                 + (1 - share) * _returned(d, law.A22, law.base_f, law.rho_f, law.u_c)
                 + _returned(2 * z.abs(), law.alpha_bias, law.base_b, law.rho_b, law.u_c))
-    return torch.where(flat, 0.0, 0.5 * a * _shape(u, law.u_c) + returned)
+    return torch.where(flat, 0.5 * a, 0.5 * a * _shape(u, law.u_c) + returned)
 
 
 def fold_barrier(cloths: Cloths, angles: Tensor) -> Tensor:
-    """(B, N, 3) the barrier of :mod:`sim.energies.midedge` per unit of its scale."""
+    """(B, N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""
     topology = cloths.topology
     pole = torch.where(topology.clamped, torch.pi, torch.pi / 2).to(angles)
     bent = (angles.abs() > LIMIT_START * pole) & ~topology.boundary
@@ -230,16 +252,51 @@ def outer(cloths: Cloths, x: Tensor) -> Tensor:
     topology = cloths.topology
     areas = _areas(cloths.rest[:, topology.all_faces])
     at_vertices = _gathered(areas / 3, topology.all_faces, topology.vertices)
-    weight = (cloths.weight * at_vertices * x[..., 2]).sum(1)
+    total = (cloths.weight * at_vertices * x[..., 2]).sum(1)
+    for _, points, scale, _ in touched(cloths, x):
+        total = total + pressed(cloths, points, scale).sum(1)
+    return total
+
+
+def touched(cloths: Cloths, x: Tensor) -> list[tuple[str, Tensor, Tensor, int]]:
+    """Points that may touch the cylinder: the vertices, then the middles of the edges.
+
+    Returns:
+        Name, points (B, P, 3), scale (B, P) in J/m³ and number of vertices of each point; the
+        scale is zero where all are held. Nothing without a plate.
+    """
+    topology = cloths.topology
     if cloths.plate_radius == 0:
-        return weight
-    at_edges = _gathered(areas, topology.all_face_edges, len(topology.edges))
-    some = topology.touching_edges
-    middles = x[:, topology.edges[some]].mean(2)
+        return []
+    areas = _areas(cloths.rest[:, topology.all_faces])
     scale = cloths.pressure / (3 * 1e-4**2) / 4
-    pressed = at_vertices * topology.free * _depths(x, cloths.plate_radius) ** 3
-    return weight + (scale * pressed).sum(1) + (
-        scale * at_edges[:, some] * _depths(middles, cloths.plate_radius) ** 3).sum(1)
+    at_vertices = _gathered(areas / 3, topology.all_faces, topology.vertices) * topology.free
+    at_edges = _gathered(areas, topology.all_face_edges, len(topology.edges))
+    free = topology.free[topology.edges].any(1)
+    return [("vertices", x, scale * at_vertices, 1),
+            ("edges", x[:, topology.edges].mean(2), scale * at_edges * free, 2)]
+
+
+def pressed(cloths: Cloths, points: Tensor, scale: Tensor) -> Tensor:
+    """(B, P) J of points (B, P, 3) in the cylinder."""
+    return scale * _depths(points, cloths.plate_radius) ** 3
+
+
+def membrane_lift(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
+    """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
+
+    It takes the compression out of the stress, see :class:`sim.energies.membrane.StrainMembrane`;
+    the tangent has no negative eigenvalues up to twice the length.
+    """
+    gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)
+    _, stretch, right = torch.linalg.svd(gradient, full_matrices=False)  # (..., 2), (..., 2, 2)
+    force = 2 * cloths.mu[..., None] * (stretch - 1)
+    force = force + cloths.lam[..., None] * (stretch.sum(-1, keepdim=True) - 2)
+    compression = (-force / stretch.clamp(min=1e-12)).clamp(min=0.0)
+    weights = shapes @ right.mT  # (B, N, 3, 2): of each corner along the principal directions
+    pairs = (weights * compression[..., None, :]) @ weights.mT
+    blocks = pairs[..., :, None, :, None] * torch.eye(3).to(pairs)[:, None, :]
+    return blocks.flatten(-4, -3).flatten(-2, -1)
 
 
 def _depths(points: Tensor, radius: float) -> Tensor:
@@ -266,7 +323,7 @@ def _returned(k: Tensor, alpha: Tensor, base: Tensor, rho: Tensor, limit: Tensor
 
 def _bending_areas(topology: Topology, areas: Tensor) -> Tensor:
     """Areas (B, N) with the weights of :mod:`sim.energies.clamp`."""
-    if not (topology.first.any() and topology.second.any()):
+    if not topology.has_clamp:
         return areas
     near, behind = ((areas * row).sum(1, keepdim=True) for row in (topology.first, topology.second))
     moved_area = (1 - 1 / FIRST) * near / behind
@@ -284,7 +341,3 @@ def _gathered(areas: Tensor, places: Tensor, count: int) -> Tensor:
     """(B, count) sums of areas (B, F) at each of the ``places`` (F, 3)."""
     total = areas.new_zeros(len(areas), count)
     return total.index_add(1, places.flatten(), areas.repeat_interleave(3, dim=1))
-
-
-def _unit(vectors: Tensor) -> Tensor:
-    return vectors / vectors.norm(dim=-1, keepdim=True)

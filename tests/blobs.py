@@ -16,7 +16,6 @@ from data.shards import (
 )
 
 HEIGHT, WIDTH, ORIENTATIONS = 60, 80, 2
-RESOLUTION = 3  # vertices a side of the meshes, which nothing looks at
 
 
 def blob_views(theta: np.ndarray, psi: float, turns: np.ndarray | None = None) -> np.ndarray:
@@ -49,7 +48,7 @@ def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0, turn: float = 
     root.mkdir(parents=True)
     rows = []
     for index in range(drapes):
-        row = {name: np.zeros(f.shape, f.dtype) for name, f in fields(layout, RESOLUTION).items()}
+        row = {name: np.zeros(f.shape, f.dtype) for name, f in fields(layout, 0).items()}
         theta = np.concatenate([rng.normal(-10.4, 0.9, 3), rng.normal(-0.003, 0.002, 3)])
         psi = rng.uniform(0, 2 * np.pi, ORIENTATIONS)
         turns = np.zeros((ORIENTATIONS, 4))
@@ -57,9 +56,8 @@ def write_dataset(root: Path, *, drapes: int = 64, seed: int = 0, turn: float = 
             turns[:, 1:] = rng.normal(0.0, turn, (ORIENTATIONS, 3))
         views = np.stack([blob_views(theta, *shown) for shown in zip(psi, turns, strict=True)])
         row |= {"index": index, "fabric": index, "theta": theta, "status": b"converged",
-                "start": b"sine", "rendered": 1, "resolution": RESOLUTION, "orientations": psi,
-                "turns": turns,
-                "views": np.rint(views / DEPTH_UNIT)}
+                "start": b"sine", "rendered": 1, "faces": np.zeros((0, 3)), "orientations": psi,
+                "turns": turns, "views": np.rint(views / DEPTH_UNIT)}
         rows.append(row)
     half = drapes // 2
     names = []

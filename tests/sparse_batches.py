@@ -1,8 +1,5 @@
 """The sparse solver of single drapes, for batches: what the batched one is checked against."""
 
-from concurrent.futures import ThreadPoolExecutor
-from queue import SimpleQueue
-
 import numpy as np
 import torch
 
@@ -10,37 +7,29 @@ from sim.linear import SparsePattern, make_solver
 
 
 class SparseSolver:
-    """One sample after the other on each of some threads, by the sparse solver of single drapes.
+    """One sample after the other by the sparse solver of single drapes, in double precision.
 
-    Always in double precision: which precision that solver would choose depends on the matrices
-    it has seen, here those of other samples.
-
-    Args:
-        pattern: of the matrices.
-        threads: how many samples at a time.
+    Takes the place of :class:`sim.linear.multifrontal.FrontalSolver` on a CPU. Every sample has a
+    solver of its own, so that none's answers depend on what the others' matrices were.
     """
 
-    def __init__(self, pattern: SparsePattern, *, threads: int = 1) -> None:
-        self._pool = ThreadPoolExecutor(threads)
-        self._free: SimpleQueue = SimpleQueue()
-        for _ in range(threads):
-            self._free.put(make_solver(pattern))
+    def __init__(
+        self, pattern: SparsePattern, places: np.ndarray | None = None, *, device: str = "cpu"
+    ) -> None:
+        self._pattern = pattern
+        self._solvers: list = []
 
-    def solve(self, data: torch.Tensor, rhs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """See :meth:`sim.batched.objective.BatchedSolver.solve`."""
-        definite = np.zeros(len(data), dtype=bool)
-        solution = np.zeros(rhs.shape)
-        matrices, right = data.numpy(), rhs.numpy()
+    def factorise(self, data: torch.Tensor) -> torch.Tensor:
+        """(B,) bool of CSR data (B, nnz)."""
+        while len(self._solvers) < len(data):
+            self._solvers.append(make_solver(self._pattern))
+        self._definite = [bool(np.isfinite(row).all()) and solver.factorise(row)
+                          for solver, row in zip(self._solvers, data.numpy(), strict=False)]
+        return torch.tensor(self._definite)
 
-        def one(k: int) -> None:
-            solver = self._free.get()
-            try:
-                if np.isfinite(matrices[k]).all():
-                    definite[k] = solver.factorise(matrices[k])
-                if definite[k]:
-                    solution[k] = solver.solve(right[k])
-            finally:
-                self._free.put(solver)
-
-        list(self._pool.map(one, range(len(data))))
-        return torch.from_numpy(definite), torch.from_numpy(solution)
+    def solve(self, rhs: torch.Tensor) -> torch.Tensor:
+        """(B, n) solutions, NaN without a factor."""
+        found = [solver.solve(row) if definite else np.full(len(row), np.nan)
+                 for solver, definite, row in zip(self._solvers, self._definite, rhs.numpy(),
+                                                  strict=False)]
+        return torch.from_numpy(np.stack(found))

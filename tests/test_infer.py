@@ -287,6 +287,18 @@ def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
         assert any(doubt in warning for warning in content["warnings"])
 
 
+def test_cloth_too_wide_for_the_network_is_doubted(tmp_path: Path) -> None:
+    twill = read_capture(Path(__file__).parents[1] / "examples" / "captures" / "twill")
+    columns = (119.5 + (np.arange(240) - 119.5) / 1.25).round().astype(int)
+    folder = tmp_path / "capture"
+    write_capture(folder, views=twill.views[:, :, columns], intrinsics=twill.intrinsics,
+                  density=twill.density)
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=0"])
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    (warning,) = (text for text in content["warnings"] if "cut off" in text)
+    assert "pixels of 240 x 180, the network sees 160 x 128" in warning
+
+
 def test_the_same_capture_gives_the_same_estimate(capture: Path, checkpoint: Path) -> None:
     infer.main(words(capture, checkpoint, "drapes=0"))
     first = (capture.parent / "out" / "estimate.json").read_bytes()

@@ -14,7 +14,7 @@ import drapenet.model
 import train
 from common.errors import InputError
 from data.configs import compose_config
-from data.sensor import SensorNoise
+from data.sensor import load_sensor, sensor_from_config
 from data.view_order import ORDERS, reorder_views
 from drapenet.checkpoint import load_model, read_header
 from drapenet.config import OptimConfig, TrainConfig, learning_rate
@@ -199,7 +199,7 @@ def test_defaults_are_the_papers() -> None:
     "words", [[], ["experiment=cpu_small"], ["experiment=cpu_small_finish"]])
 def test_training_sees_noise_as_calm_as_the_published_captures(words: list[str]) -> None:
     config = OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
-    assert SensorNoise.from_config(config.sensor) == SensorNoise.load("smooth")
+    assert sensor_from_config(config.sensor) == load_sensor("smooth")
 
 
 def test_the_bundled_experiment_composes() -> None:

@@ -10,10 +10,11 @@ import numpy as np
 from common.errors import InputError
 from common.files import replace_file
 from data.fabrics import THETA_NAMES, from_theta
+from data.prior.architecture import ARCHITECTURES
 from data.prior.base import Prior
 from data.prior.gaussian import GaussianPrior
 from data.prior.mixture import MixturePrior
-from data.prior.vae import ARCHITECTURES, VaePrior
+from data.prior.vae import VaePrior
 from sim.material import is_admissible
 
 SCHEMA_VERSION = 1

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
+from data.prior.architecture import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 
 BATCH = 16  # fabrics a step, as in the paper
 WEIGHT_DECAY = 1e-5  # as in the paper

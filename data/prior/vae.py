@@ -18,44 +18,15 @@ from safetensors.numpy import load, save
 from scipy.special import logsumexp
 
 from common.errors import InputError
+from data.prior.architecture import ARCHITECTURES, SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from data.prior.base import check_fabrics, read_array, read_count
 from data.prior.coordinates import Coordinates
-
-
-@dataclass(frozen=True)
-class Architecture:
-    """Widths of an autoencoder, and how long it is trained.
-
-    Attributes:
-        hidden: units of the encoder's layers; the decoder has them in reverse.
-        latent: latent variables.
-        steps: training steps.
-        learning_rate: of Adam, at its highest.
-    """
-
-    hidden: tuple[int, ...]
-    latent: int
-    steps: int = 2000
-    learning_rate: float = 2e-3
-
-
-ARCHITECTURES = {
-    "vae1": Architecture((2048, 1024, 512, 128), 64, steps=600, learning_rate=5e-4),
-    "vae2": Architecture((512, 256, 128, 32), 32, steps=1500, learning_rate=1e-3),
-    "vae3": Architecture((128, 32, 16), 8),
-    "vae4": Architecture((32, 16, 8), 4),
-}
-"""VAE-1 to VAE-4 of Table 1."""
 
 DECIMALS = 12
 """Samples are rounded to this many decimals, which nearly always hides the last bits in which the
 libraries of two machines differ."""
 
 CHUNK = 16  # fabrics whose likelihood is estimated at a time, for the sake of memory
-
-SIGMA_MIDDLE, SIGMA_REACH = -1.0, 1.5
-"""The log of sigma is middle + reach * tanh(output), so that sigma, in deviations of the table,
-lies between 0.08 and 1.65: no fabric is pinned, and no sample is thrown far out."""
 
 Layers = list[tuple[np.ndarray, np.ndarray]]
 

@@ -21,6 +21,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.optimize import minimize as scipy_minimise
 
+from common.ctrl_c import require_interruption
+
 SIGMA = 0.3  # first deviation of the evolution strategies, in the problem's units
 _FAILED = 1e30  # stands for an infinite value where a method needs a number
 
@@ -129,7 +131,8 @@ def minimise(
             status, message = METHODS[method](run)
     except _Done as done:
         status, message = done.args
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         status, message = Status.INTERRUPTED, "interrupted; the best so far"
     best = run.trace[-1] if run.trace else Point(0, 0.0, problem.start, math.inf)
     return Outcome(best.x, best.value, run.evaluations, run.iterations, status, message, run.trace)

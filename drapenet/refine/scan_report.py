@@ -26,7 +26,7 @@ SCHEMA, SCHEMA_VERSION = "drapenet-scan-estimate", 3
 RAW = (".ply", ".obj")
 _START = "disc300_support180"
 LEAST_HELD = 0.5
-EDGE = 4e-3  # m, at the rim of the mesh that a scan is registered to
+EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
 _APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
 _ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.ctrl_c import require_interruption
 from data.prior.gaussian import GaussianPrior
 from drapenet.refine.attraction import Springs, plane_springs
 from drapenet.refine.captured import (
@@ -109,8 +110,8 @@ def search_cloth(
         search.estimate(start)
         search.release(start)
         search.go_on(np.random.default_rng(seed))
-    except KeyboardInterrupt:
-        pass
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
     found = search.found
     found.estimate = found.estimate or found.nearest
     return found

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.ctrl_c import require_interruption
 from data.cameras import Camera
 from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
@@ -44,7 +45,7 @@ FREE_ROUNDS = (4, 5)
 """Simulations of each Levenberg-Marquardt of free cloth."""
 HELD_ROUNDS = ((8, 0.3), (4, 0.1))
 """The same of held cloth, and how strongly it is held, see :data:`.held.PULL`."""
-COARSE, FINE = 4e-3, 2.5e-3
+COARSE, FINE = 3.5e-3, 1.75e-3
 """m, edges at the plate's rim until the last round, where folds and pose are found as well, and in
 it."""
 SPREAD = (0.0, 0.7, -0.7)
@@ -141,9 +142,10 @@ def refine_views(
         for mesh, (evaluations, pull) in zip(rounds, HELD_ROUNDS, strict=True):
             run.hold(mesh, evaluations, pull)
         run.conclude()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        require_interruption(error)
         if run.best is None:
-            raise
+            raise KeyboardInterrupt from None
         run.status, run.message = Status.INTERRUPTED, "interrupted; the best so far"
         if run.held and not run.drape:
             run.message += ", its drape still held to the views by springs"

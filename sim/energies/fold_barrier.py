@@ -16,7 +16,7 @@ LIMIT_START = 0.76  # of the pole: 2.4 rad between two triangles
 LEAST_ROOM = 0.2  # share of the way to the pole that a step must leave
 
 
-def acts(angle: np.ndarray, pole: np.ndarray | float) -> np.ndarray:
+def is_bent(angle: np.ndarray, pole: np.ndarray | float) -> np.ndarray:
     """Where the barrier acts, bool, shaped like ``angle`` (rad)."""
     return np.abs(angle) > LIMIT_START * pole
 
@@ -30,7 +30,7 @@ def barrier(
         pole: rad, one or as many as angles; infinite for angles that have none.
     """
     value, slope, bend = np.zeros((3, *np.shape(angle)))
-    bent = acts(angle, pole)
+    bent = is_bent(angle, pole)
     if bent.any():
         pole = np.broadcast_to(pole, bent.shape)[bent]
         over, left = np.abs(angle[bent]) - LIMIT_START * pole, pole - np.abs(angle[bent])
@@ -42,7 +42,7 @@ def barrier(
     return value, slope, bend
 
 
-def stays_clear(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float) -> bool:
+def leaves_room(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float) -> bool:
     """Whether a step leaves every angle (rad) room before its pole.
 
     An angle may neither pass its pole nor take most of its way there in one step. The second is
@@ -51,7 +51,7 @@ def stays_clear(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float)
     """
     turn = np.remainder(after - before + np.pi, 2 * np.pi) - np.pi
     reached = np.abs(before + turn)  # beyond half a turn where the angle itself has jumped
-    near = acts(reached, pole)
+    near = is_bent(reached, pole)
     if not near.any():
         return True
     pole = np.broadcast_to(pole, near.shape)[near]

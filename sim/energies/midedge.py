@@ -102,7 +102,7 @@ class MidEdgeBending(Energy):
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return fold_barrier.stays_clear(self.angles(old), self.angles(new), self._pole)
+        return fold_barrier.leaves_room(self.angles(old), self.angles(new), self._pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) angles phi, rad."""
@@ -122,7 +122,7 @@ class MidEdgeBending(Energy):
 
     def is_folded(self, q: np.ndarray) -> bool:
         """Whether the barrier acts anywhere."""
-        return bool(fold_barrier.acts(self.angles(q), self._pole).any())
+        return bool(fold_barrier.is_bent(self.angles(q), self._pole).any())
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
         """(N, 3) derivatives of the energy by the angles phi, J/rad."""

@@ -38,6 +38,8 @@ class PardisoSolver:
         self._refined = False
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
+        if not np.isfinite(data).all():
+            return False
         rough = rough and self._single_serves
         self._data = data
         self._refined = rough and self._factorise_single(data)

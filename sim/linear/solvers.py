@@ -18,7 +18,7 @@ class CholeskySolver(Protocol):
     name: str
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
-        """Factor the matrix with CSR data (nnz,); False when it is not positive definite.
+        """Factor the matrix with CSR data (nnz,); False when it is not positive definite or finite.
 
         ``rough`` allows a cheaper factor: its verdict is no proof, and solutions have a relative
         error of about 1e-4 in the matrix's norm.
@@ -42,6 +42,8 @@ class SuperLUSolver:
         self._factor = None
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
+        if not np.isfinite(data).all():
+            return False
         matrix = sparse.csc_matrix(self._pattern.symmetric(data))
         try:
             self._factor = splu(

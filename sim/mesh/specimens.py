@@ -18,10 +18,11 @@ GRADING = 4.0
 LONGEST = 0.020
 """Length, m, to which edges grow at most, so that coarse meshes hold the folds of a start."""
 DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
-EDGES_PER_LENGTH = 5.5
+EDGES_PER_LENGTH = 6.5
+_STEP = 2.5  # of the edges' length from one mesh of a drape to the next
 COARSEST = 0.013
 """Longest edges at the rim, m, that a drape is started on."""
-BORROWED_COARSEST = 0.0065
+BORROWED_COARSEST = 0.008
 """The same for a borrowed drape, whose folds have to survive."""
 EDGES = (5e-4, 5e-2)
 """Lengths of edges at the rim, m: least, for memory and time; most, for a plate of its shape."""
@@ -84,10 +85,7 @@ def make_specimen(
 def _check(
     rig: Rig, edge: float, topology: int, offset: tuple[float, float], grading: float
 ) -> None:
-    least, most = EDGES
-    if not least <= edge <= most:
-        raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
-                         f"{1e3 * most:g} mm")
+    _check_edge(edge)
     if not 1 <= grading < np.inf:
         raise InputError(f"grading={grading:g}: edges at the hem must not be shorter than at the "
                          "rim; give 1 or more")
@@ -103,6 +101,13 @@ def _check(
         raise InputError(f"an overhang of {1e3 * room:.3g} mm at its narrowest is too narrow for "
                          f"edges of {1e3 * edge:.3g} mm, which need {1e3 * _ROOM * edge:.3g} mm; "
                          "reduce the offset or refine")
+
+
+def _check_edge(edge: float) -> None:
+    least, most = EDGES
+    if not least <= edge <= most:
+        raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
+                         f"{1e3 * most:g} mm")
 
 
 @lru_cache(maxsize=128)
@@ -150,11 +155,12 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 
 
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
-    """Edges at the rim, m, of the meshes a drape is solved on; they halve each time.
+    """Edges at the rim, m, of the meshes a drape is solved on; each time 2.5 times shorter.
 
-    None but the last has edges above ``coarsest``.
+    None but the last has edges above ``coarsest``. InputError for an edge out of :data:`EDGES`.
     """
+    _check_edge(edge)
     levels = [edge]
-    while 2 * levels[0] <= coarsest:
-        levels.insert(0, 2 * levels[0])
+    while _STEP * levels[0] <= coarsest:
+        levels.insert(0, _STEP * levels[0])
     return levels

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from common.errors import InputError
-from common.workers import pool_for
+from common.workers import worker_pool
 from sim.drape import DrapeResult
 from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -99,7 +99,7 @@ def equilibria(
                        torch.as_tensor(here), torch.as_tensor(flat)])
         tasks.append(_task(start, *(_array(v) for v in inputs[-1]), made))
     if workers > 1 and count > 1:
-        with pool_for(min(workers, count), tasks[0]) as pool:
+        with worker_pool(min(workers, count)) as pool:
             futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
                        for start, fabric, laws in tasks]
             results = [future.result() for future in futures]

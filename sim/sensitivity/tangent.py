@@ -109,8 +109,6 @@ class Tangent:
         for _ in range(_STEPS):
             if fresh:
                 data = potential.hessian(self.q)
-                if not np.isfinite(data).all():
-                    return False, "the energy is not a finite number"
                 self._factor = self._factor or make_solver(potential.pattern)
                 if not self._factor.factorise(data):
                     return False, "the Hessian is not positive definite: no minimum, or a fold"

@@ -14,10 +14,10 @@ from data.dataset import DrapeDataset
 from data.fabrics import fabric_from_theta
 from data.fresh import FreshDataset, Shot, open_views
 from data.render import VIEWS, DepthRenderer, render_views
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 from data.shards import Shard
 from data.view_order import reorder_axis, reorder_views
-from sim.mesh.specimens import DEFAULT_EDGES, default_edge
+from sim.mesh.specimens import DEFAULT_EDGES, TOPOLOGIES, default_edge
 from sim.scene import Rig
 
 RIG = CameraRig.load()
@@ -96,11 +96,13 @@ def test_labels_are_the_directions_in_the_pictures(tmp_path):
 
 
 def test_drapes_of_different_meshes_make_one_batch(tmp_path):
-    folder = cloths.write_dataset(tmp_path / "own", drapes=12, edge=0.0, seed=3)
+    folder = cloths.write_dataset(tmp_path / "own", drapes=20, edge=0.0, seed=3)
     dataset = FreshDataset(folder)
-    sizes = dataset.columns("edge")["edge"]
+    sizes, seeds = dataset.columns("edge", "seed").values()
     assert len(set(sizes.tolist())) > 1 and set(sizes.tolist()) <= set(DEFAULT_EDGES)
-    assert len(dataset._triangulations) == len(set(dataset._mesh)) < 12  # each kept once
+    kept = {id(faces): faces.numpy().tobytes() for faces in dataset._triangles}
+    asked_for = set(zip(sizes.tolist(), (seeds % TOPOLOGIES).tolist(), strict=True))
+    assert len(set(kept.values())) == len(kept) == len(asked_for) < 20  # over both shards
     for (name, row), size, theta in zip(dataset.places, sizes, dataset.theta, strict=True):
         assert size == default_edge(fabric_from_theta(theta), Rig())
         with Shard(folder / name) as shard:
@@ -108,13 +110,13 @@ def test_drapes_of_different_meshes_make_one_batch(tmp_path):
         assert len(positions) == len(rest) == faces.max() + 1
         # The specimen reaches from edge to edge: no row of the mesh is missing or of zeros.
         np.testing.assert_allclose(np.ptp(rest, axis=0), 0.3, atol=2e-5)
-    views = dataset.batch(range(12))["views"]
-    for item in range(12):
+    views = dataset.batch(range(20))["views"]
+    for item in range(20):
         assert np.array_equal(views[item], dataset[item]["views"])
 
 
 def noisy(root, **options):
-    return FreshDataset(root, noise=SensorNoise.load("smooth"), augment=True,
+    return FreshDataset(root, noise=load_sensor("smooth"), augment=True,
                         orientations_per_epoch=2, **options)
 
 

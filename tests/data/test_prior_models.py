@@ -26,9 +26,9 @@ from data.prior import (
     sample_admissible,
     save_prior,
 )
+from data.prior.architecture import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from data.prior.coordinates import Coordinates, plausible_range
 from data.prior.mixture import LEAST_VARIANCE
-from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from sim.material import plate_constants, torque
 
 TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"

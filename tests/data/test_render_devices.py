@@ -5,9 +5,9 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
-from data import rasterise, sensor, structured_light, time_of_flight
+from data import rasterise, sensor_noise, structured_light, time_of_flight
 from data.cameras import CameraRig
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
 
 HEIGHT, WIDTH = 60, 80
 GPU = torch.device("cuda", 0)
@@ -24,11 +24,11 @@ def fake(monkeypatch):
         return torch.empty(shape, dtype=like.dtype, device=like.device)
 
     monkeypatch.setattr(rasterise, "_copies", copies)
-    monkeypatch.setattr(sensor, "cloth_window",
+    monkeypatch.setattr(sensor_noise, "cloth_window",
                         lambda views, reach: (slice(0, HEIGHT), slice(0, WIDTH)))
     monkeypatch.setattr(structured_light, "_interpolation",
                         lambda length, spacing: torch.ones(length, 5))
-    for module in (sensor, structured_light, time_of_flight):
+    for module in (sensor_noise, structured_light, time_of_flight):
         for name in ("normal", "uniform"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, deviates)
@@ -47,5 +47,5 @@ def test_views_with_noise_stay_on_the_gpu(name):
     views = rasterise.rasterise_tensors(
         points, torch.zeros(2, 30, 3, dtype=torch.int64, device="cuda"),
         intrinsics[:, None].to(points.dtype).expand(2, 4, 4), height=HEIGHT, width=WIDTH)
-    noisy = SensorNoise.load(name)(views, intrinsics, None)
+    noisy = load_sensor(name)(views, intrinsics, None)
     assert views.device == noisy.device == GPU and noisy.shape == (2, 4, HEIGHT, WIDTH)

@@ -8,7 +8,8 @@ import torch
 
 from common.errors import InputError
 from data.configs import group_options
-from data.sensor import SensorNoise, cloth_window
+from data.sensor import load_sensor, sensor_from_config
+from data.sensor_noise import SensorNoise, cloth_window
 from data.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight
 
 STILL = StructuredLight(
@@ -35,7 +36,7 @@ def noisy(noise: SensorNoise, views: np.ndarray, seed: int = 7) -> np.ndarray:
 
 def test_no_strength_changes_nothing():
     views = torch.from_numpy(np.stack([slanted()] * 4))
-    for noise in (StructuredLight(strength=0, eight_bit_probability=1), SensorNoise.load("none")):
+    for noise in (StructuredLight(strength=0, eight_bit_probability=1), load_sensor("none")):
         result = noise(views, INTRINSICS, torch.Generator())
         assert torch.equal(result, views) and result is not views
 
@@ -43,7 +44,7 @@ def test_no_strength_changes_nothing():
 @pytest.mark.parametrize("name", ["smooth", "paper", "tof"])
 def test_seed_decides(name):
     views = np.stack([slanted()] * 4)
-    noise = SensorNoise.load(name)
+    noise = load_sensor(name)
     assert (noisy(noise, views) == noisy(noise, views)).all()
     assert (noisy(noise, views) != noisy(noise, views, seed=8)).any()
 
@@ -117,7 +118,7 @@ def test_default_is_as_calm_as_the_published_captures():
     # A plane as steep in the picture as the plate: 2.2 mm a row. Theirs is 0.29 counts, where
     # pure quantisation is 0.289.
     view = slanted(height=80, width=80, slope=0.0022)
-    noise = replace(SensorNoise.load("smooth"), eight_bit_probability=1.0, affine_shift_px=0)
+    noise = replace(load_sensor("smooth"), eight_bit_probability=1.0, affine_shift_px=0)
     error = (noisy(noise, np.stack([view] * 20)) - view)[:, 25:-25, 25:-25] * 255
     error -= error.mean(axis=(1, 2), keepdims=True)
     assert 0.28 < error.std() < 0.36
@@ -126,7 +127,7 @@ def test_default_is_as_calm_as_the_published_captures():
 @pytest.mark.parametrize("name", ["smooth", "tof"])
 def test_cloth_at_the_border_and_empty_pictures(name):
     full = np.full((40, 50), 0.5, dtype=np.float32)
-    noise = replace(SensorNoise.load(name), **({"hole_percent": 0} if name == "tof" else {}))
+    noise = replace(load_sensor(name), **({"hole_percent": 0} if name == "tof" else {}))
     result = noisy(noise, full)
     assert result.shape == full.shape and (result[5:-5, 5:-5] > 0).all()
     assert not noisy(noise, np.zeros((4, 40, 50), dtype=np.float32)).any()
@@ -143,13 +144,13 @@ def test_the_window_holds_all_cloth_and_its_reach():
 
 def test_every_sensor_file_loads_and_bad_settings_are_named():
     for name in group_options("sensor"):
-        assert isinstance(SensorNoise.load(name), SensorNoise)
-    assert StructuredLight() == SensorNoise.load("smooth")
+        assert isinstance(load_sensor(name), SensorNoise)
+    assert StructuredLight() == load_sensor("smooth")
     with pytest.raises(InputError, match="known sensors: none, paper, smooth, tof"):
-        SensorNoise.load("kinect")
+        load_sensor("kinect")
     with pytest.raises(InputError, match=r"sensor\.shift_px"):
         StructuredLight(shift_px=float("nan"))
     with pytest.raises(InputError, match="'shift'"):
-        SensorNoise.from_config({"shift": 1})
+        sensor_from_config({"shift": 1})
     with pytest.raises(InputError, match=r"sensor\.model 'stereo'; known: structured_light"):
-        SensorNoise.from_config({"model": "stereo"})
+        sensor_from_config({"model": "stereo"})

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from common.errors import InputError
-from data.sensor import SensorNoise
+from data.sensor import load_sensor
+from data.sensor_noise import SensorNoise
 from data.time_of_flight import TimeOfFlight, correlated_normal
 
 NOTHING = TimeOfFlight(
@@ -140,7 +141,7 @@ def test_depth_comes_in_whole_millimetres():
 
 
 def test_the_shipped_sensor_stays_within_the_makers_bounds():
-    noise = SensorNoise.load("tof")
+    noise = load_sensor("tof")
     assert noise == TimeOfFlight()
     view = plane(0.53, 40)
     result = noisy(noise, view, captures=200)[..., 2:-2, 2:-2]

@@ -17,7 +17,7 @@ NAMES = ("stiff", "bias", "soft")
 
 @pytest.fixture(scope="module")
 def draped() -> DrapeResult:
-    result = drape(Fabric(np.array([60.0, 45.0, 35.0]) * MICRO), resolution=17, seed=1)
+    result = drape(Fabric(np.array([60.0, 45.0, 35.0]) * MICRO), edge=8e-3, seed=1)
     assert result.converged
     return result
 
@@ -45,8 +45,8 @@ def test_errors_are_raised_to_the_bound_and_no_further(draped: DrapeResult) -> N
 
 def test_a_specimen_whose_weft_is_stiff_has_the_same_limits(draped: DrapeResult) -> None:
     # The same cloth, its two yarns named the other way round.
-    swapped = replace(draped, fabric=Fabric(draped.fabric.alpha[::-1].copy()),
-                      rest=draped.rest @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    turned = draped.mesh.with_rest(draped.rest @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    swapped = replace(draped, fabric=Fabric(draped.fabric.alpha[::-1].copy()), mesh=turned)
     found = []
     for result, turn in ((draped, 0.4), (swapped, 0.4)):
         one = content(1.0)

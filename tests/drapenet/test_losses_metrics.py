@@ -2,9 +2,12 @@ import math
 
 import pytest
 import torch
+from torch.utils.data import Dataset
 
+from drapenet.config import OptimConfig
 from drapenet.losses import drape_loss, root_mean_square, split_outputs
 from drapenet.metrics import angle_between_axes, regression_metrics
+from drapenet.training import validate
 
 
 def test_loss_is_equation_10() -> None:
@@ -45,6 +48,28 @@ def test_predicting_the_mean_scores_one() -> None:
     assert metrics["rmse_beta_over_alpha"] == pytest.approx(1, abs=0.03)
     assert metrics["loss"] == pytest.approx(math.sqrt(6), abs=0.05)
     assert metrics["axis_error_deg"] is None  # no anisotropic fabric among them
+
+
+class Fixed(Dataset):
+    """Three drapes whose views are what the network says of them."""
+
+    outputs = torch.arange(24.0).reshape(3, 8) / 24
+    targets, axes = torch.ones(3, 6), torch.tensor([[0.3, -0.4]] * 3)
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitems__(self, items: list[int]) -> tuple[torch.Tensor, ...]:
+        return self.outputs[items], self.targets[items], self.axes[items]
+
+
+@pytest.mark.parametrize("weights", [{"direction_weight": 0.0, "ratio_weight": 1.0},
+                                     {"direction_weight": 2.0, "ratio_weight": 0.5}])
+def test_training_and_validation_measure_the_same_loss(weights: dict) -> None:
+    found = validate(torch.nn.Identity(), Fixed(), device=torch.device("cpu"),
+                     optim=OptimConfig(**weights))
+    expected = drape_loss(Fixed.outputs, Fixed.targets, Fixed.axes, **weights).item()
+    assert found["loss"] == pytest.approx(expected, rel=1e-6)
 
 
 def test_metrics_tell_the_targets_apart() -> None:

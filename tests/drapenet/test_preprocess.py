@@ -1,8 +1,11 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 
 from common.errors import InputError
-from drapenet.preprocess import InputFormat, prepare
+from drapenet.preprocess import InputFormat, crop_doubts, prepare
 
 FORM = InputFormat(width=40, height=30, centre=0.5, scale=0.1, background=2.0)
 
@@ -59,6 +62,29 @@ def test_the_crop_follows_the_cloth_and_stays_in_the_picture(top: int, left: int
         found = cloth.any(dim=0).nonzero().float()
         middle = (found.min(dim=0).values + found.max(dim=0).values) / 2
         assert middle.tolist() == pytest.approx([23.5, 31.5], abs=0.6)
+
+
+@pytest.mark.parametrize(("width", "height"), [(128, 96), (129, 96), (100, 97), (170, 100)])
+def test_cloth_beyond_the_window_is_reported(width: int, height: int) -> None:
+    form = InputFormat(width=64, height=48, crop_width=128, crop_height=96)
+    views = np.zeros((4, 180, 240), dtype=np.float32)
+    views[0, 20 : 20 + height, 30:60] = 0.5  # none of the views is as large as all together
+    views[3, 20:60, 30 : 30 + width] = 0.5
+    seen = prepare(torch.from_numpy(views), form=InputFormat(width=240, height=180)) < 2.0
+    kept = prepare(torch.from_numpy(views), form=replace(form, width=128, height=96)) < 2.0
+    doubts = crop_doubts(views, form=form)
+    assert bool(doubts) == (width > 128 or height > 96)
+    for doubt in doubts:
+        share = 100 * (1 - kept.sum().item() / seen.sum().item())
+        assert f"is {width} x {height} pixels of 240 x 180" in doubt
+        assert "sees 128 x 96" in doubt and f": {share:.1f}% of the cloth" in doubt
+    assert not crop_doubts(views, form=InputFormat())  # sees the whole picture
+
+
+def test_cloth_that_lies_mostly_beyond_the_window_is_refused() -> None:
+    form = InputFormat(width=64, height=48, crop_width=128, crop_height=96)
+    with pytest.raises(InputError, match=r"71\.6% of the cloth is cut off, and at most 50%"):
+        crop_doubts(np.full((4, 180, 240), 0.5), form=form)
 
 
 @pytest.mark.parametrize("options", [{"width": 8}, {"scale": 0.0}, {"crop_width": -1}])

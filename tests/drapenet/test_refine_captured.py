@@ -348,7 +348,7 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_estimate_stands_errors_of_a_scans_vertices() -> None:
     theta = to_theta(np.array([38e-6, 22e-6, 15e-6]), np.array([-100e-9, -50e-9, -35e-9]))
-    scan = simulated_scan(theta, along=0.35e-3, across=0.1e-3, seed=1, fine=3e-3, scanned=5e-3)
+    scan = simulated_scan(theta, along=0.35e-3, across=0.1e-3, seed=1, fine=2.5e-3, scanned=7e-3)
     prior = load_prior("gaussian")
     found = search_cloth(scan, scan_objective(scan), Cloth(prior.mean.copy()), prior=prior)
     assert found.effort.solves == 25

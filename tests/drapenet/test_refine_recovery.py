@@ -30,7 +30,7 @@ from sim.scene import Rig
 from sim.sensitivity import follow, sensitivities
 from sim.sensitivity.tangent import possible_contact
 
-THETA = to_theta(np.array([60.0, 45.0, 35.0]) * MICRO, np.array([-120.0, -90.0, -70.0]) * 1e-9)
+THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
 AWAY = THETA + np.array([0.3, -0.2, 0.2, 5e-4, -5e-4, 5e-4])
 
 TIGHT = NewtonOptions(residual=1e-8, step=1e-8)
@@ -38,7 +38,7 @@ TIGHT = NewtonOptions(residual=1e-8, step=1e-8)
 
 @pytest.fixture(scope="module")
 def shape() -> DrapeResult:
-    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=3)
+    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=1)
     assert result.converged
     return result
 
@@ -158,9 +158,9 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 
 @pytest.mark.slow
 def test_held_cloth_that_touches_itself_feels_it() -> None:
-    alpha = np.array([2.0, 2.2, 1.8]) * MICRO
+    alpha = np.array([0.8, 0.88, 0.72]) * MICRO
     theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
-    soft = drape(fabric_from_theta(theta), edge=6e-3, seed=2, start="fold")
+    soft = drape(fabric_from_theta(theta), edge=5e-3, seed=1, start="fold")
     assert soft.converged and soft.touches
     springs = [springs_to_vertices(soft)]
     same = follow(soft.at(soft.positions), soft.fabric, extra=springs)

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from benchmarks.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from benchmarks.guides import LevelSides, TiedRows, level_rulings
 from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,
@@ -20,12 +21,12 @@ from sim.cantilever.elastica import (
     strip_shape,
     tabulated_law,
 )
-from sim.cantilever.tester import GuidedSides
 from sim.energies import plate_law
 from sim.laws import Laws
 from sim.material import Fabric, torque
 from sim.membranes import Corotational
 from sim.mesh import strip
+from sim.state import State, moved
 
 TRIANGULATIONS = {
     "alternating": {"diagonals": "alternating"},
@@ -189,7 +190,7 @@ def test_cylinder_moduli_are_those_of_the_plate_law(angle):
 def test_guided_strips_follow_the_law_at_any_angle(angle):
     fabric = Fabric(ORTHOTROPIC.alpha)
     phi = np.radians(angle)
-    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guided=True)
+    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guide=level_rulings)
     assert hung.result.status.value == "converged"
     alpha, _ = cylinder_moduli(fabric, phi)
     found = 0.3 * 9.81 * 0.09**3 / gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1]))
@@ -223,19 +224,17 @@ def test_a_free_strip_of_an_isotropic_fabric_is_a_cylinder():
 
 def test_guide_is_a_quadratic_form_that_cylinders_do_not_feel():
     mesh, _ = strip(length=0.02, width=0.015, edge=0.005, clamp=0.01)
-    guide = GuidedSides(mesh, across=4, stiffness=3.0, edge=0.005)
     rng = np.random.default_rng(0)
-    size = 3 * len(mesh.rest) + len(mesh.edges)
-    q = rng.standard_normal(size)
-    total = np.zeros(size + 1)
-    np.add.at(total, guide.dofs, guide.gradient(q))
-    step = rng.standard_normal(size)
-    change = (guide.value(q + step) - guide.value(q - step)) / 2  # exact for a quadratic form
-    assert change == pytest.approx(total[:-1] @ step, rel=1e-12)
-    curvature = np.einsum("nij,nj->ni", guide.hessian(q),
-                          np.where(guide.dofs >= 0, q[guide.dofs], 0.0))
-    assert np.allclose(curvature, guide.gradient(q), rtol=1e-12)
     x, y = mesh.rest.T
-    cylinder = np.concatenate([np.column_stack([np.sin(x), y, np.cos(x)]).ravel(),
-                               np.zeros(len(mesh.edges))])
-    assert guide.value(cylinder) < 1e-30
+    level = State.at(mesh, np.column_stack([np.sin(x), y, np.cos(x)])).q
+    for guide in (TiedRows(len(mesh.rest), across=4, stiffness=3.0),
+                  LevelSides(mesh, across=4, stiffness=7e-5)):
+        assert guide.value(level) < 1e-30
+        step = rng.standard_normal(3 * len(mesh.rest) + len(mesh.edges)) * 1e-3
+        q = moved(level, mesh.edges, 0.1 * step)
+        ahead, behind = (guide.value(moved(q, mesh.edges, h * step)) for h in (1e-3, -1e-3))
+        slope = (guide.gradient(q) * step[guide.dofs]).sum()
+        assert (ahead - behind) / 2e-3 == pytest.approx(slope, rel=1e-5)
+        bend = np.einsum("ni,nij,nj->", step[guide.dofs], guide.hessian(level), step[guide.dofs])
+        ahead = guide.value(moved(level, mesh.edges, 1e-4 * step))
+        assert 2 * ahead / 1e-8 == pytest.approx(bend, rel=1e-3)

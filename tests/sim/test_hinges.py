@@ -12,14 +12,14 @@ from test_energies import (
 )
 
 from common.errors import InputError
-from sim.energies.fold_barrier import LIMIT_START, acts
-from sim.energies.hinge_bending import (
+from sim.energies.fold_barrier import LIMIT_START, is_bent
+from sim.energies.hinges import (
     DihedralBending,
     Hinges,
     QuadraticBending,
     hinge_angles,
 )
-from sim.hinges import HINGE_LAWS, HingeLaw
+from sim.hinge_laws import HINGE_LAWS, HingeLaw
 from sim.laws import BENDING, Laws
 from sim.material import Fabric, torque
 from sim.mesh import Mesh, strip
@@ -38,7 +38,7 @@ def energy_and_state(name: str):
     mesh, active, q = crumpled_strip(amplitude=8e-3 if name == "hinge folded" else 1e-3)
     law, fabric = CASES[name]
     energy = law(mesh, active, fabric=fabric)
-    folded = acts(hinge_angles(q, energy.dofs), np.pi).any()
+    folded = is_bent(hinge_angles(q, energy.dofs), np.pi).any()
     assert folded == (name == "hinge folded")  # or the test would test nothing
     return energy, q[: 3 * len(mesh.rest)]
 

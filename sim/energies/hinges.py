@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.energies import dihedral
 from sim.energies.base import Energy
-from sim.energies.fold_barrier import barrier, stays_clear
+from sim.energies.fold_barrier import barrier, leaves_room
 from sim.material import bending_work
 from sim.mesh import Mesh
 
@@ -95,7 +95,7 @@ class DihedralBending(Energy):
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """False when a hinge would fold through itself, or take most of its way there."""
-        return stays_clear(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
+        return leaves_room(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
 
     def _of_angles(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""

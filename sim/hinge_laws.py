@@ -13,7 +13,7 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.energies.hinge_bending import (
+from sim.energies.hinges import (
     DihedralBending,
     Hinges,
     QuadraticBending,
@@ -40,7 +40,7 @@ class HingeLaw:
             modulus across its rest edge (Wang et al. 2011); ``curvature``: the modulus along
             ``axes``.
         axes: (N, 2) directions of bending of the hinges of
-            :class:`sim.energies.hinge_bending.Hinges`; for ``curvature`` only.
+            :class:`sim.energies.hinges.Hinges`; for ``curvature`` only.
             :func:`sim.equilibrium.find_equilibrium` finds them.
 
     Raises:
@@ -164,7 +164,7 @@ def smoothed(mesh: Mesh, values: np.ndarray, rounds: int = SMOOTHING_ROUNDS) -> 
 
 
 def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Directions (N, 2) in which :class:`~sim.energies.hinge_bending.Hinges` bend.
+    """Directions (N, 2) in which :class:`~sim.energies.hinges.Hinges` bend.
 
     The mean of those at the edge's two ends (section 4.4), from smoothed shape operators S. A
     vertex contributes the deviator of S², whose first axis is the direction of greater |curvature|

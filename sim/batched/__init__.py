@@ -1,1 +1,0 @@
-"""Many drapes at once, in PyTorch, on a CPU or a GPU."""

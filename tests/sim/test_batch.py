@@ -1,0 +1,202 @@
+"""Drapes made together are those made one by one; a failure spoils its own drape only."""
+
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from common.errors import InputError
+from sim import reference
+from sim.batch import drape_batch
+from sim.batch.device import DeviceCloths
+from sim.batch.rendezvous import together
+from sim.cloth import Cloth
+from sim.drape import drape
+from sim.energies.gravity import Gravity
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.mesh.specimens import TOPOLOGIES, coarse_to_fine, make_specimen
+from sim.newton import NewtonOptions, Status
+from sim.scene import DISC_RIG, GRAVITY, Rig, Scene
+
+FABRICS = [Fabric(np.array(a) * 1e-6, -1.5e-3 * np.array(a) * 1e-6)
+           for a in ([60, 40, 30], [150, 150, 150], [120, 90, 100])]
+SAME = [0, TOPOLOGIES, 2 * TOPOLOGIES]  # seeds of one topology and different starts
+EDGE = 0.014
+
+
+@pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+def test_drapes_made_together_are_those_made_alone(rig):
+    """Step by step: every one takes as many, and the batch changes them by rounding only."""
+    settings = {"rig": rig, "edge": EDGE, "offsets": [(0, 0), (4e-3, 2e-3), (0, -3e-3)],
+                "seeds": SAME, "starts": ["sine", "fold", "sine"]}
+    made = drape_batch(FABRICS, **settings, together=True)
+    alone = drape_batch(FABRICS, **settings, workers=1)
+    for one, other in zip(made, alone, strict=True):
+        assert one.converged and one.positive_definite
+        assert abs(one.iterations - other.iterations) <= 0.1 * other.iterations
+        assert np.abs(one.positions - other.positions).max() < 1e-7
+        assert one.residual < 1e-4
+
+
+def test_a_failure_spoils_no_other():
+    soft = Fabric(np.full(3, 0.4e-6))
+    options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=25)
+    made = drape_batch([FABRICS[1], soft], edge=0.02, seeds=SAME[:2], options=options,
+                       together=True)
+    alone = drape(FABRICS[1], edge=0.02, seed=SAME[0], options=options)
+    assert np.abs(made[0].positions - alone.positions).max() < 1e-7 and made[0].converged
+    assert made[1].status is Status.MAX_ITERATIONS and "25 iterations" in made[1].message
+
+
+def test_sizes_and_topologies_form_batches_of_their_own():
+    made = drape_batch([FABRICS[1]] * 3, edge=[0.02, 0.016, 0.02], seeds=[0, 1, 8],
+                       together=True, at_a_time=1)
+    assert [result.edge for result in made] == [0.02, 0.016, 0.02]
+    assert np.array_equal(made[0].faces, made[2].faces)
+    assert all(result.converged for result in made)
+
+
+def test_a_narrow_overhang_leaves_out_coarse_meshes_in_a_batch_too():
+    offsets = [(0.078, 0.0), (0.0, 0.0)]
+    made = drape_batch(FABRICS[:2], edge=0.006, offsets=offsets, seeds=SAME[:2], together=False,
+                       workers=1)
+    assert [len(r.coarse) for r in made] == [0, len(coarse_to_fine(0.006)) - 1]
+    assert all(result.converged for result in made)
+
+
+def batch_of(device: str) -> tuple[list[Cloth], DeviceCloths, list[np.ndarray]]:
+    specimen = make_specimen(Rig(), edge=0.016)
+    scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=Rig().obstacles)
+    cloths = [Cloth(scene, fabric) for fabric in FABRICS]
+    rng = np.random.default_rng(0)
+    rest = specimen.mesh.rest
+    radius = np.linalg.norm(rest, axis=1, keepdims=True)
+    inwards = rest * np.minimum(1, 0.0499 / np.maximum(radius, 1e-9))
+    states = [scene.state(np.column_stack([
+        inwards, -np.maximum(radius[:, 0] - 0.05, 0) + rng.normal(0, 1e-3, len(rest))
+        * ~specimen.held])).q for _ in cloths]
+    return cloths, DeviceCloths(cloths, torch.device(device)), states
+
+
+def test_hessians_of_a_batch_are_those_of_the_kernels():
+    cloths, there, states = batch_of("cpu")
+    asked = [(k, states[k], share) for k, share in ((2, 0.0), (0, 0.2), (1, 1.0))]
+    data = torch.cat([there._hessians(asked[:2]), there._hessians(asked[2:])]).numpy()
+    for row, (k, q, share) in zip(data, asked, strict=True):
+        assert cloths[k].obstacles[1].hessian(q).any()  # middles of edges touch the cylinder
+        expected = cloths[k].potential.hessian(q, share / 2)
+        assert np.abs(row - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_solutions_go_to_those_who_asked():
+    cloths, there, _ = batch_of("cpu")
+    scene = cloths[0].scene
+    rest = scene.mesh.rest
+    bulged = np.column_stack([rest, -0.5 * (rest**2).sum(axis=1)])
+    states = [scene.state(bulged).q] * 3
+    asked = [(k, states[k], 1.0) for k in (2, 0, 1)]
+    verdicts = there.factorise(asked)
+    rhs = np.random.default_rng(1).standard_normal(there.pattern.size)
+    assert verdicts == [True] * 3
+    some = [0, 2]  # one of them needs no solution
+    found = there.solve([(number, rhs) for number in some])
+    for number, x in zip(some, found, strict=True):
+        matrix = there.pattern.symmetric(cloths[number].potential.hessian(states[number], 0.5))
+        assert np.linalg.norm(matrix @ x - rhs) < 1e-6 * np.linalg.norm(rhs)
+
+
+def test_energies_stay_on_their_device():
+    """By tensors that have a device and no numbers, so that no GPU is needed."""
+    cloths, _, _ = batch_of("cpu")
+    twins = reference.cloths_of(cloths, "meta")
+    mesh = cloths[0].scene.mesh
+    x = torch.empty(3, len(mesh.rest), 3, dtype=torch.float64, device="meta")
+    n = torch.empty(3, len(mesh.edges), 3, dtype=torch.float64, device="meta")
+    turn = torch.empty(3, len(mesh.edges), dtype=torch.float64, device="meta")
+    total = reference.energy(twins, x, reference.moved(twins.topology, x, n, x, turn))
+    assert total.device.type == "meta" and total.shape == (3,)
+    some = twins.take(torch.tensor([0, 2]))
+    assert reference.energy(some, x[:2], n[:2]).shape == (2,)
+
+
+# The rendezvous
+
+
+def test_runs_that_wait_are_answered_together():
+    calls = []
+
+    def double(asked):
+        calls.append(("double", list(asked)))
+        return [2 * value for value in asked]
+
+    def count(asked):
+        calls.append(("count", len(asked)))
+        return [len(asked)] * len(asked)
+
+    def run(number, rendezvous, place):
+        assert number == place
+        value = rendezvous.ask(place, "double", 1, double, number)
+        if number == 2:
+            return value  # and leaves the others
+        return value + rendezvous.ask(place, "count", 0, count, None)
+
+    found = together([lambda r, k, n=n: run(n, r, k) for n in range(3)])
+    assert found == [2, 4, 4]
+    assert calls == [("double", [0, 1, 2]), ("count", 2)]
+
+
+@pytest.mark.parametrize("where", ["run", "answer"])
+def test_errors_reach_the_caller(where):
+    def answer(asked):
+        if where == "answer":
+            raise ValueError("there")
+        return list(asked)
+
+    def run(rendezvous, number):
+        rendezvous.ask(number, "kind", 0, answer, number)
+        raise ValueError("here")
+
+    with pytest.raises(ValueError, match="there" if where == "answer" else "here"):
+        together([run, run])
+
+
+# Mistakes, and worker processes
+
+
+def heavier(mesh, active, *, fabric):
+    return Gravity(mesh, density=fabric.density, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize(("arguments", "word"), [
+    ({"starts": ["sine"]}, "starts has 1 entries for 3 fabrics"),
+    ({"seeds": [0, 1, -2]}, "seed=-2"), ({"starts": "flat"}, "flat"),
+    ({"offsets": [(0, np.nan)] * 3}, "finite"), ({"at_a_time": 0}, "at_a_time=0"),
+    ({"workers": 0}, "workers=0"), ({"device": "tpu9"}, "tpu9"), ({"device": "meta"}, "meta"),
+    ({"edge": 1e-6, "workers": 1}, "edge=0.001 mm"), ({"rig": "square"}, "rig='square'"),
+    ({"laws": Laws(bending="hinge"), "together": True}, "together=False"),
+    ({"laws": Laws(others=(heavier,)), "together": True}, "together=False"),
+])
+def test_mistakes_are_named(arguments, word):
+    with pytest.raises(InputError, match=word):
+        drape_batch(FABRICS, **({"edge": EDGE} | arguments))
+
+
+def test_worker_processes_make_the_same_drapes():
+    made = drape_batch(FABRICS, edge=EDGE, workers=2)
+    for seed, (fabric, result) in enumerate(zip(FABRICS, made, strict=True)):
+        alone = drape(fabric, edge=EDGE, seed=seed)
+        assert np.abs(result.positions - alone.positions).max() < 1e-7
+        assert replace(result, seconds=0.0).status is alone.status
+
+
+def killed(mesh, active, *, fabric):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_worker_that_is_killed_is_reported():
+    with pytest.raises(InputError, match="ended from outside"):
+        drape_batch(FABRICS, edge=EDGE, workers=2, laws=Laws(others=(killed,)))
