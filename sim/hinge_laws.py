@@ -1,10 +1,10 @@
-"""The hinge bending laws by name: which energy, and which modulus each hinge gets.
+"""The hinge bending laws by name: form of the energy, modulus by the direction of bending.
 
-A modulus depends on the direction in which cloth bends, that of greatest curvature, in material
-axes, phi from warp. It is kept as the double-angle vector s (cos 2 phi, sin 2 phi), because angles
-do not average: adding such vectors adds the tensors of rank one that they stand for. The length s,
-from 0 to 1, is how far the cloth bends in one direction at all: 1 on a cylinder, 0 where it is flat
-or where its two principal curvatures have the same size.
+A direction of bending is that of greatest curvature, in material axes, phi from warp. It is kept
+as the double-angle vector s (cos 2 phi, sin 2 phi), because angles do not average: adding such
+vectors adds the tensors of rank one that they stand for. The length s, from 0 to 1, says how far
+the cloth bends in one direction at all: 1 on a cylinder, 0 where it is flat or where its two
+principal curvatures have the same size.
 """
 
 from dataclasses import dataclass, field
@@ -15,13 +15,12 @@ from common.errors import InputError
 from sim.energies.base import Energy
 from sim.energies.hinges import (
     DihedralBending,
-    HingeStencils,
+    Hinges,
     QuadraticBending,
-    find_hinges,
     hinge_angles,
 )
 from sim.material import BIAS, WARP, WEFT, Fabric
-from sim.mesh import Mesh
+from sim.mesh import Mesh, adjacency
 
 FORMS = ("hinge", "hinge_linear", "quadratic")
 DIRECTIONS = ("mean", "edge", "curvature")
@@ -41,7 +40,7 @@ class HingeLaw:
             modulus across its rest edge (Wang et al. 2011); ``curvature``: the modulus along
             ``axes``.
         axes: (N, 2) directions of bending of the hinges of
-            :func:`sim.energies.hinges.find_hinges`; for ``curvature`` only.
+            :class:`sim.energies.hinges.Hinges`; for ``curvature`` only.
             :func:`sim.equilibrium.find_equilibrium` finds them.
 
     Raises:
@@ -53,12 +52,10 @@ class HingeLaw:
     axes: np.ndarray | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        if self.form not in FORMS:
-            raise InputError(f"unknown hinge law '{self.form}'; choose from {', '.join(FORMS)}")
-        if self.direction not in DIRECTIONS:
-            raise InputError(
-                f"unknown direction '{self.direction}'; choose from {', '.join(DIRECTIONS)}"
-            )
+        for name, value, known in (("hinge law", self.form, FORMS),
+                                   ("direction", self.direction, DIRECTIONS)):
+            if value not in known:
+                raise InputError(f"unknown {name} '{value}'; choose from {', '.join(known)}")
 
     @property
     def lagged(self) -> bool:
@@ -71,7 +68,7 @@ class HingeLaw:
         Raises:
             InputError: the law follows the curvature and has no ``axes`` for these hinges.
         """
-        hinges = find_hinges(mesh, active)
+        hinges = Hinges(mesh, active)
         if self.direction == "edge":
             axes = edge_directions(hinges)
         elif self.direction == "mean":
@@ -87,7 +84,7 @@ class HingeLaw:
         if self.form == "quadratic":
             return QuadraticBending(hinges, gamma=alpha / 3)
         beta = modulus_of_bending(fabric.beta, axes) * (self.form == "hinge")
-        return DihedralBending(hinges, alpha=alpha, beta=beta, stiffness=fabric.alpha.min())
+        return DihedralBending(hinges, alpha=alpha, beta=beta, stop=fabric.alpha.min())
 
 
 HINGE_LAWS = {
@@ -121,29 +118,33 @@ def mean_modulus(moduli: np.ndarray) -> float:
 def modulus_of_bending(moduli: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(N,) moduli for bending in ``directions`` (N, 2) of (warp, bias, weft) (3,).
 
-    (1 - s) mean + s k(phi): :func:`modulus_along` as far as there is one direction. Section 4.4
-    takes k(phi) alone, which jumps where the two principal curvatures change places; the iteration
-    of :mod:`sim.lagged` then ends in a cycle for strongly anisotropic fabrics.
+    :func:`modulus_along` as far as there is one direction, :func:`mean_modulus` for the rest:
+    (1 - s) mean + s k(phi). Section 4.4 takes k(phi) alone, which jumps where the two principal
+    curvatures change places; the iteration of :mod:`sim.lagged` then ends in a cycle for strongly
+    anisotropic fabrics.
     """
     share = np.linalg.norm(directions, axis=1)
     angle = np.arctan2(directions[:, 1], directions[:, 0]) / 2
     return (1 - share) * mean_modulus(moduli) + share * modulus_along(moduli, angle)
 
 
-def edge_directions(hinges: HingeStencils) -> np.ndarray:
+def edge_directions(hinges: Hinges) -> np.ndarray:
     """(N, 2) directions across the hinges' rest edges."""
     nx, ny = hinges.normals.T
     return np.stack([nx * nx - ny * ny, 2 * nx * ny], axis=1)
 
 
 def shape_operators(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(V, 3) curvatures (Sxx, Syy, Sxy), 1/m, of vertices at positions (V, 3), m.
+    """(V, 3) curvatures (Sxx, Syy, Sxy), 1/m, of the vertices in material axes.
 
     S = 1/A sum 1/2 theta e n n^T over the hinges at a vertex, with the dihedral angle theta, the
-    rest edge's length e and normal n, and A the vertex's share of the rest area. Hinges that are
-    beside no ``active`` (F,) triangle count as flat.
+    rest edge's length e and normal n, and A the vertex's share of the rest area.
+
+    Args:
+        active: (F,) bool, triangles that can move; other hinges count as flat.
+        positions: (V, 3) m.
     """
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     bend = 0.5 * hinge_angles(positions.ravel(), hinges.dofs) * hinges.lengths
     nx, ny = hinges.normals.T
     per_hinge = bend[:, None] * np.stack([nx * nx, ny * ny, nx * ny], axis=1)
@@ -155,17 +156,15 @@ def shape_operators(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np
 
 def smoothed(mesh: Mesh, values: np.ndarray, rounds: int = SMOOTHING_ROUNDS) -> np.ndarray:
     """Values (V, K) averaged with those of the neighbours, ``rounds`` times."""
+    adjacent = adjacency(mesh)
+    count = 1 + np.diff(adjacent.indptr)[:, None]
     for _ in range(rounds):
-        total, count = values.copy(), np.ones(len(values))
-        for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-            np.add.at(total, a, values[b])
-            np.add.at(count, a, 1)
-        values = total / count[:, None]
+        values = (values + adjacent @ values) / count
     return values
 
 
 def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Directions (N, 2) in which the hinges of :func:`find_hinges` bend.
+    """Directions (N, 2) in which :class:`~sim.energies.hinges.Hinges` bend.
 
     The mean of those at the edge's two ends (section 4.4), from smoothed shape operators S. A
     vertex contributes the deviator of S², whose first axis is the direction of greater |curvature|
@@ -177,6 +176,6 @@ def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> n
     # dev(S²) = tr(S) dev(S), and (Sxx - Syy, 2 Sxy) is the double-angle vector of S
     vectors = np.stack([sxx - syy, 2 * sxy], axis=1) * (sxx + syy)[:, None]
     sizes = sxx**2 + syy**2 + 2 * sxy**2
-    ends = find_hinges(mesh, active).corners[:, :2]
+    ends = Hinges(mesh, active).corners[:, :2]
     total, size = vectors[ends].sum(axis=1), sizes[ends].sum(axis=1)[:, None]
     return np.divide(total, size, out=np.zeros_like(total), where=size > 0)

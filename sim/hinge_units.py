@@ -4,7 +4,7 @@ All of them say that a hinge with the dihedral angle theta and the rest edge e c
 
     tau = (a c + b c²) e,
 
-and differ in what they call its curvature c. Here (Feng et al. 2022, section 4.2.1) it is
+and have their own curvature c. Here (Feng et al. 2022, section 4.2.1) it is
 kappa = 2 theta / (H0 + H1) with the rest heights H of the two triangles. In another convention
 c = f kappa, so that equal torques need a = alpha / f and b = beta / f²:
 
@@ -32,23 +32,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Convention:
-    """How another simulator counts a hinge's curvature.
-
-    Attributes:
-        name: of the convention.
-        curvature: its curvature as a multiple of 2 theta / (H0 + H1).
-    """
+    """How another simulator, ``name``, counts a hinge's curvature: f in the table."""
 
     name: str
     curvature: float
 
     def from_here(self, alpha: float, beta: float = 0.0) -> tuple[float, float]:
-        """Moduli (N·m, N·m²) of the convention for alpha (N·m) and beta (N·m²) here."""
+        """Moduli a (N·m) and b (N·m²) of the convention for alpha (N·m) and beta (N·m²) here."""
         return alpha / self.curvature, beta / self.curvature**2
-
-    def to_here(self, linear: float, quadratic: float = 0.0) -> tuple[float, float]:
-        """alpha (N·m) and beta (N·m²) here for moduli (N·m, N·m²) of the convention."""
-        return linear * self.curvature, quadratic * self.curvature**2
 
 
 ARCSIM = Convention("ARCSim", 1 / 4)

@@ -1,4 +1,4 @@
-"""Fabrics: the six bending moduli, their scaling with density, and the torque law.
+"""Fabrics: the six bending moduli, their scaling with density, and the law of bending.
 
 Moduli are per unit width: a linear modulus alpha in N·m and a quadratic modulus beta in N·m²
 for each of the directions warp, bias (45°) and weft. The torque per width of cloth bent to the
@@ -7,12 +7,11 @@ curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.
 Nearly all measured fabrics have beta < 0, so that the parabola peaks at
 ``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. It is followed up to the
 fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continued with the slope it has there; see
-:func:`bending_work` and ``docs/physics.md``.
+:func:`softening_shape` and ``docs/physics.md``.
 """
 
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from common.errors import InputError
@@ -34,10 +33,10 @@ TWIST_FLOOR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Fabric:
-    """Bending moduli and density of a fabric.
+    """Bending moduli and density of a fabric; two are equal when all their values are.
 
     Attributes:
-        alpha: (3,) linear moduli, N·m, in the order warp, bias, weft.
+        alpha: (3,) linear moduli, N·m, in the order warp, bias, weft; read-only, as beta is.
         beta: (3,) quadratic moduli, N·m², same order.
         density: mass per area, kg/m².
 
@@ -50,18 +49,9 @@ class Fabric:
     beta: np.ndarray = field(default_factory=lambda: np.zeros(3))
     density: float = REFERENCE_DENSITY
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Fabric) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    @property
-    def _key(self) -> tuple[float, ...]:
-        return *self.alpha.tolist(), *self.beta.tolist(), self.density
-
     def __post_init__(self) -> None:
-        alpha, beta = (np.asarray(v, dtype=np.float64) for v in (self.alpha, self.beta))
+        alpha, beta = (np.array(v, dtype=np.float64) for v in (self.alpha, self.beta))
+        alpha.flags.writeable = beta.flags.writeable = False
         object.__setattr__(self, "alpha", alpha)
         object.__setattr__(self, "beta", beta)
         object.__setattr__(self, "density", float(self.density))
@@ -78,6 +68,16 @@ class Fabric:
                 "no elastic plate is this soft along the bias: alpha_bias must exceed "
                 f"{bias_limit(alpha) / MICRO:.3g} µN·m for these warp and weft moduli"
             )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Fabric) and self._values == other._values
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    @property
+    def _values(self) -> tuple[float, ...]:
+        return (*self.alpha.tolist(), *self.beta.tolist(), self.density)
 
     def at_density(self, density: float) -> "Fabric":
         """The fabric of another density (kg/m²) that drapes the same: moduli scale with it."""
@@ -125,47 +125,46 @@ def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
     return a11, a22, (c - 4 * a66) / 2, a66
 
 
-def torque(curvature: np.ndarray, alpha: float, beta: float) -> np.ndarray:
-    """Torque per width (N) at ``curvature`` >= 0 (1/m), see :func:`bending_work`."""
-    return bending_work(curvature, alpha, beta)[1]
+def softening_shape(u, limit):
+    """H, dH/du and d²H/du² at the reduced curvature u, a number or an array.
+
+    The energy per area of cloth bent to the curvature kappa is alpha kappa² H(u)/2. Up to the
+    ``limit`` H = 1 - 2 u/3, the energy of a parabola of torque; beyond it the torque grows with the
+    slope that the parabola has there, for which H gains 2 (u - limit)³/(3 u²).
+    """
+    over = np.maximum(u, limit)
+    beyond = over - limit
+    share = beyond / over
+    return (
+        1.0 - 2.0 / 3.0 * (u - share * share * beyond),
+        -2.0 / 3.0 * (1.0 - share * share * (3.0 - 2.0 * share)),
+        4.0 * share * (1.0 - share) ** 2 / over,
+    )
 
 
 def bending_work(
-    curvature: np.ndarray, alpha: np.ndarray, beta: np.ndarray
+    curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energy per area (J/m²), torque per width (N) and tangent (N·m) of cloth bent one way.
 
-    The torque alpha kappa + beta kappa² at ``curvature`` >= 0 (1/m), any shape, continued with its
-    own slope once u = -beta kappa/alpha exceeds :data:`SOFTENING_LIMIT`.
+    Args:
+        curvature: 1/m, at least 0; alpha: N·m; beta: N·m². Any shapes that broadcast.
     """
     kappa = np.asarray(curvature, dtype=np.float64)
     u = -beta / alpha * kappa
-    # In reduced curvature the parabola is u (1 - u); beyond the limit its u² stops growing
-    # quadratically, which adds `beyond²` back.
-    beyond = np.maximum(u - SOFTENING_LIMIT, 0.0)
-    over = np.where(beyond > 0, u, 1.0)
+    shape, slope, bend = softening_shape(u, SOFTENING_LIMIT)
     return (
-        alpha * kappa**2 * (0.5 - u / 3 + beyond**3 / (3 * over**2)),
-        alpha * kappa * (1 - u + beyond**2 / over),
-        alpha * (1 - 2 * u + 2 * beyond),
+        0.5 * alpha * kappa**2 * shape,
+        alpha * kappa * (shape + 0.5 * u * slope),
+        alpha * (shape + 2.0 * u * slope + 0.5 * u**2 * bend),
     )
 
 
-@numba.njit(inline="always")
-def softening_shape(u, limit):
-    """H(u) = 2 e(u)/u² and its two derivatives, e the integral of the reduced torque.
+def torque(
+    curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
+) -> np.ndarray:
+    """Torque per width (N): alpha kappa + beta kappa², which goes on straight beyond its limit.
 
-    The energy per area of :func:`bending_work` is alpha kappa² H(u)/2.
+    Arguments as for :func:`bending_work`.
     """
-    if u <= limit:
-        return 1.0 - 2.0 * u / 3.0, -2.0 / 3.0, 0.0
-    # e(u) = s u²/2 + c u + d with the slope s and continuity at the limit
-    s = 1.0 - 2.0 * limit
-    c = limit * limit
-    d = -limit * limit * limit / 3.0
-    v = 1.0 / u
-    return (
-        s + 2.0 * v * (c + d * v),
-        -2.0 * v * v * (c + 2.0 * d * v),
-        4.0 * v * v * v * (c + 3.0 * d * v),
-    )
+    return bending_work(curvature, alpha, beta)[1]

@@ -10,7 +10,7 @@ from scipy.signal import find_peaks
 
 from common.threads import one_blas_thread
 from sim.energies.contact import Obstacle
-from sim.energies.membrane import CorotationalMembrane
+from sim.membranes import Corotational
 from sim.mesh import Mesh
 from sim.scene import Rig
 
@@ -76,7 +76,7 @@ def maximum_stretch(
     positions (V, 3) m, rest (V, 2) m, faces (F, 3), held (V,) bool.
     """
     mesh = Mesh(rest=rest, faces=faces)
-    membrane = CorotationalMembrane(mesh, ~held[faces].all(axis=1))
+    membrane = Corotational().energy(mesh, ~held[faces].all(axis=1))
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
 
 

@@ -1,6 +1,8 @@
-"""In-plane materials: their parameters, checks and laws. SI units.
+"""In-plane materials: parameters in SI units, with the law that they make.
 
-Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated.
+Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated. A material is a law
+(:class:`sim.energies.membrane.StrainLaw`) of its own strain: the Green strain in warp and weft
+axes, or for the corotational one the principal stretches less 1.
 """
 
 from dataclasses import dataclass, field, replace
@@ -8,14 +10,14 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, PPoly
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.energies.locking import Band, ComponentGuard, PrincipalGuard
-from sim.energies.membrane import CorotationalMembrane
-from sim.energies.strain import StrainLaw, StrainMembrane
+from sim.energies.membrane import OfStretches, StrainLaw, StrainMembrane
 from sim.mesh import Mesh
+
+_ROUNDED = 0.5  # width of the bend at each limit of a guard's band, as a share of half the band
 
 
 class Membrane(Protocol):
@@ -28,16 +30,49 @@ class Membrane(Protocol):
         """The same material, ``factor`` times as stiff."""
 
 
-class Guardable(Membrane, Protocol):
-    """A membrane that :class:`Guarded` can wrap."""
+class _Material:
+    """A law of the Green strain that :class:`Guarded` can wrap."""
 
-    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
-        """The law with stretches between ``low`` and ``high`` free but for ``share`` of it."""
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        return StrainMembrane(mesh, active, self.of_green_strain(self))
+
+    @staticmethod
+    def of_green_strain(law: StrainLaw) -> StrainLaw:
+        """A law of the material's own strain as one of the Green strain."""
+        return law
+
+    @staticmethod
+    def band(low: float, high: float) -> np.ndarray:
+        """The material's own strains between stretches low and high: limits (2, K).
+
+        For components the Green strains of both, and the shear that both together make when they
+        are at 45° to the yarns.
+        """
+        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
+        return np.array([[below, below, below - above], [above, above, above - below]])
+
+
+class _Linear(_Material):
+    """Stress proportional to the strain by a symmetric ``matrix`` (K, K), N/m."""
+
+    matrix: np.ndarray
+
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        return strain @ self.matrix
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(self.matrix, (len(strain), *self.matrix.shape))
 
 
 @dataclass(frozen=True)
-class Corotational:
+class Corotational(_Linear):
     """Isotropic corotational membrane (section 4.1), the default.
+
+    Its density mu |F - R|² + lambda/2 tr(R^T F - I)², R the isometry closest to the deformation
+    gradient F, is mu (e1² + e2²) + lambda/2 (e1 + e2)² with e = s - 1, s the singular values of F.
 
     Attributes:
         stiffness: Young's modulus times thickness, N/m.
@@ -55,41 +90,42 @@ class Corotational:
         if not -1 < self.poisson < 1:
             raise InputError(f"poisson={self.poisson:g} must lie between -1 and 1")
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        return CorotationalMembrane(mesh, active, stiffness=self.stiffness, poisson=self.poisson)
+    @property
+    def mu(self) -> float:
+        """N/m, shear modulus times thickness."""
+        return self.stiffness / (2 * (1 + self.poisson))
+
+    @property
+    def lam(self) -> float:
+        """N/m, Lamé's first constant in the plane times thickness."""
+        return self.stiffness * self.poisson / (1 - self.poisson**2)
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        return 2 * self.mu * np.eye(2) + self.lam
 
     def scaled(self, factor: float) -> "Corotational":
         return replace(self, stiffness=factor * self.stiffness)
 
-    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
-        band = Band(low - 1, high - 1, share)
-        return PrincipalGuard(stiffness=self.stiffness, poisson=self.poisson, band=band)
+    @staticmethod
+    def of_green_strain(law: StrainLaw) -> StrainLaw:
+        return OfStretches(law)
 
-
-class _StrainMaterial:
-    """What materials given by a law of the Green strain have in common; they are their own law."""
-
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        return StrainMembrane(mesh, active, self)
-
-    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
-        # Green strains of the stretches, and the shear that both together make at 45°.
-        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
-        shear = above - below
-        limits = np.array([[below, below, -shear], [above, above, shear]])
-        return ComponentGuard(self, Band(*limits, share))
+    @staticmethod
+    def band(low: float, high: float) -> np.ndarray:
+        return np.array([[low - 1] * 2, [high - 1] * 2])
 
 
 @dataclass(frozen=True)
-class OrthotropicStVK(_StrainMaterial):
+class OrthotropicStVK(_Linear):
     """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
 
     S_uu = (E_warp e_uu + n E_weft e_vv)/d, S_vv = (n E_weft e_uu + E_weft e_vv)/d,
-    S_uv = shear 2 e_uv, with d = 1 - n² E_weft/E_warp and n Poisson's ratio.
+    S_uv = shear 2 e_uv, with d = 1 - n² E_weft/E_warp.
 
     Attributes:
         warp, weft: Young's moduli times thickness, N/m.
-        poisson: contraction along weft over extension along warp when pulled along warp; the
+        poisson: n, contraction along weft over extension along warp when pulled along warp; the
             other way round it is ``poisson * weft / warp``.
         shear: shear modulus times thickness, N/m.
 
@@ -111,36 +147,29 @@ class OrthotropicStVK(_StrainMaterial):
                 "moduli"
             )
 
-    def scaled(self, factor: float) -> "OrthotropicStVK":
-        return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
-
     @cached_property
-    def _stiffness(self) -> np.ndarray:
+    def matrix(self) -> np.ndarray:
         d = 1 - self.poisson**2 * self.weft / self.warp
         coupling = self.poisson * self.weft / d
         return np.array([[self.warp / d, coupling, 0.0], [coupling, self.weft / d, 0.0],
                          [0.0, 0.0, self.shear]])
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        return strain @ self._stiffness
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(self._stiffness, (len(strain), 3, 3))
+    def scaled(self, factor: float) -> "OrthotropicStVK":
+        return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
 
 
 Knots = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class NonlinearCurves(_StrainMaterial):
-    """Diagonalised membrane: a stress curve for each component (Miguel et al., section 4).
+class NonlinearCurves(_Material):
+    """Diagonalised membrane with a stress curve for each component (Miguel et al., section 4).
 
-    A curve is a monotone cubic through its knots (PCHIP, whose slope never vanishes between
-    increasing knots), so that the energy has two continuous derivatives, and straight from the last
-    knot on. That of shear is odd; pushed together along a yarn, cloth is as stiff as at rest.
+    A curve is a monotone cubic (PCHIP) through its knots, whose slope at rest is that of the
+    first interval; from the last knot on it is straight with the slope of the last interval. So
+    the energy has two continuous derivatives. Negative shear mirrors the curve. Along warp and
+    weft it goes on straight with its slope at rest: how cloth is pushed together says nothing of
+    how it tightens when pulled.
 
     Attributes:
         warp, weft: knots (Green strain, stress in N/m) of pulling along each direction, both
@@ -167,6 +196,17 @@ class NonlinearCurves(_StrainMaterial):
             if knots[0].any():
                 raise InputError(f"{name}: a stress curve starts at strain 0 and stress 0")
 
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        works = [curve.antiderivative() for curve in self._curves]
+        return sum(work(x) - work(0.0) for work, x in zip(works, strain.T, strict=True))
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        return np.column_stack([c(x) for c, x in zip(self._curves, strain.T, strict=True)])
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        slopes = [curve(x, 1) for curve, x in zip(self._curves, strain.T, strict=True)]
+        return np.stack(slopes, axis=1)[:, :, None] * np.eye(3)
+
     def scaled(self, factor: float) -> "NonlinearCurves":
         def scale(knots: Knots) -> Knots:
             return tuple((strain, factor * stress) for strain, stress in knots)
@@ -174,61 +214,49 @@ class NonlinearCurves(_StrainMaterial):
         return NonlinearCurves(*(scale(k) for k in (self.warp, self.weft, self.shear)))
 
     @cached_property
-    def _curves(self) -> tuple["_StressCurve", ...]:
-        return tuple(_StressCurve(knots, odd=odd) for knots, odd in
-                     ((self.warp, False), (self.weft, False), (self.shear, True)))
-
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        return sum(curve(x)[0] for curve, x in zip(self._curves, strain.T, strict=True))
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        return np.column_stack(
-            [curve(x)[1] for curve, x in zip(self._curves, strain.T, strict=True)])
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        result = np.zeros((len(strain), 3, 3))
-        for i, curve in enumerate(self._curves):
-            result[:, i, i] = curve(strain[:, i])[2]
-        return result
-
-
-class _StressCurve:
-    """Energy, stress and slope of one strain component."""
-
-    def __init__(self, knots: Knots, *, odd: bool) -> None:
-        strain, stress = np.asarray(knots, dtype=np.float64).T
-        # The mirrored knots and one more beyond the end give both ends their secants' slopes.
-        x = np.concatenate([-strain[::-1], strain[1:], [2 * strain[-1] - strain[-2]]])
-        y = np.concatenate([-stress[::-1], stress[1:], [2 * stress[-1] - stress[-2]]])
-        self._stress = PchipInterpolator(x, y)
-        self._slope, self._energy = self._stress.derivative(), self._stress.antiderivative()
-        self._least, self._most = (-strain[-1] if odd else 0.0), strain[-1]
-
-    def __call__(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        within = np.clip(strain, self._least, self._most)
-        beyond, stress, slope = strain - within, self._stress(within), self._slope(within)
-        energy = self._energy(within) - self._energy(0.0) + beyond * (stress + 0.5 * beyond * slope)
-        return energy, stress + beyond * slope, slope
+    def _curves(self) -> tuple[PPoly, ...]:
+        # Each goes on for one more interval like its last, which PCHIP makes straight.
+        curves = []
+        for knots, odd in ((self.warp, False), (self.weft, False), (self.shear, True)):
+            knots = np.array(knots)
+            pulled = np.vstack([knots, 2 * knots[-1] - knots[-2]])
+            pushed = -pulled[:0:-1] if odd else -pulled[1:2]
+            curves.append(PchipInterpolator(*np.vstack([pushed, pulled]).T))
+        return tuple(curves)
 
 
 @dataclass(frozen=True)
 class Guarded:
     """Another membrane with free strain around rest, against locking.
 
-    See :mod:`sim.energies.locking`. The corotational law is free in its principal stretches,
-    the others in warp, weft and shear.
+    Flat triangles cannot follow a surface bent in two directions without stretching a little. With
+    a stiff membrane that stretch outweighs the bending energy and the cloth folds less than it
+    should. Feng et al. 2022 (section 4.1) therefore let cloth deform freely between 99 % and 101 %
+    by moving its reference state along during the simulation. Where that procedure comes to rest,
+    the reference is the state nearest to the current one that the band allows, and only the rest
+    of the strain e, the *excess*, stores energy. The guard is that state of rest as an energy,
+
+        r psi(e) + (1 - r) psi(excess(e)),
+
+    so that an equilibrium stays the minimum of one function, which does not depend on the path.
+    The excess has continuous second derivatives: it is zero well inside the band and e minus the
+    limit well outside. The small share r stays everywhere; without it flat cloth without load
+    could flow within the band and no equilibrium would be unique.
+
+    The corotational law is free in its principal stretches, the others in warp, weft and shear.
 
     Attributes:
         membrane: what resists outside the band.
         low, high: stretches between which the cloth is free; the paper's 99 % and 101 %.
-        share: of the membrane's stiffness that remains within the band.
+        share: r, of the membrane's stiffness that remains within the band.
 
     Raises:
         InputError: a band that does not contain 1, a share that is not in (0, 1), or a membrane
             that cannot be wrapped.
     """
 
-    membrane: Guardable = field(default_factory=lambda: Corotational(stiffness=5000.0))
+    membrane: Corotational | OrthotropicStVK | NonlinearCurves = field(
+        default_factory=lambda: Corotational(stiffness=5000.0))
     low: float = 0.99
     high: float = 1.01
     share: float = 0.02
@@ -238,16 +266,45 @@ class Guarded:
             raise InputError(f"free stretch from {self.low:g} to {self.high:g} must contain 1")
         if not 0 < self.share < 1:
             raise InputError(f"share={self.share:g} must lie between 0 and 1")
-        if not hasattr(self.membrane, "guarded_law"):
-            raise InputError(f"membrane={self.membrane!r} cannot be guarded; give one that has a "
-                             "guarded_law, such as Corotational()")
+        if not isinstance(self.membrane, _Material):
+            raise InputError(f"membrane={self.membrane!r} cannot be guarded; give one such as "
+                             "Corotational()")
 
     def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        law = self.membrane.guarded_law(self.low, self.high, self.share)
-        return StrainMembrane(mesh, active, law)
+        return StrainMembrane(mesh, active, self.membrane.of_green_strain(self))
 
     def scaled(self, factor: float) -> "Guarded":
         return replace(self, membrane=self.membrane.scaled(factor))
+
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        inner, outer = self.membrane.density(strain), self.membrane.density(self.excess(strain)[0])
+        return self.share * inner + (1 - self.share) * outer
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        excess, slope, _ = self.excess(strain)
+        outer = slope * self.membrane.stress(excess)
+        return self.share * self.membrane.stress(strain) + (1 - self.share) * outer
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        excess, slope, bend = self.excess(strain)
+        outer = slope[:, :, None] * self.membrane.tangent(excess) * slope[:, None, :]
+        diagonal = np.arange(strain.shape[1])
+        outer[:, diagonal, diagonal] += bend * self.membrane.stress(excess)
+        return self.share * self.membrane.tangent(strain) + (1 - self.share) * outer
+
+    def excess(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strain (N, K) beyond the band and its first two derivatives, component by component."""
+        low, high = self.membrane.band(self.low, self.high)
+        above, below = _ramp(strain / high), _ramp(strain / low)
+        return (high * above[0] + low * below[0], above[1] + below[1],
+                above[2] / high + below[2] / low)
+
+
+def _ramp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """max(x - 1, 0), rounded over a width around 1, and its first two derivatives."""
+    u = np.clip((x - 1) / _ROUNDED + 0.5, 0.0, 1.0)
+    value = _ROUNDED * u**3 * (1 - 0.5 * u) + np.maximum(x - 1 - 0.5 * _ROUNDED, 0.0)
+    return value, u * u * (3 - 2 * u), 6 * u * (1 - u) / _ROUNDED
 
 
 def _check_positive(**values: float) -> None:

@@ -19,10 +19,10 @@ from sim.cloth import Cloth
 from sim.energies.clamp import FIRST
 from sim.energies.contact import RIM_RADIUS, Cylinder
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
+from sim.membranes import Corotational
 from sim.scene import Scene
 
 
@@ -95,7 +95,7 @@ class Cloths:
 def covers(cloth: Cloth) -> bool:
     """Whether a cloth's energies are those of the default laws; its self-contact is left out."""
     return (type(cloth.bending) is MidEdgeBending
-            and type(cloth.membrane) is CorotationalMembrane and not cloth.others
+            and type(cloth.laws.membrane) is Corotational and not cloth.others
             and all(isinstance(energy, SelfContact) for energy in cloth.extra)
             and all(isinstance(o, Cylinder) for o in cloth.scene.obstacles))
 
@@ -116,8 +116,8 @@ def cloths_of(cloths: Sequence[Cloth], device: torch.device | str = "cpu") -> Cl
         rest=rest.to(device),
         law=PlateConstants(*(column(values) for values in zip(*laws, strict=True))),
         softest=column(cloth.fabric.alpha.min() for cloth in cloths),
-        mu=column(cloth.membrane.mu for cloth in cloths),
-        lam=column(cloth.membrane.lam for cloth in cloths),
+        mu=column(cloth.laws.membrane.mu for cloth in cloths),
+        lam=column(cloth.laws.membrane.lam for cloth in cloths),
         weight=column(weights),
         pressure=column(cloth.scene.contact_pressure * weight
                         for cloth, weight in zip(cloths, weights, strict=True)),
@@ -285,24 +285,18 @@ def pressed(cloths: Cloths, points: Tensor, scale: Tensor) -> Tensor:
 def membrane_lift(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
     """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
 
-    Its negative eigenvalues belong to a twist and to the two rotations out of the plane, see
-    :mod:`sim.energies.membrane`.
+    It takes the compression out of the stress, see :class:`sim.energies.membrane.StrainMembrane`;
+    the tangent has no negative eigenvalues up to twice the length.
     """
     gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)
-    left, stretch, right = torch.linalg.svd(gradient, full_matrices=False)  # (..., 3, 2), (..., 2)
+    _, stretch, right = torch.linalg.svd(gradient, full_matrices=False)  # (..., 2), (..., 2, 2)
     force = 2 * cloths.mu[..., None] * (stretch - 1)
     force = force + cloths.lam[..., None] * (stretch.sum(-1, keepdim=True) - 2)
+    compression = (-force / stretch.clamp(min=1e-12)).clamp(min=0.0)
     weights = shapes @ right.mT  # (B, N, 3, 2): of each corner along the principal directions
-    normal = torch.linalg.cross(left[..., 0], left[..., 1])
-
-    def mode(direction: Tensor, principal: int) -> Tensor:
-        return (weights[..., :, principal, None] * direction[..., None, :]).flatten(-2)
-
-    twist = (mode(left[..., 1], 0) - mode(left[..., 0], 1)) * 0.5**0.5
-    modes = torch.stack([twist, mode(normal, 0), mode(normal, 1)], dim=-2)  # (B, N, 3, 9)
-    values = torch.stack([force.sum(-1) / stretch.sum(-1), force[..., 0] / stretch[..., 0],
-                          force[..., 1] / stretch[..., 1].clamp(min=1e-12)], dim=-1)
-    return modes.mT @ ((-values).clamp(min=0.0)[..., None] * modes)
+    pairs = (weights * compression[..., None, :]) @ weights.mT
+    blocks = pairs[..., :, None, :, None] * torch.eye(3).to(pairs)[:, None, :]
+    return blocks.flatten(-4, -3).flatten(-2, -1)
 
 
 def _depths(points: Tensor, radius: float) -> Tensor:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from drapenet.refine.guided import surface_positions
 from sim.drape import DrapeResult, drape_result, scene_on
 from sim.energies.base import Energy
-from sim.energies.hinges import find_hinges, hinge_angles
+from sim.energies.hinges import Hinges, hinge_angles
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws
@@ -117,7 +117,7 @@ def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
     """
     mesh, x = scene.mesh, positions.copy()
     adjacent = adjacency(mesh)
-    hinges = find_hinges(mesh, scene.active)
+    hinges = Hinges(mesh, scene.active)
     for _ in range(_SMOOTHINGS):
         bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > BENT
         if not bent.any():

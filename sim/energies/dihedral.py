@@ -46,19 +46,12 @@ def add_side_gradient(x, corner, sign, g):
 
 
 @numba.njit(cache=True)
-def gradient(x, g):
-    """Fill g (4, 3) with the derivatives of the angle by the corners x (4, 3)."""
-    g[:, :] = 0.0
-    add_side_gradient(x, 2, 1.0, g)
-    add_side_gradient(x, 3, -1.0, g)
-
-
-@numba.njit(cache=True)
 def add_side_hessian(x, corner, sign, weight, first, frame, block):
-    """Add the part of one triangle for :func:`add_hessian`, whose arguments these are.
+    """Add ``weight`` times one triangle's part of the second derivatives of the angle.
 
     ``corner`` and ``sign`` are those of :func:`add_side_gradient`; x0, x1 and the corner have a
-    part.
+    part. Corner c has the three rows and columns of ``block`` from first[c] on; ``frame`` (3, 3)
+    is scratch.
 
     With n its unit normal, u along the edge of length l, m from the edge to the opposite
     ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient
@@ -106,14 +99,3 @@ def add_side_hessian(x, corner, sign, weight, first, frame, block):
             block[p1 + i, p0 + j] += t * r * a - r * b + t * transposed - mixed
             block[p0 + i, p1 + j] += t * r * a - r * transposed + t * b - mixed
             block[p0 + i, p0 + j] += r * r * a + r * (b + transposed) + mixed
-
-
-@numba.njit(cache=True)
-def add_hessian(x, weight, first, frame, block):
-    """Add ``weight`` times the second derivatives of the angle by the corners x (4, 3).
-
-    Corner c has the three rows and columns of ``block`` from first[c] on; ``frame`` (3, 3) is
-    scratch.
-    """
-    add_side_hessian(x, 2, 1.0, weight, first, frame, block)
-    add_side_hessian(x, 3, -1.0, weight, first, frame, block)

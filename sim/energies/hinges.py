@@ -1,6 +1,6 @@
-"""Hinge bending: every edge stores an energy of the angle between its two triangles.
+"""Energies of hinges: every edge stores an energy of the angle between its two triangles.
 
-Hinges stand beside the default law for comparison and for export to simulators that use them. Their
+They stand beside the default law for comparison and for export to simulators that use them. Their
 moduli are not physical: the stiffness of a strip of hinges depends on its triangulation and does
 not converge under refinement (docs/physics.md, :mod:`sim.cantilever.equivalent`).
 
@@ -8,131 +8,103 @@ An edge between held and free cloth clamps its free triangle. As in the default 
 the free side alone: H is then the height of the free triangle, not the sum of two heights.
 """
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 
 from sim.energies import dihedral
 from sim.energies.base import Energy
-from sim.energies.fold_barrier import barrier, is_bent, leaves_room
+from sim.energies.fold_barrier import barrier, leaves_room
 from sim.material import bending_work
 from sim.mesh import Mesh
 
 
-@dataclass(frozen=True, eq=False)
-class HingeStencils:
-    """N hinges with at least one triangle that can move, in the order of their edges.
+class Hinges:
+    """Edges between two triangles of which one at least can move, N in the order of the mesh's.
+
+    Args:
+        active: (F,) bool, triangles of ``mesh`` that can move.
 
     Attributes:
-        edge: (N,) the mesh's edges they fold about.
+        edge: (N,) which of the mesh's edges they are.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
             then the corners opposite it. The first triangle can move.
-        areas: (N, 2) m², rest areas of the two triangles.
-        movable: (N, 2) bool, which of the two triangles can move; column 0 is all true.
-        vectors: (N, 2) m, the rest edges from their start.
-        opposite: (N, 2, 2) m, the two corners opposite the edge, from its start.
+        dofs: (N, 12) their coordinates, as :class:`sim.energies.base.Energy` asks for.
+        rest: (N, 4, 2) m, the corners at rest.
+        lengths, normals: (N,) m, the edges' rest lengths, and (N, 2) unit vectors across them.
+        areas, bent_areas: (N,) m², of both triangles at rest, and of those that can move.
     """
 
-    edge: np.ndarray
-    corners: np.ndarray
-    areas: np.ndarray
-    movable: np.ndarray
-    vectors: np.ndarray
-    opposite: np.ndarray
-
-    @property
-    def dofs(self) -> np.ndarray:
-        """(N, 12) unknowns, as :class:`sim.energies.base.Energy` asks for."""
-        return (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
-
-    @property
-    def lengths(self) -> np.ndarray:
-        """(N,) m, rest lengths of the edges."""
-        return np.linalg.norm(self.vectors, axis=1)
-
-    @property
-    def normals(self) -> np.ndarray:
-        """(N, 2) unit vectors across the rest edges, in material axes."""
-        return np.stack([self.vectors[:, 1], -self.vectors[:, 0]], axis=1) / self.lengths[:, None]
-
-    @property
-    def bent_area(self) -> np.ndarray:
-        """(N,) m², rest area of the triangles of each hinge that can move, e (H0 + H1) / 2."""
-        return (self.areas * self.movable).sum(axis=1)
-
-
-def find_hinges(mesh: Mesh, active: np.ndarray) -> HingeStencils:
-    """Hinges of ``mesh`` beside the triangles ``active`` (F,) bool."""
-    face, side = np.nonzero(active[:, None] & (mesh.neighbours >= 0))
-    across = mesh.neighbours[face, side]
-    # An edge between two active triangles appears twice; keep the first.
-    edge, first = np.unique(mesh.face_edges[face, side], return_index=True)
-    face, side, across = face[first], side[first], across[first]
-    corner, take = mesh.faces[face], np.arange(len(face))
-    start, end = corner[take, (side + 1) % 3], corner[take, (side + 2) % 3]
-    corners = np.stack([start, end, corner[take, side], across], axis=1)
-    pair = mesh.edge_faces[edge]
-    both = np.stack([face, np.where(pair[:, 0] == face, pair[:, 1], pair[:, 0])], axis=1)
-    origin = mesh.rest[start]
-    return HingeStencils(
-        edge=edge, corners=corners, areas=mesh.areas[both], movable=active[both],
-        vectors=mesh.rest[end] - origin,
-        opposite=mesh.rest[corners[:, 2:]] - origin[:, None],
-    )
+    def __init__(self, mesh: Mesh, active: np.ndarray) -> None:
+        pair = mesh.edge_faces
+        self.edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
+        pair = pair[self.edge]
+        pair = np.where(active[pair[:, :1]], pair, pair[:, ::-1])
+        # The first triangle's corners in their order, from the one opposite the edge
+        side = (mesh.face_edges[pair[:, 0]] == self.edge[:, None]).argmax(axis=1)
+        opposite, start, end = mesh.faces[pair[:, :1], (side[:, None] + np.arange(3)) % 3].T
+        across = mesh.faces[pair[:, 1]].sum(axis=1) - start - end
+        self.corners = np.stack([start, end, opposite, across], axis=1)
+        self.dofs = (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
+        self.rest = mesh.rest[self.corners]
+        x, y = (self.rest[:, 1] - self.rest[:, 0]).T
+        self.lengths = np.hypot(x, y)
+        self.normals = np.stack([y, -x], axis=1) / self.lengths[:, None]
+        self.areas = mesh.areas[pair].sum(axis=1)
+        self.bent_areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
 
 
 class DihedralBending(Energy):
     """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3).
 
     theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
-    rest heights H of the two triangles, and tau the torque per width alpha kappa + beta kappa²,
-    continued as :func:`sim.material.bending_work` does, so that it always grows. A barrier
-    (:mod:`sim.energies.fold_barrier`) of the ``stiffness`` keeps triangles from folding through
-    each other.
+    rest heights H of the two triangles, and tau the torque of :func:`sim.material.bending_work`,
+    which always grows. The barrier of :mod:`sim.energies.fold_barrier` acts on theta, times
+    ``stop`` and e²/(A0 + A1) with the rest areas A of both triangles.
 
     Args:
         hinges: the elements.
-        alpha, beta: (N,) moduli, N·m and N·m².
-        stiffness: of the barrier, N·m.
+        alpha: (N,) linear moduli, N·m.
+        beta: (N,) quadratic moduli, N·m².
+        stop: modulus of the barrier, N·m.
     """
 
     def __init__(
-        self, hinges: HingeStencils, *, alpha: np.ndarray, beta: np.ndarray, stiffness: float
+        self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float
     ) -> None:
         self.dofs = hinges.dofs
-        self._alpha, self._beta, self._areas = alpha, beta, hinges.bent_area
+        self._alpha, self._beta = alpha, beta
+        self._areas, self._lengths = hinges.bent_areas, hinges.lengths
         # kappa = spread * |theta|, 1/m per rad; e H / 2 is the area
-        self._spread = hinges.lengths / self._areas
-        self._barrier = stiffness * hinges.lengths**2 / hinges.areas.sum(axis=1)
+        self._spread = self._lengths / self._areas
+        self._stop = stop * self._lengths**2 / hinges.areas
 
     def value(self, q: np.ndarray) -> float:
-        return float(self._work(q)[0].sum())
+        return float(self._of_angles(q)[0].sum())
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return chain_gradient(q, self.dofs, self._work(q)[1])
+        return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        # The torque always grows, so that only the turning of the hinges is indefinite.
-        _, slope, bend = self._work(q)
-        return chain_hessian(q, self.dofs, 0.0 * slope if convex else slope, bend)
+        # Torque and barrier always grow, so that only the turning of the hinges is indefinite.
+        _, slope, bend = self._of_angles(q)
+        rows = _angle_gradients(q, self.dofs)
+        blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
+        if not convex:
+            _add_turning(q, self.dofs, slope, blocks)
+        return blocks
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        """False when a hinge would fold through itself, or take most of its way there."""
         return leaves_room(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
 
-    def _work(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Energies (N,), J, and their first two derivatives by the angles."""
+    def _of_angles(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
-        density, torque, tangent = bending_work(
-            self._spread * np.abs(angle), self._alpha, self._beta)
-        value = self._areas * density
-        slope = self._areas * self._spread * np.sign(angle) * torque
-        bend = self._areas * self._spread**2 * tangent
-        bent = is_bent(angle, np.pi)
-        if bent.any():
-            for total, part in zip((value, slope, bend), barrier(angle[bent], np.pi), strict=True):
-                total[bent] += self._barrier[bent] * part
-        return value, slope, bend
+        work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
+        value, slope, bend = barrier(angle, np.pi)
+        return (self._areas * work + self._stop * value,
+                self._lengths * np.sign(angle) * torque + self._stop * slope,
+                self._lengths * self._spread * tangent + self._stop * bend)
 
 
 class QuadraticBending(Energy):
@@ -147,10 +119,14 @@ class QuadraticBending(Energy):
         gamma: (N,) moduli, N·m.
     """
 
-    def __init__(self, hinges: HingeStencils, *, gamma: np.ndarray) -> None:
+    def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
         self.dofs = hinges.dofs
-        self._weights = flatness_weights(hinges)
-        self._scale = 1.5 * gamma / hinges.bent_area
+        # sin(theta/2) and theta/2 have the same derivatives by the heights of flat corners.
+        flat = np.pad(hinges.rest, ((0, 0), (0, 0), (0, 1)))
+        places = np.arange(flat.size).reshape(-1, 12)
+        by_height = _angle_gradients(flat.ravel(), places)[:, 2::3]
+        self._weights = hinges.lengths[:, None] * by_height
+        self._scale = 1.5 * gamma / hinges.bent_areas
         blocks = np.einsum("n,ni,nj,ab->niajb", 2 * self._scale, self._weights, self._weights,
                            np.eye(3))
         self._hessian = blocks.reshape(-1, 12, 12)
@@ -170,24 +146,11 @@ class QuadraticBending(Energy):
         return np.einsum("ni,nik->nk", self._weights, q[self.dofs].reshape(-1, 4, 3))
 
 
-def flatness_weights(hinges: HingeStencils) -> np.ndarray:
-    """(N, 4) weights K of the corners: e times the unit heights of both triangles, added up."""
-    squared = hinges.lengths**2
-    weights = np.zeros((len(squared), 4))
-    for side in range(2):
-        # foot of the height on the edge, as a fraction from its start, and e over the height
-        foot = (hinges.opposite[:, side] * hinges.vectors).sum(axis=1) / squared
-        ratio = squared / (2 * hinges.areas[:, side])
-        weights[:, 0] += ratio * (1 - foot)
-        weights[:, 1] += ratio * foot
-        weights[:, 2 + side] = -ratio
-    return weights
-
-
 @numba.njit(cache=True)
 def hinge_angles(q, dofs):
     """(N,) dihedral angles, rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
-    x, result = np.empty((4, 3)), np.empty(len(dofs))
+    x = np.empty((4, 3))
+    result = np.empty(len(dofs))
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
         result[t] = dihedral.angle(x)
@@ -195,34 +158,28 @@ def hinge_angles(q, dofs):
 
 
 @numba.njit(cache=True)
-def chain_gradient(q, dofs, slope):
-    """(N, 12) gradients of energies E(theta) with the derivatives ``slope`` (N,), J/rad."""
-    result = np.zeros((len(dofs), 12))
+def _angle_gradients(q, dofs):
+    """(N, 12) derivatives of the angles by the coordinates of the corners, 1/m."""
+    result = np.empty((len(dofs), 12))
     x, g = np.empty((4, 3)), np.empty((4, 3))
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
-        dihedral.gradient(x, g)
-        for k in range(12):
-            result[t, k] = slope[t] * g[k // 3, k % 3]
+        g[:, :] = 0.0
+        dihedral.add_side_gradient(x, 2, 1.0, g)
+        dihedral.add_side_gradient(x, 3, -1.0, g)
+        result[t] = g.ravel()
     return result
 
 
 @numba.njit(cache=True)
-def chain_hessian(q, dofs, slope, bend):
-    """(N, 12, 12) Hessians of energies E(theta) with derivatives ``slope`` and ``bend`` (N,).
-
-    The part of ``slope`` is indefinite, that of ``bend`` has the sign of ``bend``.
-    """
-    result = np.zeros((len(dofs), 12, 12))
-    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
+def _add_turning(q, dofs, slope, blocks):
+    """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
+    x, frame = np.empty((4, 3)), np.empty((3, 3))
+    first = (0, 3, 6, 9)
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
-        dihedral.gradient(x, g)
-        for a in range(12):
-            for b in range(12):
-                result[t, a, b] = bend[t] * g[a // 3, a % 3] * g[b // 3, b % 3]
-        dihedral.add_hessian(x, slope[t], (0, 3, 6, 9), frame, result[t])
-    return result
+        dihedral.add_side_hessian(x, 2, 1.0, slope[t], first, frame, blocks[t])
+        dihedral.add_side_hessian(x, 3, -1.0, slope[t], first, frame, blocks[t])
 
 
 @numba.njit(inline="always")

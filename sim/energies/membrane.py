@@ -1,179 +1,242 @@
-"""In-plane stiffness: isotropic corotational elasticity of constant-strain triangles."""
+"""In-plane energy of constant-strain triangles, by a law of the Green strain."""
+
+from typing import Protocol
 
 import numba
 import numpy as np
 
 from sim.energies.base import Energy
-from sim.energies.strain import triangle_elements
+from sim.energies.convex import raise_eigenvalues
 from sim.mesh import Mesh
 
+_EQUAL = 1e-9  # difference of stretches below which they count as equal
 
-class CorotationalMembrane(Energy):
-    """Energy A (mu |F - R|² + lambda/2 tr(R^T F - I)²) of every triangle (section 4.1).
 
-    F (3, 2) is the deformation gradient, R its closest isometry, A the rest area. In terms of
-    the singular values s of F: mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)².
+class StrainLaw(Protocol):
+    """Energy per rest area as a function of a strain.
+
+    In general the Green strain (N, 3) in warp and weft axes, E_uu, E_vv and 2 E_uv with u along
+    warp, v along weft and E = (F^T F - I)/2. Its stress (N, 3), N/m, is then S_uu, S_vv, S_uv
+    (second Piola-Kirchhoff times thickness). For :class:`OfStretches` the strain (N, 2) is that of
+    the principal stretches.
+    """
+
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        """(N,) J/m²."""
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        """(N, K) derivative of the density, N/m."""
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        """(N, K, K) second derivative of the density, N/m, symmetric."""
+
+
+class StrainMembrane(Energy):
+    """Rest area times the density of a :class:`StrainLaw`, for every triangle.
+
+    The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the
+    stress times the second derivative of the strain. In the convex form the tangent and the
+    stress tensor lose their negative eigenvalues, which leaves two semi-definite terms.
 
     Args:
-        mesh: the specimen.
+        mesh: the specimen, warp along x and weft along y.
         active: (F,) bool, triangles that store energy.
-        stiffness: Young's modulus times thickness, N/m; 200 as in the paper.
-        poisson: Poisson's ratio in the plane.
+        law: of the Green strain.
 
     Attributes:
-        areas, shape: of the N triangles, see :func:`sim.energies.strain.triangle_elements`.
-        mu, lam: N/m.
+        areas: (N,) m², rest areas.
     """
 
-    def __init__(
-        self, mesh: Mesh, active: np.ndarray, *, stiffness: float = 200.0, poisson: float = 0.3
-    ) -> None:
-        self.dofs, self.areas, self.shape = triangle_elements(mesh, active)
-        self.mu = stiffness / (2 * (1 + poisson))
-        self.lam = stiffness * poisson / (1 - poisson**2)
+    def __init__(self, mesh: Mesh, active: np.ndarray, law: StrainLaw) -> None:
+        faces = mesh.faces[active]
+        self.dofs = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
+        self.areas = mesh.areas[active]
+        self._law = law
+        # (N, 3, 2), 1/m: the deformation gradient F (3, 2) is the sum of corners (outer) shape
+        a, b, c = (mesh.rest[faces[:, i]] for i in range(3))
+        inverse = np.linalg.inv(np.stack([b - a, c - a], axis=-1))
+        self._shape = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
 
     def value(self, q: np.ndarray) -> float:
-        return _value(q, self.dofs, self.shape, self.areas, self.mu, self.lam)
+        return float(self.areas @ self._law.density(self.strains(q)))
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        return _gradient(q, self.dofs, self.shape, self.areas, self.mu, self.lam)
+        stress = self._law.stress(self.strains(q))
+        return _gradient(q, self.dofs, self._shape, self.areas, stress)
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        return _hessian(q, self.dofs, self.shape, self.areas, self.mu, self.lam, convex)
+        strain = self.strains(q)
+        stress, tangent = self._law.stress(strain), self._law.tangent(strain)
+        if convex:
+            stress, tangent = _tension(stress), np.array(tangent)
+            raise_eigenvalues(tangent, 0.0)
+        return _hessian(q, self.dofs, self._shape, self.areas, stress, tangent)
+
+    def strains(self, q: np.ndarray) -> np.ndarray:
+        """(N, 3) Green strains E_uu, E_vv, 2 E_uv of the triangles."""
+        return _strains(q, self.dofs, self._shape)
 
     def stretches(self, q: np.ndarray) -> np.ndarray:
-        """(N, 2) singular values of the deformation gradients, larger first."""
-        return _stretches(q, self.dofs, self.shape)
+        """(N, 2) principal stretches, the singular values of F, larger first."""
+        return _principal(self.strains(q))[0]
 
 
-@numba.njit(cache=True)
-def _deform(q, dofs, shape, f):
-    """Fill f (2, 3) with the columns of one F.
+class OfStretches:
+    """A law of the Green strain that is one of the principal stretches: an isotropic material.
 
-    Returns half the difference of their squares, their product, and half the sum of the squares.
+    With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i); p are the
+    derivatives of the density by them. The principal stresses are p_i/s_i. The tangent has a part
+    of the principal strains, and one of the turning of their axes.
+
+    Args:
+        law: of the strains (N, 2) s_1 - 1 and s_2 - 1.
     """
-    square = cross = other = 0.0
-    for i in range(3):
-        x0, x1, x2 = q[dofs[i]], q[dofs[3 + i]], q[dofs[6 + i]]
-        f[0, i] = x0 * shape[0, 0] + x1 * shape[1, 0] + x2 * shape[2, 0]
-        f[1, i] = x0 * shape[0, 1] + x1 * shape[1, 1] + x2 * shape[2, 1]
-        square += f[0, i] * f[0, i]
-        cross += f[0, i] * f[1, i]
-        other += f[1, i] * f[1, i]
-    return 0.5 * (square - other), cross, 0.5 * (square + other)
+
+    def __init__(self, law: StrainLaw) -> None:
+        self._law = law
+
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        return self._law.density(_principal(strain)[0] - 1.0)
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        s, turn = _principal(strain)
+        first, second = (self._law.stress(s - 1.0) / s).T
+        mean, half = (first + second) / 2, (first - second) / 2
+        return np.column_stack([mean + half * turn[:, 0], mean - half * turn[:, 0],
+                                half * turn[:, 1]])
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        s, turn = _principal(strain)
+        return _tangent(s, turn, self._law.stress(s - 1.0), self._law.tangent(s - 1.0))
+
+
+def _tension(stress: np.ndarray) -> np.ndarray:
+    """Stresses (N, 3) without the negative eigenvalues of their tensors."""
+    mean, half = (stress[:, 0] + stress[:, 1]) / 2, (stress[:, 0] - stress[:, 1]) / 2
+    radius = np.hypot(half, stress[:, 2])
+    low, high = np.maximum(mean - radius, 0.0), np.maximum(mean + radius, 0.0)
+    turn = (high - low) / np.where(radius > 0, 2 * radius, 1.0)
+    mean = (high + low) / 2
+    return np.column_stack([mean + turn * half, mean - turn * half, turn * stress[:, 2]])
 
 
 @numba.njit(cache=True)
-def _svd(q, dofs, shape, f, v, frame):
-    """Singular values s1 >= s2 of one F; frame (3, 3) gets u1, u2, n, v (2, 2) the right vectors.
-
-    f (2, 3) is scratch.
-    """
-    half, cross, mean = _deform(q, dofs, shape, f)
-    angle = 0.5 * np.arctan2(cross, half)
-    v[0, 0] = v[1, 1] = np.cos(angle)
-    v[0, 1] = np.sin(angle)
-    v[1, 0] = -v[0, 1]
-    s1 = np.sqrt(mean + np.hypot(half, cross))
-    square = 0.0
-    for i in range(3):
-        frame[0, i] = (f[0, i] * v[0, 0] + f[1, i] * v[0, 1]) / s1
-        frame[1, i] = f[0, i] * v[1, 0] + f[1, i] * v[1, 1]
-        square += frame[1, i] * frame[1, i]
-    s2 = np.sqrt(square)
-    for i in range(3):
-        frame[1, i] /= max(s2, 1e-12)
-    frame[2, 0] = frame[0, 1] * frame[1, 2] - frame[0, 2] * frame[1, 1]
-    frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[0, 0] * frame[1, 2]
-    frame[2, 2] = frame[0, 0] * frame[1, 1] - frame[0, 1] * frame[1, 0]
-    return s1, s2
+def _principal(strain):
+    """Stretches (N, 2), larger first, and cosine and sine (N, 2) of twice the first's angle."""
+    stretches, turn = np.empty((len(strain), 2)), np.empty((len(strain), 2))
+    for t in range(len(strain)):
+        total, across, shear = (strain[t, 0] + strain[t, 1], strain[t, 0] - strain[t, 1],
+                                strain[t, 2])
+        apart = np.hypot(across, shear)
+        stretches[t, 0] = np.sqrt(max(1.0 + total + apart, 1e-24))
+        stretches[t, 1] = np.sqrt(max(1.0 + total - apart, 1e-24))
+        turn[t, 0] = across / apart if apart > 0.0 else 1.0
+        turn[t, 1] = shear / apart if apart > 0.0 else 0.0
+    return stretches, turn
 
 
 @numba.njit(cache=True)
-def _singular_values(q, dofs, shape, f):
-    """Singular values s1 >= s2 of one F; f (2, 3) is scratch."""
-    half, cross, mean = _deform(q, dofs, shape, f)
-    s1 = np.sqrt(mean + np.hypot(half, cross))
-    a = f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1]
-    b = f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2]
-    c = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
-    return s1, np.sqrt(a * a + b * b + c * c) / s1
-
-
-@numba.njit(cache=True)
-def _stretches(q, dofs, shape):
-    result = np.empty((len(dofs), 2))
-    f = np.empty((2, 3))
-    for t in range(len(dofs)):
-        result[t, 0], result[t, 1] = _singular_values(q, dofs[t], shape[t], f)
+def _tangent(stretches, turn, p, pp):
+    """(N, 3, 3) of a law with derivatives p (N, 2) and pp (N, 2, 2) by the stretches."""
+    result = np.empty((len(p), 3, 3))
+    axes = np.empty((3, 3))  # principal strains and their turning, by components of the strain
+    for t in range(len(p)):
+        cosine, sine = turn[t]
+        axes[0] = (1.0 + cosine) / 2.0, (1.0 - cosine) / 2.0, sine / 2.0
+        axes[1] = (1.0 - cosine) / 2.0, (1.0 + cosine) / 2.0, -sine / 2.0
+        axes[2] = -sine / 2.0, sine / 2.0, cosine / 2.0
+        a, b = stretches[t]
+        apart = a - b
+        slope = (p[t, 0] - p[t, 1]) / apart if apart > _EQUAL else pp[t, 0, 0] - pp[t, 0, 1]
+        first = (pp[t, 0, 0] - p[t, 0] / a) / (a * a)
+        second = (pp[t, 1, 1] - p[t, 1] / b) / (b * b)
+        mixed = pp[t, 0, 1] / (a * b)
+        turning = 4.0 * (slope * b - p[t, 1]) / (a * b * (a + b))
+        for i in range(3):
+            for j in range(3):
+                result[t, i, j] = (
+                    first * axes[0, i] * axes[0, j] + second * axes[1, i] * axes[1, j]
+                    + mixed * (axes[0, i] * axes[1, j] + axes[1, i] * axes[0, j])
+                    + turning * axes[2, i] * axes[2, j]
+                )
     return result
 
 
 @numba.njit(cache=True)
-def _value(q, dofs, shape, areas, mu, lam):
-    total = 0.0
-    f = np.empty((2, 3))
-    for t in range(len(dofs)):
-        s1, s2 = _singular_values(q, dofs[t], shape[t], f)
-        trace = s1 + s2 - 2.0
-        total += areas[t] * (mu * ((s1 - 1.0) ** 2 + (s2 - 1.0) ** 2) + 0.5 * lam * trace**2)
-    return total
+def _deformation(q, dofs, shape, f):
+    """The deformation gradient of one triangle, written to f (3, 2)."""
+    for i in range(3):
+        f[i, 0] = f[i, 1] = 0.0
+        for a in range(3):
+            x = q[dofs[3 * a + i]]
+            f[i, 0] += x * shape[a, 0]
+            f[i, 1] += x * shape[a, 1]
 
 
 @numba.njit(cache=True)
-def _gradient(q, dofs, shape, areas, mu, lam):
+def _strains(q, dofs, shape):
+    result = np.empty((len(dofs), 3))
+    f = np.empty((3, 2))
+    for t in range(len(dofs)):
+        _deformation(q, dofs[t], shape[t], f)
+        uu = uv = vv = 0.0
+        for i in range(3):
+            uu += f[i, 0] * f[i, 0]
+            uv += f[i, 0] * f[i, 1]
+            vv += f[i, 1] * f[i, 1]
+        result[t, 0] = 0.5 * (uu - 1.0)
+        result[t, 1] = 0.5 * (vv - 1.0)
+        result[t, 2] = uv
+    return result
+
+
+@numba.njit(cache=True)
+def _strain_rows(q, dofs, shape, f, b):
+    """Fill b (3, 9) with the derivatives of one triangle's strain; f (3, 2) is scratch."""
+    _deformation(q, dofs, shape, f)
+    for a in range(3):
+        gu, gv = shape[a]
+        for i in range(3):
+            b[0, 3 * a + i] = f[i, 0] * gu
+            b[1, 3 * a + i] = f[i, 1] * gv
+            b[2, 3 * a + i] = f[i, 0] * gv + f[i, 1] * gu
+
+
+@numba.njit(cache=True)
+def _gradient(q, dofs, shape, areas, stress):
     result = np.empty((len(dofs), 9))
-    f, v, frame = np.empty((2, 3)), np.empty((2, 2)), np.empty((3, 3))
+    f, b = np.empty((3, 2)), np.empty((3, 9))
     for t in range(len(dofs)):
-        s1, s2 = _svd(q, dofs[t], shape[t], f, v, frame)
-        trace = s1 + s2 - 2.0
-        p1 = areas[t] * (2.0 * mu * (s1 - 1.0) + lam * trace)
-        p2 = areas[t] * (2.0 * mu * (s2 - 1.0) + lam * trace)
-        for a in range(3):
-            w1 = p1 * (v[0, 0] * shape[t, a, 0] + v[0, 1] * shape[t, a, 1])
-            w2 = p2 * (v[1, 0] * shape[t, a, 0] + v[1, 1] * shape[t, a, 1])
-            for i in range(3):
-                result[t, 3 * a + i] = w1 * frame[0, i] + w2 * frame[1, i]
+        _strain_rows(q, dofs[t], shape[t], f, b)
+        for j in range(9):
+            result[t, j] = areas[t] * (
+                stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j] + stress[t, 2] * b[2, j]
+            )
     return result
 
 
 @numba.njit(cache=True)
-def _hessian(q, dofs, shape, areas, mu, lam, convex):
-    # The Hessian of an isotropic energy by F has a known eigenbasis: scalings u_i v_i, a twist,
-    # a flip, and the two out-of-plane rotations n v_i, whose eigenvalues are stress/stretch.
+def _hessian(q, dofs, shape, areas, stress, tangent):
     result = np.empty((len(dofs), 9, 9))
-    mode = np.empty((6, 9))
-    value = np.empty(6)
-    root = np.sqrt(0.5)
-    f, v, frame = np.empty((2, 3)), np.empty((2, 2)), np.empty((3, 3))
+    f, b, cb = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9))
     for t in range(len(dofs)):
-        s1, s2 = _svd(q, dofs[t], shape[t], f, v, frame)
-        trace = s1 + s2 - 2.0
-        p1 = 2.0 * mu * (s1 - 1.0) + lam * trace
-        p2 = 2.0 * mu * (s2 - 1.0) + lam * trace
-        value[0] = value[1] = 2.0 * mu + lam
-        value[2] = (p1 + p2) / (s1 + s2)
-        value[3] = 2.0 * mu
-        value[4] = p1 / s1
-        value[5] = p2 / max(s2, 1e-12)
-        if convex:
-            for k in range(6):
-                value[k] = max(value[k], 0.0)
-        for a in range(3):
-            w1 = v[0, 0] * shape[t, a, 0] + v[0, 1] * shape[t, a, 1]
-            w2 = v[1, 0] * shape[t, a, 0] + v[1, 1] * shape[t, a, 1]
-            for i in range(3):
-                k = 3 * a + i
-                mode[0, k] = frame[0, i] * w1
-                mode[1, k] = frame[1, i] * w2
-                mode[2, k] = root * (frame[1, i] * w1 - frame[0, i] * w2)
-                mode[3, k] = root * (frame[1, i] * w1 + frame[0, i] * w2)
-                mode[4, k] = frame[2, i] * w1
-                mode[5, k] = frame[2, i] * w2
+        _strain_rows(q, dofs[t], shape[t], f, b)
+        for m in range(3):
+            for j in range(9):
+                cb[m, j] = areas[t] * (
+                    tangent[t, m, 0] * b[0, j]
+                    + tangent[t, m, 1] * b[1, j]
+                    + tangent[t, m, 2] * b[2, j]
+                )
         for i in range(9):
             for j in range(i, 9):
-                h = lam * (mode[0, i] * mode[1, j] + mode[1, i] * mode[0, j])
-                for k in range(6):
-                    h += value[k] * mode[k, i] * mode[k, j]
-                result[t, i, j] = result[t, j, i] = areas[t] * h
+                h = b[0, i] * cb[0, j] + b[1, i] * cb[1, j] + b[2, i] * cb[2, j]
+                result[t, i, j] = result[t, j, i] = h
+        for a in range(3):
+            wu = areas[t] * (stress[t, 0] * shape[t, a, 0] + stress[t, 2] * shape[t, a, 1])
+            wv = areas[t] * (stress[t, 2] * shape[t, a, 0] + stress[t, 1] * shape[t, a, 1])
+            for c in range(3):
+                h = wu * shape[t, c, 0] + wv * shape[t, c, 1]
+                for i in range(3):
+                    result[t, 3 * a + i, 3 * c + i] += h
     return result

@@ -12,10 +12,10 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
-Meshes too coarse for the cloth would fold through themselves, where phi jumps. A barrier
-(:mod:`sim.energies.fold_barrier`) of the stiffness k e/h prevents that. Its pole is a quarter turn,
-which leaves half a turn between two triangles, and half a turn at a clamp, whose other side is
-fixed. k is the least alpha, e/h the rest length of the edge over the rest height of the triangle.
+Meshes too coarse for the cloth would fold through themselves, where phi jumps. The barrier of
+:mod:`sim.energies.fold_barrier` prevents that, times the least alpha and the rest length of the
+edge over the rest height of the triangle. Its pole is a quarter turn, which leaves half a turn
+between two triangles, and half a turn at a clamp, whose other side is fixed.
 """
 
 import copy
@@ -23,10 +23,10 @@ import copy
 import numba
 import numpy as np
 
-from sim.energies import dihedral, plate_law
+from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
 from sim.energies.clamp import bending_areas
-from sim.energies.fold_barrier import barrier, is_bent, leaves_room
+from sim.energies.convex import raise_eigenvalues
 from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
@@ -96,13 +96,13 @@ class MidEdgeBending(Energy):
         if convex:
             # The rotations of the edges have no other stiffness: the floor is positive.
             law = self.law
-            _convexify(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
+            raise_eigenvalues(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
         moments = None if convex else self._moments(q, stress)
         return _hessian(q, self._corners, self._sign, self.maps, self.areas, tangent,
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return leaves_room(self.angles(old), self.angles(new), self._pole)
+        return fold_barrier.leaves_room(self.angles(old), self.angles(new), self._pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) angles phi, rad."""
@@ -122,7 +122,7 @@ class MidEdgeBending(Energy):
 
     def is_folded(self, q: np.ndarray) -> bool:
         """Whether the barrier acts anywhere."""
-        return bool(is_bent(self.angles(q), self._pole).any())
+        return bool(fold_barrier.is_bent(self.angles(q), self._pole).any())
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
         """(N, 3) derivatives of the energy by the angles phi, J/rad."""
@@ -131,14 +131,8 @@ class MidEdgeBending(Energy):
 
     def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
-        phi = self.angles(q)
-        value, first, second = 0.0, np.zeros(phi.shape), np.zeros(phi.shape)
-        bent = is_bent(phi, self._pole)
-        if bent.any():
-            energies, first[bent], second[bent] = (
-                self._barrier[bent] * part for part in barrier(phi[bent], self._pole[bent]))
-            value = float(energies.sum())
-        return value, first, second
+        value, slope, bend = fold_barrier.barrier(self.angles(q), self._pole)
+        return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
@@ -223,25 +217,6 @@ def _gradient(q, corners, sign, moments):
             for k in range(12):
                 result[t, k] += moments[t, i] * rows[i, k]
     return result
-
-
-@numba.njit(cache=True)
-def _convexify(tangents, floor):
-    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` to it, in place."""
-    for matrix in tangents:
-        # Pivots of what lies above the floor: most matrices need no eigenvectors.
-        first = matrix[0, 0] - floor
-        second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
-        if first > 0.0 and second > 0.0:
-            cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
-            if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
-                continue
-        value, vector = np.linalg.eigh(matrix)
-        for k in range(3):
-            if value[k] < floor:
-                for i in range(3):
-                    for j in range(3):
-                        matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
 
 
 @numba.njit(cache=True)

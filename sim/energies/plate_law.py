@@ -7,11 +7,11 @@ With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
     a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²,     d = |Sxx - Syy|,
     g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
-H(u) = 2 e(u)/u², e the integral of t, and t(u) = u (1 - u) up to u_c, continued with its slope
-1 - 2 u_c. The first term is convex where g is a multiple of a. It softens at least as fast as
-the fabric does in each direction, and the others put back what it takes too much: F_w and F_f
-do nothing to cloth bent along the bias, where Sxx = Syy, and F_b nothing along the yarns, where
-Sxy = 0. Each is the difference of two torque laws of one direction, convex in its argument.
+H the shape of a softening law (:func:`sim.material.softening_shape`). The first term is convex
+where g is a multiple of a. It softens at least as fast as the fabric does in each direction, and
+the others put back what it takes too much: F_w and F_f do nothing to cloth bent along the bias,
+where Sxx = Syy, and F_b nothing along the yarns, where Sxy = 0. Each is the difference of two
+torque laws of one direction, convex in its argument.
 
 Cloth bent to a cylinder along warp, bias or weft so carries exactly the torque
 alpha kappa + beta kappa² (up to u_c); other directions follow smoothly. psi is positive for
@@ -78,11 +78,14 @@ def constants(fabric: Fabric) -> PlateConstants:
     )))  # fmt: skip
 
 
+_shape = numba.njit(inline="always")(softening_shape)
+
+
 @numba.njit(inline="always")
 def _returned(k, alpha, base, rho, limit):
     """F and its two derivatives at k >= 0: energy of the law rho less that of the softer base."""
-    fast, fast1, _ = softening_shape(base * k, limit)
-    slow, slow1, _ = softening_shape(rho * k, limit)
+    fast, fast1, _ = _shape(base * k, limit)
+    slow, slow1, _ = _shape(rho * k, limit)
     return (
         0.5 * alpha * k * k * (slow - fast),
         alpha * k * (slow - fast + 0.5 * k * (rho * slow1 - base * fast1)),
@@ -99,7 +102,7 @@ def energy(s, law):
     if a <= 0.0:
         return 0.0
     u = (law.g_w * x * x + law.g_f * y * y + 2.0 * law.g_t * z * z) / np.sqrt(a)
-    h, _, _ = softening_shape(u, limit)
+    h, _, _ = _shape(u, limit)
     total = 0.5 * a * h
     if law.base_b > law.rho_b:
         total += _returned(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
@@ -128,7 +131,7 @@ def derivatives(s, law, g, h):
         return
     n = np.sqrt(a)
     u = (law.g_w * s[0] ** 2 + law.g_f * s[1] ** 2 + 2.0 * law.g_t * s[2] ** 2) / n
-    shape, slope, bend = softening_shape(u, law.u_c)
+    shape, slope, bend = _shape(u, law.u_c)
     da = (da0, da1, da2)
     weight = (2.0 * law.g_w, 2.0 * law.g_f, 4.0 * law.g_t)
     du, dn = np.empty(3), np.empty(3)

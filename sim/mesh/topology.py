@@ -1,4 +1,4 @@
-"""Flat triangulations, and what their topology gives: edges, neighbours, smoothing, normals."""
+"""Flat triangulations, and what their topology gives: edges, smoothing, normals."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,15 +70,6 @@ class Mesh:
     def edge_faces(self) -> np.ndarray:
         """(E, 2) the faces on either side, -1 where there is none."""
         return self._edge_tables[2]
-
-    @cached_property
-    def neighbours(self) -> np.ndarray:
-        """(F, 3) for each corner, the vertex beyond the opposite edge; -1 at the boundary."""
-        across = self.edge_faces[self.face_edges]  # (F, 3, 2)
-        here = np.arange(len(self.faces))[:, None]
-        other = np.where(across[..., 0] == here, across[..., 1], across[..., 0])
-        corner_sum = self.faces[other].sum(-1) - self.edges[self.face_edges].sum(-1)
-        return np.where(other >= 0, corner_sum, -1)
 
 
 def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ EDGE = 0.014
 def test_drapes_made_together_are_those_made_alone(rig):
     """Step by step: every one takes as many, and the batch changes them by rounding only."""
     settings = {"rig": rig, "edge": EDGE, "offsets": [(0, 0), (4e-3, 2e-3), (0, -3e-3)],
-                "seeds": SAME, "starts": ["sine", "fold", "sine"]}
+                "seeds": SAME, "starts": ["fold", "fold", "sine"]}
     made = drape_batch(FABRICS, **settings, together=True)
     alone = drape_batch(FABRICS, **settings, workers=1)
     for one, other in zip(made, alone, strict=True):
@@ -44,12 +44,12 @@ def test_drapes_made_together_are_those_made_alone(rig):
 
 def test_a_failure_spoils_no_other():
     soft = Fabric(np.full(3, 0.4e-6))
-    options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=25)
+    options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=40)
     made = drape_batch([FABRICS[1], soft], edge=0.02, seeds=SAME[:2], options=options,
                        together=True)
     alone = drape(FABRICS[1], edge=0.02, seed=SAME[0], options=options)
     assert np.abs(made[0].positions - alone.positions).max() < 1e-7 and made[0].converged
-    assert made[1].status is Status.MAX_ITERATIONS and "25 iterations" in made[1].message
+    assert made[1].status is Status.MAX_ITERATIONS and "40 iterations" in made[1].message
 
 
 def test_sizes_and_topologies_form_batches_of_their_own():

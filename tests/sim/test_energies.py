@@ -6,9 +6,9 @@ import pytest
 from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import RIM_RADIUS, Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
-from sim.energies.membrane import CorotationalMembrane
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
+from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
@@ -41,7 +41,7 @@ def case_of(name: str):
     if name == "gravity":
         return Gravity(mesh, density=0.3, gravity=9.81), q, after
     if name == "membrane":
-        return CorotationalMembrane(mesh, active, stiffness=200.0), q, after
+        return Corotational().energy(mesh, active), q, after
     if name == "midedge softening":
         return MidEdgeBending(mesh, active, fabric=ANISOTROPIC), q, after
     if name == "midedge stiffening":
@@ -201,7 +201,7 @@ def test_face_and_back_agree():
 
 def test_membrane_against_the_singular_values():
     mesh, active, q = crumpled_strip()
-    membrane = CorotationalMembrane(mesh, active, stiffness=200.0, poisson=0.3)
+    membrane = Corotational(200.0, 0.3).energy(mesh, active)
     mu, lam = 200 / 2.6, 200 * 0.3 / 0.91
     total = 0.0
     for face, area in zip(mesh.faces[active], mesh.areas[active], strict=True):

@@ -49,8 +49,3 @@ def test_discrete_shells_store_the_same_energy():
     assert ALPHA / 6 * ANGLE**2 * edge / height == pytest.approx(own_energy(0.0), rel=1e-12)
     nonlinear = work(lambda t: a * t / height + b * (t / height) ** 2, edge)
     assert nonlinear == pytest.approx(own_energy(BETA), rel=1e-10)
-
-
-@pytest.mark.parametrize("convention", [ARCSIM, DISCRETE_SHELLS])
-def test_there_and_back(convention):
-    assert convention.to_here(*convention.from_here(ALPHA, BETA)) == pytest.approx((ALPHA, BETA))

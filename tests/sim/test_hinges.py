@@ -8,18 +8,26 @@ from test_energies import (
     STIFFENING,
     assert_error_falls_with_square,
     crumpled_strip,
+    scattered,
 )
 
 from common.errors import InputError
-from sim.energies.hinges import DihedralBending, QuadraticBending, find_hinges
+from sim.energies.fold_barrier import LIMIT_START, is_bent
+from sim.energies.hinges import (
+    DihedralBending,
+    Hinges,
+    QuadraticBending,
+    hinge_angles,
+)
 from sim.hinge_laws import HINGE_LAWS, HingeLaw
 from sim.laws import BENDING, Laws
-from sim.material import SOFTENING_LIMIT, Fabric, bending_work, torque
+from sim.material import Fabric, torque
 from sim.mesh import Mesh, strip
 
 CASES = {
     "hinge softening": (HingeLaw("hinge", "edge"), ANISOTROPIC),
     "hinge stiffening": (HingeLaw("hinge"), STIFFENING),
+    "hinge folded": (HingeLaw("hinge"), ANISOTROPIC),
     "hinge linear": (HingeLaw("hinge_linear", "edge"), ANISOTROPIC),
     "quadratic": (HingeLaw("quadratic", "edge"), ANISOTROPIC),
 }
@@ -27,9 +35,12 @@ ISOTROPIC = Fabric(np.full(3, 20e-6), np.full(3, -60e-9))
 
 
 def energy_and_state(name: str):
-    mesh, active, q = crumpled_strip()
+    mesh, active, q = crumpled_strip(amplitude=8e-3 if name == "hinge folded" else 1e-3)
     law, fabric = CASES[name]
-    return law(mesh, active, fabric=fabric), q
+    energy = law(mesh, active, fabric=fabric)
+    folded = is_bent(hinge_angles(q, energy.dofs), np.pi).any()
+    assert folded == (name == "hinge folded")  # or the test would test nothing
+    return energy, q[: 3 * len(mesh.rest)]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -37,7 +48,8 @@ def test_gradient_and_hessian_are_derivatives(name):
     energy, q = energy_and_state(name)
     direction = np.random.default_rng(2).standard_normal(len(q))
     ahead = [(q + h * direction, q - h * direction, 2 * h) for h in STEPS]
-    gradient = np.bincount(energy.dofs.ravel(), energy.gradient(q).ravel(), minlength=len(q))
+    gradient = scattered(energy, energy.gradient(q))
+    direction = direction[: len(gradient)]
     errors = [abs((energy.value(a) - energy.value(b)) / h - gradient @ direction)
               for a, b, h in ahead]
     assert_error_falls_with_square(errors, np.abs(gradient) @ np.abs(direction))
@@ -48,23 +60,25 @@ def test_gradient_and_hessian_are_derivatives(name):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_convex_hessian_is_semi_definite(name):
+def test_convexity_removes_the_indefinite_part(name):
     energy, q = energy_and_state(name)
     exact, convex = energy.hessian(q), energy.hessian(q, convex=True)
     size = np.abs(convex).max()
     assert np.linalg.eigvalsh(convex).min() > -1e-12 * size
     if name != "quadratic":
         assert np.linalg.eigvalsh(exact).min() < -1e-3 * size  # or there was nothing to remove
+        rest = crumpled_strip()[0].rest
+        flat = np.column_stack([rest, np.zeros(len(rest))]).ravel()
+        assert np.allclose(energy.hessian(flat), energy.hessian(flat, convex=True), rtol=0,
+                           atol=1e-12 * size)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_rigid_motions_and_turning_over_change_nothing(name):
     energy, q = energy_and_state(name)
-    vertices = 3 * len(crumpled_strip()[0].rest)
     rotation, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
     for turn in (rotation, -rotation):  # one of them mirrors
-        moved = q.copy()
-        moved[:vertices] = (q[:vertices].reshape(-1, 3) @ turn.T + [1, 2, 3]).ravel()
+        moved = (q.reshape(-1, 3) @ turn.T + [1, 2, 3]).ravel()
         assert energy.value(moved) == pytest.approx(energy.value(q), rel=1e-9)
 
 
@@ -100,16 +114,29 @@ def test_a_hinge_stores_the_work_of_its_torque(angle, beta):
     assert linear == pytest.approx(20e-6 * angle**2 * edge / sum(heights), rel=1e-12)
 
 
-def test_the_law_is_the_materials_and_passes_its_limit_smoothly():
-    alpha, beta = 20e-6, -60e-9
-    limit = SOFTENING_LIMIT * alpha / -beta
-    curvature = np.concatenate([np.linspace(0, limit, 40), limit * np.linspace(1, 5, 40)])
-    _, moment, tangent = bending_work(curvature, alpha, beta)
-    assert np.allclose(moment, torque(curvature, alpha, beta), rtol=1e-12, atol=0)
-    assert tangent.min() == pytest.approx(alpha * (1 - 2 * SOFTENING_LIMIT))
-    before, after = (bending_work(np.array([limit * (1 + d)]), alpha, beta)
-                     for d in (-1e-9, 1e-9))
-    assert np.allclose(before, after, rtol=1e-8)
+def test_the_barrier_keeps_hinges_from_folding_through_themselves():
+    """Its energy by hand, its growth without bound, and the steps it allows."""
+    start = LIMIT_START * np.pi
+    angle = 2.9
+    mesh, q, edge, heights = one_hinge(angle)
+    fabric = Fabric([98.8e-6, 23.5e-6, 21.2e-6])
+    energy = HingeLaw("hinge_linear")(mesh, BOTH, fabric=fabric)
+    modulus = energy.value(one_hinge(1.0)[1]) / (edge / sum(heights))
+    barrier = -((angle - start) ** 2) * np.log((np.pi - angle) / (np.pi - start))
+    expected = (modulus * angle**2 + 2 * 21.2e-6 * barrier) * edge / sum(heights)
+    assert energy.value(q) == pytest.approx(expected, rel=1e-12)
+    near = [energy.value(one_hinge(np.pi - 10.0**-k)[1]) for k in (2, 4, 6, 8)]
+    assert np.diff(near).min() > 0.9 * np.diff(near).max() > 0  # as the logarithm
+
+    def reaches(before: float, after: float) -> bool:
+        return energy.allows(one_hinge(before)[1], one_hinge(after)[1])
+
+    assert reaches(0.5, 2.9) and reaches(2.9, 3.05) and reaches(3.1, 2.0) and reaches(-2.0, 1.0)
+    assert not reaches(0.5, 3.0) and not reaches(2.9, 3.12)
+    for past in (-3.1, -2.5, -1.5):  # through itself, to where the angle has the other sign
+        angles = [hinge_angles(one_hinge(at)[1], energy.dofs)[0] for at in (2.9, past)]
+        assert angles == pytest.approx([-2.9, -past])
+        assert not reaches(2.9, past)
 
 
 @pytest.mark.parametrize("angle", [0.01, 0.7, 2.5])
@@ -119,7 +146,7 @@ def test_quadratic_law_of_a_fold(angle):
     energy = HingeLaw("quadratic")(mesh, BOTH, fabric=ISOTROPIC)
     expected = 4 * 20e-6 * edge * np.sin(angle / 2) ** 2 / sum(heights)
     assert energy.value(q) == pytest.approx(expected, rel=1e-12)
-    assert np.array_equal(energy.hessian(q), energy.hessian(2 * q, 1.0))
+    assert np.array_equal(energy.hessian(q), energy.hessian(2 * q, convex=True))
     # flat cloth, however deformed in its plane, costs nothing
     flat = np.column_stack([mesh.rest @ np.array([[1.2, 0.3], [-0.1, 0.9]]), np.zeros(4)])
     assert energy.value(flat.ravel()) < 1e-25
@@ -130,22 +157,25 @@ def test_the_clamp_counts_on_its_free_side_alone():
     free_side = np.array([False, True])
     energy = HingeLaw("hinge_linear")(mesh, free_side, fabric=ISOTROPIC)
     assert energy.value(q) == pytest.approx(20e-6 * 0.4**2 * edge / heights[1], rel=1e-12)
-    assert len(find_hinges(mesh, np.zeros(2, dtype=bool)).edge) == 0
+    assert len(Hinges(mesh, np.zeros(2, dtype=bool)).edge) == 0
 
 
 def test_hinges_are_the_inner_edges_once_each():
     mesh, active, _ = crumpled_strip()
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     inner = mesh.edge_faces[:, 1] >= 0
     beside = active[mesh.edge_faces].any(axis=1)
     assert np.array_equal(hinges.edge, np.flatnonzero(inner & beside))
     assert np.array_equal(np.sort(hinges.corners[:, :2], axis=1), mesh.edges[hinges.edge])
-    assert hinges.movable[:, 0].all() and not hinges.movable.all()
-    # both triangles' areas from the corners themselves
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        e, a = hinges.vectors, hinges.opposite[:, side]
-        twice = sign * (e[:, 0] * a[:, 1] - e[:, 1] * a[:, 0])
-        assert np.allclose(hinges.areas[:, side], twice / 2, rtol=1e-12)
+    # both triangles' areas from the corners themselves, the first of a triangle that can move
+    edge, *sides = (hinges.rest[:, k] - hinges.rest[:, 0] for k in (1, 2, 3))
+    first, second = (sign / 2 * (edge[:, 0] * a[:, 1] - edge[:, 1] * a[:, 0])
+                     for sign, a in zip((1, -1), sides, strict=True))
+    assert min(first.min(), second.min()) > 0
+    assert np.allclose(hinges.areas, first + second, rtol=1e-12)
+    clamped = ~active[mesh.edge_faces[hinges.edge]].all(axis=1)
+    assert clamped.any()
+    assert np.allclose(hinges.bent_areas, np.where(clamped, first, first + second), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("turn", "modulus"), [(0, 0), (45, 1), (90, 2), (-45, 1), (180, 0)])
@@ -177,7 +207,7 @@ def test_an_imposed_cylinder_costs_what_the_plate_costs_on_a_grid(diagonals):
 
 def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
     mesh, active, q = crumpled_strip()
-    hinges = find_hinges(mesh, active)
+    hinges = Hinges(mesh, active)
     count = len(hinges.edge)
     once, thrice = (QuadraticBending(hinges, gamma=np.full(count, g)).value(q)
                     for g in (1e-5, 3e-5))
@@ -187,7 +217,7 @@ def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
               for direction in ("mean", "edge", "curvature")]
     assert values == pytest.approx([values[0]] * 3, rel=1e-12)
     by_hand = DihedralBending(hinges, alpha=np.full(count, 20e-6), beta=np.full(count, -60e-9),
-                              stiffness=20e-6)
+                              stop=20e-6)
     assert by_hand.value(q) == pytest.approx(values[0], rel=1e-12)
 
 

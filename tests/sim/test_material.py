@@ -9,6 +9,7 @@ from sim.energies import plate_law
 from sim.material import (
     SOFTENING_LIMIT,
     Fabric,
+    bending_work,
     bias_limit,
     is_admissible,
     plate_constants,
@@ -70,6 +71,43 @@ def test_torque_is_the_parabola_up_to_the_limit_and_grows_beyond():
     beyond = torque(np.linspace(limit, 10 * limit, 50), alpha, beta)
     slopes = np.diff(beyond) / (np.diff(np.linspace(limit, 10 * limit, 50)))
     assert np.allclose(slopes, alpha * (1 - 2 * SOFTENING_LIMIT), rtol=1e-9)
+
+
+@pytest.mark.parametrize("beta", [-60e-9, 0.0, 40e-9])
+def test_torque_and_tangent_are_derivatives_of_the_work_of_bending(beta):
+    """Central differences on either side of the limit, where the tangent alone has a bend."""
+    alpha, step = 20e-6, 1e-3
+    limit = SOFTENING_LIMIT * alpha / 60e-9
+    kappa = np.concatenate([np.linspace(1, limit - 1, 40), limit * np.linspace(1.01, 5, 40)])
+    ahead, at, behind = (bending_work(kappa + d, alpha, beta) for d in (step, 0.0, -step))
+    for k in range(2):
+        assert np.allclose((ahead[k] - behind[k]) / (2 * step), at[k + 1], rtol=1e-6)
+    assert at[2].min() >= alpha * (1 - 2 * SOFTENING_LIMIT) * (1 - 1e-12)
+    before, after = (bending_work(limit * (1 + d), alpha, beta) for d in (-1e-9, 1e-9))
+    assert np.allclose(before, after, rtol=1e-8, atol=0)
+    assert bending_work(0.0, alpha, beta) == (0.0, 0.0, alpha)
+
+
+def test_moduli_of_bending_broadcast():
+    kappa, alpha = np.array([[30.0], [400.0]]), np.array([10e-6, 20e-6, 40e-6])
+    works = bending_work(kappa, alpha, -60e-9)
+    assert all(part.shape == (2, 3) for part in works)
+    for i, k in enumerate((30.0, 400.0)):
+        one = bending_work(k, 20e-6, -60e-9)
+        assert [part[i, 1] for part in works] == pytest.approx(one, rel=1e-14)
+
+
+def test_fabrics_are_equal_and_hashed_by_value():
+    moduli = np.array([20e-6, 30e-6, 25e-6])
+    fabric, same = Fabric(moduli, [-1e-9, 0.0, 2e-9]), Fabric(list(moduli), [-1e-9, 0.0, 2e-9])
+    assert fabric == same and hash(fabric) == hash(same) and len({fabric, same}) == 1
+    for other in (Fabric(moduli), Fabric(1.01 * moduli, fabric.beta),
+                  Fabric(moduli, fabric.beta, density=0.2), "fabric"):
+        assert fabric != other
+    moduli[0] = 1.0  # what a fabric was made from is not the fabric
+    assert fabric == same
+    with pytest.raises(ValueError, match="read-only"):
+        fabric.alpha[0] = 1.0
 
 
 def test_stiffening_fabric_follows_its_parabola_everywhere():
