@@ -208,14 +208,21 @@ def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:
 def membrane_density(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
     """(B, N) J/m² of the isotropic corotational membrane.
 
-    mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, by its invariants.
+    mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, by its invariants,
+    as (mu (s1-s2)² + (mu + lambda) (s1+s2-2)²)/2.
     """
-    gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)  # (B, N, 3, 2)
-    u, v = gradient.unbind(-1)
-    square = (u * u).sum(-1) + (v * v).sum(-1)  # s1² + s2²
+    u, v = deformation_gradients(corners, shapes).unbind(-1)
+    uu, vv, uv = (u * u).sum(-1), (v * v).sum(-1), (u * v).sum(-1)
     determinant = torch.linalg.cross(u, v).norm(dim=-1)  # s1 s2
-    total = (square + 2 * determinant).sqrt()
-    return cloths.mu * (square - 2 * total + 2) + 0.5 * cloths.lam * (total - 2) ** 2
+    total = (uu + vv + 2 * determinant).sqrt()  # s1 + s2
+    # (s1 - s2)²; without this form, strains would drown in the rounding of s1² + s2².
+    difference = ((uu - vv) ** 2 + 4 * uv**2) / total**2
+    return 0.5 * (cloths.mu * difference + (cloths.mu + cloths.lam) * (total - 2) ** 2)
+
+
+def deformation_gradients(corners: Tensor, shapes: Tensor) -> Tensor:
+    """Deformation gradients (B, N, 3, 2) of triangles with corners (B, N, 3, 3)."""
+    return (corners[..., :, None] * shapes[..., None, :]).sum(-3)
 
 
 def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
@@ -238,7 +245,7 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
 def fold_barrier(cloths: Cloths, angles: Tensor) -> Tensor:
     """(B, N, 3) the barrier of :mod:`sim.energies.midedge` per unit of its scale."""
     topology = cloths.topology
-    pole = torch.where(topology.clamped, torch.pi, torch.pi / 2).to(angles)
+    pole = torch.pi / 2 * (1.0 + topology.clamped.to(angles))
     bent = (angles.abs() > LIMIT_START * pole) & ~topology.boundary
     angle = torch.where(bent, angles.abs(), 0.9 * pole)  # a safe place for derivatives
     over, left = angle - LIMIT_START * pole, pole - angle
@@ -283,29 +290,6 @@ def pressed(cloths: Cloths, points: Tensor, scale: Tensor) -> Tensor:
     return scale * _depths(points, cloths.plate_radius) ** 3
 
 
-def membrane_lift(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
-    """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
-
-    Its negative eigenvalues belong to a twist and to the two rotations out of the plane, see
-    :mod:`sim.energies.membrane`.
-    """
-    gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)
-    left, stretch, right = torch.linalg.svd(gradient, full_matrices=False)  # (..., 3, 2), (..., 2)
-    force = 2 * cloths.mu[..., None] * (stretch - 1)
-    force = force + cloths.lam[..., None] * (stretch.sum(-1, keepdim=True) - 2)
-    weights = shapes @ right.mT  # (B, N, 3, 2): of each corner along the principal directions
-    normal = torch.linalg.cross(left[..., 0], left[..., 1])
-
-    def mode(direction: Tensor, principal: int) -> Tensor:
-        return (weights[..., :, principal, None] * direction[..., None, :]).flatten(-2)
-
-    twist = (mode(left[..., 1], 0) - mode(left[..., 0], 1)) * 0.5**0.5
-    modes = torch.stack([twist, mode(normal, 0), mode(normal, 1)], dim=-2)  # (B, N, 3, 9)
-    values = torch.stack([force.sum(-1) / stretch.sum(-1), force[..., 0] / stretch[..., 0],
-                          force[..., 1] / stretch[..., 1].clamp(min=1e-12)], dim=-1)
-    return modes.mT @ ((-values).clamp(min=0.0)[..., None] * modes)
-
-
 def _depths(points: Tensor, radius: float) -> Tensor:
     """(B, P) depths of points (B, P, 3) in the cylinder, m, 0 outside."""
     out = points[..., :2].norm(dim=-1) - (radius - RIM_RADIUS)
@@ -334,8 +318,8 @@ def _bending_areas(topology: Topology, areas: Tensor) -> Tensor:
         return areas
     near, behind = ((areas * row).sum(1, keepdim=True) for row in (topology.first, topology.second))
     moved_area = (1 - 1 / FIRST) * near / behind
-    weights = torch.where(topology.first, FIRST, 1.0)
-    return areas * torch.where(topology.second, 1 / (1 + moved_area), weights)
+    areas = torch.where(topology.first, FIRST * areas, areas)
+    return torch.where(topology.second, areas / (1 + moved_area), areas)
 
 
 def _areas(corners: Tensor) -> Tensor:

@@ -116,7 +116,7 @@ class DeviceCloths:
 
         blocks = _second_derivatives(energies, x.new_zeros(*corners.shape[:2], 12))
         areas, _, shapes, *_ = constants
-        lift = reference.membrane_lift(cloths, corners, shapes)
+        lift = _membrane_lift(cloths, corners, shapes)
         blocks[..., :9, :9] += (share[:, None] * areas)[..., None, None] * lift
         return blocks
 
@@ -139,6 +139,34 @@ class DeviceCloths:
 
     def _on(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(self.device)
+
+
+def _membrane_lift(cloths: reference.Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
+    """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
+
+    Its negative eigenvalues belong to a twist and to the two rotations out of the plane, see
+    :mod:`sim.energies.membrane`.
+    """
+    u, v = reference.deformation_gradients(corners, shapes).unbind(-1)
+    half, product = 0.5 * ((u * u).sum(-1) - (v * v).sum(-1)), (u * v).sum(-1)
+    # By hand, for a singular value decomposition of one NaN would stop all samples.
+    angle = 0.5 * torch.atan2(product, half)
+    cosine, sine = torch.cos(angle)[..., None], torch.sin(angle)[..., None]
+    one, other = cosine * u + sine * v, cosine * v - sine * u
+    s1, s2 = one.norm(dim=-1), other.norm(dim=-1).clamp(min=1e-12)
+    p1, p2 = (2 * cloths.mu * (s - 1) + cloths.lam * (s1 + s2 - 2) for s in (s1, s2))
+    left1, left2 = one / s1[..., None], other / s2[..., None]
+    normal = torch.linalg.cross(left1, left2)
+    weight1 = cosine * shapes[..., 0] + sine * shapes[..., 1]  # (B, N, 3): of each corner
+    weight2 = cosine * shapes[..., 1] - sine * shapes[..., 0]
+
+    def mode(weight: Tensor, direction: Tensor) -> Tensor:
+        return (weight[..., None] * direction[..., None, :]).flatten(-2)
+
+    twist = (mode(weight1, left2) - mode(weight2, left1)) * 0.5**0.5
+    modes = torch.stack([twist, mode(weight1, normal), mode(weight2, normal)], dim=-2)
+    values = torch.stack([(p1 + p2) / (s1 + s2), p1 / s1, p2 / s2], dim=-1)
+    return modes.mT @ ((-values).clamp(min=0.0)[..., None] * modes)
 
 
 def _second_derivatives(energies: Callable[[Tensor], Tensor], step: Tensor) -> Tensor:
