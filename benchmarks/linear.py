@@ -61,7 +61,7 @@ from sim.unstructured import unstructured_square  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
-    "edge": 7.0,
+    "edge": 9.0,
     "edges": [7.0, 4.5],
     "batches": [1, 4, 16],
     "threads": [1, 2],

@@ -1,31 +1,31 @@
-"""Parameters of the in-plane laws: what a user chooses, in SI units.
+"""In-plane materials: their parameters, checks and laws. SI units.
 
 Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.energies.locking import Band, ComponentGuard, PrincipalGuard
 from sim.energies.membrane import CorotationalMembrane
 from sim.energies.strain import StrainLaw, StrainMembrane
-from sim.energies.stress_curves import DiagonalLaw, StressCurve
-from sim.energies.stvk import OrthotropicLaw
 from sim.mesh import Mesh
 
 
 class Membrane(Protocol):
-    """Parameters of an in-plane law, SI units."""
+    """An in-plane material."""
 
     def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
         """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
 
     def scaled(self, factor: float) -> "Membrane":
-        """The same law, ``factor`` times as stiff."""
+        """The same material, ``factor`` times as stiff."""
 
 
 class Guardable(Membrane, Protocol):
@@ -66,9 +66,26 @@ class Corotational:
         return PrincipalGuard(stiffness=self.stiffness, poisson=self.poisson, band=band)
 
 
+class _StrainMaterial:
+    """What materials given by a law of the Green strain have in common; they are their own law."""
+
+    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+        return StrainMembrane(mesh, active, self)
+
+    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
+        # Green strains of the stretches, and the shear that both together make at 45°.
+        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
+        shear = above - below
+        limits = np.array([[below, below, -shear], [above, above, shear]])
+        return ComponentGuard(self, Band(*limits, share))
+
+
 @dataclass(frozen=True)
-class OrthotropicStVK:
+class OrthotropicStVK(_StrainMaterial):
     """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
+
+    S_uu = (E_warp e_uu + n E_weft e_vv)/d, S_vv = (n E_weft e_uu + E_weft e_vv)/d,
+    S_uv = shear 2 e_uv, with d = 1 - n² E_weft/E_warp and n Poisson's ratio.
 
     Attributes:
         warp, weft: Young's moduli times thickness, N/m.
@@ -94,27 +111,36 @@ class OrthotropicStVK:
                 "moduli"
             )
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        return StrainMembrane(mesh, active, self._law())
-
     def scaled(self, factor: float) -> "OrthotropicStVK":
         return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
 
-    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
-        return ComponentGuard(self._law(), _band_of_components(low, high, share))
+    @cached_property
+    def _stiffness(self) -> np.ndarray:
+        d = 1 - self.poisson**2 * self.weft / self.warp
+        coupling = self.poisson * self.weft / d
+        return np.array([[self.warp / d, coupling, 0.0], [coupling, self.weft / d, 0.0],
+                         [0.0, 0.0, self.shear]])
 
-    def _law(self) -> OrthotropicLaw:
-        return OrthotropicLaw(
-            warp=self.warp, weft=self.weft, poisson=self.poisson, shear=self.shear
-        )
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        return strain @ self._stiffness
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(self._stiffness, (len(strain), 3, 3))
 
 
 Knots = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class NonlinearCurves:
-    """Diagonalised membrane with a stress curve for each component (Miguel et al., section 4).
+class NonlinearCurves(_StrainMaterial):
+    """Diagonalised membrane: a stress curve for each component (Miguel et al., section 4).
+
+    A curve is a monotone cubic through its knots (PCHIP, whose slope never vanishes between
+    increasing knots), so that the energy has two continuous derivatives. From the last knot on it is
+    straight. That of shear is odd; pushed together along a yarn, cloth is as stiff as at rest.
 
     Attributes:
         warp, weft: knots (Green strain, stress in N/m) of pulling along each direction, both
@@ -141,24 +167,48 @@ class NonlinearCurves:
             if knots[0].any():
                 raise InputError(f"{name}: a stress curve starts at strain 0 and stress 0")
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        return StrainMembrane(mesh, active, self._law())
-
     def scaled(self, factor: float) -> "NonlinearCurves":
         def scale(knots: Knots) -> Knots:
             return tuple((strain, factor * stress) for strain, stress in knots)
 
         return NonlinearCurves(*(scale(k) for k in (self.warp, self.weft, self.shear)))
 
-    def guarded_law(self, low: float, high: float, share: float) -> StrainLaw:
-        return ComponentGuard(self._law(), _band_of_components(low, high, share))
+    @cached_property
+    def _curves(self) -> tuple["_StressCurve", ...]:
+        return tuple(_StressCurve(knots, odd=odd) for knots, odd in
+                     ((self.warp, False), (self.weft, False), (self.shear, True)))
 
-    def _law(self) -> DiagonalLaw:
-        curves = (
-            StressCurve(*np.asarray(knots, dtype=np.float64).T, odd=odd)
-            for knots, odd in ((self.warp, False), (self.weft, False), (self.shear, True))
-        )
-        return DiagonalLaw(*curves)
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        return sum(curve(x)[0] for curve, x in zip(self._curves, strain.T, strict=True))
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        return np.column_stack(
+            [curve(x)[1] for curve, x in zip(self._curves, strain.T, strict=True)])
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        result = np.zeros((len(strain), 3, 3))
+        for i, curve in enumerate(self._curves):
+            result[:, i, i] = curve(strain[:, i])[2]
+        return result
+
+
+class _StressCurve:
+    """Energy, stress and slope of one strain component."""
+
+    def __init__(self, knots: Knots, *, odd: bool) -> None:
+        strain, stress = np.asarray(knots, dtype=np.float64).T
+        # The mirrored knots and one more beyond the end give both ends their secants' slopes.
+        x = np.concatenate([-strain[::-1], strain[1:], [2 * strain[-1] - strain[-2]]])
+        y = np.concatenate([-stress[::-1], stress[1:], [2 * stress[-1] - stress[-2]]])
+        self._stress = PchipInterpolator(x, y)
+        self._slope, self._energy = self._stress.derivative(), self._stress.antiderivative()
+        self._least, self._most = (-strain[-1] if odd else 0.0), strain[-1]
+
+    def __call__(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        within = np.clip(strain, self._least, self._most)
+        beyond, stress, slope = strain - within, self._stress(within), self._slope(within)
+        energy = self._energy(within) - self._energy(0.0) + beyond * (stress + 0.5 * beyond * slope)
+        return energy, stress + beyond * slope, slope
 
 
 @dataclass(frozen=True)
@@ -198,13 +248,6 @@ class Guarded:
 
     def scaled(self, factor: float) -> "Guarded":
         return replace(self, membrane=self.membrane.scaled(factor))
-
-
-def _band_of_components(low: float, high: float, share: float) -> Band:
-    """Green strains of the stretches low and high, and the shear that both together make."""
-    below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
-    shear = above - below  # stretches high and low at 45° to the yarns
-    return Band(np.array([below, below, -shear]), np.array([above, above, shear]), share)
 
 
 def _check_positive(**values: float) -> None:

@@ -71,9 +71,9 @@ class ComponentGuard:
     def __init__(self, law: StrainLaw, band: Band) -> None:
         self._law, self._band = law, band
 
-    def energy(self, strain: np.ndarray) -> np.ndarray:
+    def density(self, strain: np.ndarray) -> np.ndarray:
         share, (excess, _, _) = self._band.share, self._band.excess(strain)
-        return share * self._law.energy(strain) + (1 - share) * self._law.energy(excess)
+        return share * self._law.density(strain) + (1 - share) * self._law.density(excess)
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
         share, (excess, slope, _) = self._band.share, self._band.excess(strain)
@@ -105,7 +105,7 @@ class PrincipalGuard:
         self._lam = stiffness * poisson / (1 - poisson**2)
         self._band = band
 
-    def energy(self, strain: np.ndarray) -> np.ndarray:
+    def density(self, strain: np.ndarray) -> np.ndarray:
         e = _principal(strain)[0] - 1
         share, (excess, _, _) = self._band.share, self._band.excess(e)
         return share * self._psi(e) + (1 - share) * self._psi(excess)

@@ -17,7 +17,7 @@ class StrainLaw(Protocol):
     thickness).
     """
 
-    def energy(self, strain: np.ndarray) -> np.ndarray:
+    def density(self, strain: np.ndarray) -> np.ndarray:
         """(N,) J/m²."""
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
@@ -59,7 +59,7 @@ class StrainMembrane(Energy):
         self.dofs, self._areas, self._shape = triangle_elements(mesh, active)
 
     def value(self, q: np.ndarray) -> float:
-        return float(self._areas @ self.law.energy(self.strains(q)))
+        return float(self._areas @ self.law.density(self.strains(q)))
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         stress = self.law.stress(self.strains(q))

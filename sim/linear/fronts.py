@@ -79,8 +79,7 @@ class _Front:
         rows: ascending positions of its rows in the order of elimination.
         own: how many of them are pivots.
         entries: of the matrix, in its panel.
-        pivots: with padding; set by :func:`plan_fronts`.
-        first: where its panel begins, likewise.
+        pivots, first: with padding, and where its panel begins; set by :func:`plan_fronts`.
     """
 
     rows: np.ndarray
@@ -217,6 +216,5 @@ def _flows(take: np.ndarray, put: np.ndarray, device: torch.device) -> list[Flow
     is_first = np.diff(put[order], prepend=-1) > 0
     rank = np.empty_like(order)
     rank[order] = place - np.maximum.accumulate(np.where(is_first, place, 0))
-    chosen = [np.flatnonzero(rank == k) for k in range(rank.max(initial=-1) + 1)]
-    return [(torch.from_numpy(take[some]).to(device), torch.from_numpy(put[some]).to(device))
-            for some in chosen]
+    return [tuple(torch.from_numpy(both[rank == k]).to(device) for both in (take, put))
+            for k in range(rank.max(initial=-1) + 1)]

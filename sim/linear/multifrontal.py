@@ -109,11 +109,7 @@ class FrontalSolver:
     def _eliminate(
         self, number: int, group: Group, panels: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Factor a group's panels and change those of later groups.
-
-        Returns:
-            The pieces of L: (B, c, p, p), lower triangular, and (B, c, u, p) below.
-        """
+        """Pieces of L, (B, c, p, p) and (B, c, u, p) below; the panels of later groups change."""
         corner, below = group.panels(panels)
         lower = self._buffer((number, "lower"), corner.shape).copy_(corner)
         rows = self._buffer((number, "rows"), below.shape)

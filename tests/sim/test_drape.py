@@ -15,7 +15,7 @@ from sim.initial import interpolate_positions
 from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
-from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
+from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions, Status
 from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene
 from sim.sensitivity import follow
@@ -100,7 +100,7 @@ def test_refinement_changes_a_stiff_drape_by_little():
 
 def test_only_the_coarser_meshes_are_soft():
     """The forces on a drape balance in a scene and under laws made anew, in full stiffness."""
-    result = drape(isotropic(20, 2), edge=0.006, seed=1)
+    result = drape(isotropic(20, 2), edge=0.005, seed=1)
     assert result.coarse == (Status.CONVERGED,)
     residuals = []
     for contact in (CONTACT_PRESSURE, 0.5 * CONTACT_PRESSURE):
@@ -113,7 +113,7 @@ def test_only_the_coarser_meshes_are_soft():
 
 def test_how_coarser_meshes_ended_is_kept(monkeypatch):
     monkeypatch.setattr("sim.drape.COARSE_OPTIONS", NewtonOptions(max_iterations=1))
-    result = drape(isotropic(60), edge=0.006)
+    result = drape(isotropic(60), edge=0.005)
     assert result.converged and result.coarse == (Status.MAX_ITERATIONS,)
 
 
@@ -163,7 +163,7 @@ def test_failure_is_data():
     ("arguments", "word"),
     [({"start": "crumpled"}, "crumpled"), ({"offset": (np.nan, 0)}, "finite"),
      ({"edge": 0.0}, "edge=0 mm"),
-     ({"edge": 1e-5}, "edge=0.01 mm .* between 1 and 50 mm"), ({"edge": 3.0}, "edge=3000 mm"),
+     ({"edge": 1e-5}, "edge=0.01 mm .* between 0.5 and 50 mm"), ({"edge": 3.0}, "edge=3000 mm"),
      ({"seed": -1}, "seed"),
      ({"rig": "disc300_support180"}, r"rig='disc300_support180'.*Rig\.from_name"),
      ({"laws": "hinge"}, r"laws='hinge'.*Laws\(bending=")],
@@ -182,9 +182,9 @@ def test_a_law_beside_the_others_is_made_on_every_mesh():
         made.append(len(mesh.rest))
         return Gravity(mesh, density=fabric.density, gravity=GRAVITY)
 
-    twice = drape(isotropic(60), edge=0.006, laws=Laws(others=(heavier,)))
+    twice = drape(isotropic(60), edge=0.005, laws=Laws(others=(heavier,)))
     assert twice.converged and len(made) == 2 and made[0] < made[1]
-    light = drape(isotropic(30), edge=0.006, laws=Laws(membrane=Corotational(100.0)))
+    light = drape(isotropic(30), edge=0.005, laws=Laws(membrane=Corotational(100.0)))
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
 
@@ -199,19 +199,3 @@ def test_others_that_are_no_tuple_of_laws_are_refused(others):
 def test_laws_that_are_none_are_refused(wrong):
     with pytest.raises(InputError, match=f"{next(iter(wrong))}="):
         Laws(**wrong)
-
-
-def test_levels_halve_the_edges():
-    assert coarse_to_fine(0.003) == [0.012, 0.006, 0.003]
-    assert coarse_to_fine(0.02) == [0.02]
-
-
-def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
-    chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (100, 20, 3, 1, 0.1)]
-    assert chosen == sorted(chosen, reverse=True) and chosen[0] > chosen[-1]
-    assert default_edge(isotropic(3).at_density(0.1), Rig()) == chosen[2]
-
-
-def test_an_overhang_too_narrow_for_a_coarse_mesh_alone_is_draped():
-    result = drape(isotropic(60), offset=(0.078, 0.0))
-    assert result.converged and len(result.coarse) < len(coarse_to_fine(result.edge)) - 1

@@ -4,6 +4,7 @@ import torch
 from scipy import sparse
 from scipy.spatial import Delaunay
 from sparse_batches import SparseSolver
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from common.errors import InputError
 from sim.linear import SparsePattern
@@ -154,9 +155,8 @@ def test_fronts_hold_exactly_the_fill():
     matrix = pattern.symmetric(random_matrices(rng, pattern, 1)[0]).toarray()
     filled = np.linalg.cholesky(matrix) != 0.0
     below = np.tril(filled, -1)
-    parent = np.where(below.any(axis=0), below.argmax(axis=0), 60)
-    parent[-1] = -1
-    parent[parent == 60] = 59  # several roots as children of the last unknown
+    # Several roots are children of the last unknown.
+    parent = np.where(below.any(axis=0), below.argmax(axis=0), np.append(np.full(59, 59), -1))
     depth = np.zeros(60, dtype=int)
     for node in reversed(range(59)):
         depth[node] = depth[parent[node]] + 1
@@ -241,8 +241,7 @@ def test_a_device_may_be_named_as_no_tensor_names_it():
     values = torch.zeros(1, len(pattern.indices), dtype=torch.float64, device="cpu:0")
     values[:, pattern.diagonal] = 4.0
     assert solver.factorise(values).all()
-    assert torch.equal(solver.solve(torch.ones(1, 16).double()),
-                       torch.full((1, 16), 0.25).double())
+    assert (solver.solve(torch.ones(1, 16).double()) == 0.25).all()
 
 
 @pytest.mark.parametrize("fault", ["indefinite", "nan", "infinite", "infinite diagonal", "huge"])
@@ -252,8 +251,7 @@ def test_a_bad_matrix_spoils_its_own_sample_only(system, solver, fault):
     assert solver.factorise(values).all()
     before = solver.solve(rhs)
     if fault == "indefinite":
-        lowest = lowest_eigenvalue(pattern, data[2])
-        values[2, pattern.diagonal] -= 1.01 * lowest
+        values[2, pattern.diagonal] -= 1.01 * lowest_eigenvalue(pattern, data[2])
     else:
         entry = pattern.diagonal[7] + (fault != "infinite diagonal")
         values[2, entry] = {"nan": np.nan, "huge": 1e300}.get(fault, np.inf)
@@ -302,11 +300,9 @@ def test_repeats_to_the_bit(system, solver):
 def test_flows_have_no_target_twice(solver):
     """So that a GPU, which adds in any order, gives one sum."""
     fronts = solver.fronts
-    flows = [*fronts.values]
-    for group in fronts.groups:
-        flows += [*group.updates, *group.carried]
+    of_groups = [flow for group in fronts.groups for flow in (*group.updates, *group.carried)]
     assert max(len(group.updates) for group in fronts.groups) > 1
-    for take, put in flows:
+    for take, put in [*fronts.values, *of_groups]:
         assert len(take) == len(put) == len(put.unique())
 
 
@@ -326,6 +322,19 @@ def test_mistakes_are_named(system, solver):
         FrontalSolver(pattern, np.where(places == places[0], np.nan, places))
     with pytest.raises(InputError, match="further than the pattern"):
         pattern.slots(np.array([[0, pattern.size - 1]]))
+
+
+def test_all_tensors_stay_on_a_gpu(system):
+    """Without one: PyTorch's fake tensors have a device, no data, and refuse to mix devices."""
+    pattern, places, data = system
+    gpu = torch.device("cuda", 0)
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        solver = FrontalSolver(pattern, places, device="cuda")
+        definite = solver.factorise(torch.empty(data.shape, dtype=torch.float64, device=gpu))
+        found = solver.solve(torch.empty(SAMPLES, pattern.size, dtype=torch.float64, device=gpu))
+    assert (definite.device, definite.dtype, definite.shape) == (gpu, torch.bool, (SAMPLES,))
+    assert (found.device, found.dtype) == (gpu, torch.float64)
+    assert found.shape == (SAMPLES, pattern.size)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

@@ -13,7 +13,7 @@ from sim.material import Fabric
 from sim.measures import deepest_entry, drape_coefficient, fold_count
 from sim.mesh import strip
 from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
-from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene, State
+from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene
 
 
 def isotropic(alpha: float) -> Fabric:
@@ -77,11 +77,11 @@ def test_stiff_disc_sags_like_a_plate_at_least_to_second_order():
     for edge in edges:
         specimen = make_specimen(DISC_RIG, edge=edge, grading=1)
         rest = specimen.mesh.rest
-        state, _ = find_equilibrium(
-            scene_on(specimen, DISC_RIG, last=True), Fabric(np.full(3, alpha)),
-            State.at(specimen.mesh, DISC_RIG.place(rest)))
+        scene = scene_on(specimen, DISC_RIG)
+        found = find_equilibrium(scene, Fabric(np.full(3, alpha)),
+                                 scene.state(DISC_RIG.place(rest)))
         border = np.isclose(np.linalg.norm(rest, axis=1), a)
-        errors.append(-state.positions[border, 2].mean() / expected - 1)
+        errors.append(-found.state.positions[border, 2].mean() / expected - 1)
     rate = np.polyfit(np.log(edges), np.log(np.abs(errors)), 1)[0]
     assert rate > 1.9  # more where the corrected clamp leaves little of the second order
     assert abs(errors[-1]) < 0.005
@@ -110,11 +110,12 @@ def test_strip_touches_the_ramp_when_its_bending_length_is_half_its_overhang(gam
     mesh, held = strip(length=length, width=0.02, edge=0.005, clamp=0.01)
     scene = Scene(mesh=mesh, held=held, obstacles=(Ramp(np.radians(41.5)),))
     rest = scene.mesh.rest
-    state, result = find_equilibrium(
+    found = find_equilibrium(
         scene, isotropic(0.3 * 9.81 * length**3 / gamma * 1e6),
-        State.at(scene.mesh, np.column_stack([rest, np.zeros(len(rest))])),
+        scene.state(np.column_stack([rest, np.zeros(len(rest))])),
     )
-    assert result.status.value == "converged"
+    assert found.converged
+    state = found.state
     end = state.positions[np.isclose(rest[:, 0], length)].mean(axis=0)
     angle = np.degrees(np.arctan2(-end[2], end[0]))
     depth = scene.obstacles[0].depths(state.positions[~scene.held]).max()
@@ -134,11 +135,11 @@ def test_depths_are_concave_distances_and_normals_their_slopes(obstacle):
     at_p, at_q, between = (obstacle.depths(x) for x in (p, q, 0.5 * (p + q)))
     assert (between >= 0.5 * (at_p + at_q) - 1e-15).all()
     assert (np.abs(at_p - at_q) <= np.linalg.norm(p - q, axis=1) + 1e-15).all()
-    normal, radius = obstacle.normals(p)
+    normal = obstacle.normals(p)
     step = 1e-7
     slope = np.stack([(obstacle.depths(p + step * e) - obstacle.depths(p - step * e)) / (2 * step)
                       for e in np.eye(3)], axis=1)
-    assert np.allclose(slope, -normal, atol=1e-5) and (radius > 0).all()
+    assert np.allclose(slope, -normal, atol=1e-5)
 
 
 def test_entry_is_found_between_the_vertices():
@@ -175,7 +176,7 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     result = drape(isotropic(4), rig=rig, edge=0.004, seed=2)
     assert result.converged
     entry = deepest_entry(result.positions, result.faces, rig)
-    assert 0 < entry < 2e-4
+    assert (0 if rig is DISC_RIG else 1e-6) <= entry < 2e-4  # the disc hangs clear of its support
 
 
 @pytest.mark.parametrize(
@@ -198,7 +199,7 @@ def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):
 )
 def test_rigs_that_hold_nothing_are_refused(arguments, word):
     with pytest.raises(InputError, match=word):
-        Rig("mine", **arguments)
+        Rig(**arguments)
 
 
 def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
