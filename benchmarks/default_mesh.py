@@ -37,7 +37,7 @@ from benchmarks.common import (
 )
 from benchmarks.speed import prior_fabrics
 from common.cli import run_command
-from sim.comparison import Draped, compare, same_folds
+from drapenet.comparison import Draped, compare, same_folds
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
@@ -81,7 +81,7 @@ def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
 
 
 class Shape:
-    """A specimen at positions (V, 3), m (:class:`sim.comparison.Draped`)."""
+    """A specimen at positions (V, 3), m (:class:`drapenet.comparison.Draped`)."""
 
     def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
         self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions

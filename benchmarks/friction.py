@@ -30,6 +30,7 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.guides import level_rulings
 from benchmarks.photographs import photographed, place
 from common.cli import run_command
 from common.errors import InputError
@@ -90,7 +91,7 @@ def tested_alpha(fabric: Fabric, laws: Laws) -> list[float]:
     """Alpha (3,), µN·m, stiff, bias, soft, that the virtual cantilever tester reads."""
     lengths = {direction: [share * bending_length(alpha, REFERENCE_DENSITY) for share in STRIPS]
                for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
-    strips = simulate_strips(fabric, lengths, guided=True, laws=laws)
+    strips = simulate_strips(fabric, lengths, guide=level_rulings, laws=laws)
     found = estimate(strips, density=REFERENCE_DENSITY, method="regression")
     warp, bias, weft = (found[direction].alpha / MICRO for direction in DIRECTIONS)
     return [max(warp, weft), bias, min(warp, weft)]

@@ -35,6 +35,7 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+from sim.unstructured import unstructured_square  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -57,7 +58,6 @@ from sim.linear.fronts import front_flops  # noqa: E402
 from sim.linear.multifrontal import FrontalSolver  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
 from sim.scene import Rig, Scene, State  # noqa: E402
-from sim.unstructured import unstructured_square  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,

@@ -42,7 +42,7 @@ from benchmarks.common import (
 )
 from common.cli import run_command
 from data.picture import shade
-from sim.comparison import compare, same_folds
+from drapenet.comparison import compare, same_folds
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric

@@ -11,7 +11,7 @@ mesh and under every law, without coarser meshes before it. Compared are
   remains between the two are minima that the mesh itself makes.
 
 Two drapes have the same fold configuration when they have as many folds and each lies within a
-quarter of the mean fold distance of its partner (:func:`sim.comparison.same_folds`).
+quarter of the mean fold distance of its partner (:func:`drapenet.comparison.same_folds`).
 
 Keys (``key=value``):
 
@@ -58,7 +58,7 @@ from benchmarks.mesh_cases import (
 )
 from common.cli import run_command
 from data.picture import shade
-from sim.comparison import compare, same_folds
+from drapenet.comparison import compare, same_folds
 from sim.measures import fold_outline
 from sim.scene import Rig
 

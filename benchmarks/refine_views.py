@@ -45,7 +45,7 @@ from common.cli import run_command
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
-from sim.comparison import same_folds
+from drapenet.comparison import same_folds
 from sim.drape import drape
 from sim.material import bias_limit, is_admissible
 from sim.measures import fold_outline

@@ -38,7 +38,7 @@ from common.cli import run_command
 from common.errors import InputError
 from data.picture import shade
 from data.scans import Scan, read_scans
-from sim.comparison import best_turn
+from drapenet.comparison import best_turn
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline

@@ -22,13 +22,14 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
 from benchmarks.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from benchmarks.guides import level_rulings
 from benchmarks.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
 from common.cli import run_command
 from common.errors import InputError
-from sim.anisotropy import modulus_along
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.tester import HungStrip, bending_length
+from sim.hinge_laws import modulus_along
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
@@ -116,7 +117,7 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
     edge = edge_for(alpha, cells)
     options = {"angle": radians, "length": LENGTH, "edge": edge}
     shapes = {
-        "guided": hang(cloth, **options, width=4 * edge, guided=True),
+        "guided": hang(cloth, **options, width=4 * edge, guide=level_rulings),
         "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
     }
     curvature = np.linspace(0, LARGEST_CURVATURE, 4001)

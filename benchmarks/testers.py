@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.common import REPORTS, parse_settings, run_cases, table, write_figure, write_report
+from benchmarks.guides import level_rulings
 from common.cli import run_command
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
@@ -78,7 +79,7 @@ def work(
     mesh = {"cells": cells, "seed": 100 + index}
     result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
     try:
-        strips = simulate_strips(fabric, lengths, guided=True, **mesh)
+        strips = simulate_strips(fabric, lengths, guide=level_rulings, **mesh)
         rng = np.random.default_rng(index)
         for method in METHODS:
             result[f"guided {method}"] = read(strips, fabric, method)

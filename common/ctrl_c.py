@@ -47,9 +47,10 @@ def deferred() -> Iterator[None]:
     Nothing changes in other threads than the main one, which never meet it, and where Ctrl-C means
     something else, as in jobs in the background, which ignore it.
 
-    For imports of torch: at some moments of its loading an interruption ends the process with an
-    abort and C++'s own words, at others Python swallows it. And for the end of worker processes,
-    which would go on if it was cut short.
+    For imports of torch and Open3D: at some moments of their loading an interruption ends the
+    process with an abort and C++'s own words, at others Python swallows it or takes it for a
+    failure of the library. And for the end of worker processes, which would go on if it was cut
+    short.
     """
     if (threading.current_thread() is not threading.main_thread()
             or signal.getsignal(signal.SIGINT) not in (interrupt, signal.default_int_handler)):

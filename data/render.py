@@ -11,6 +11,7 @@ from types import ModuleType
 
 import numpy as np
 
+from common.ctrl_c import deferred
 from common.errors import InputError, one_line
 from data.cameras import Camera
 
@@ -23,7 +24,8 @@ def import_open3d() -> ModuleType:
     # Imported late: it takes a second, and needs system libraries that inference on a picture
     # alone can do without.
     try:
-        import open3d
+        with deferred():  # cut short, it reports that its initialization failed
+            import open3d
     except (ImportError, OSError) as error:
         raise InputError(
             f"open3d cannot be imported ({one_line(error)}); "

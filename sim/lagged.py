@@ -10,8 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from sim.anisotropy import hinge_directions
-from sim.hinge_laws import HingeLaw
+from sim.hinge_laws import HingeLaw, hinge_directions
 from sim.laws import Laws
 from sim.newton import Status
 from sim.scene import Scene

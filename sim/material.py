@@ -7,11 +7,12 @@ curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.
 Nearly all measured fabrics have beta < 0, so that the parabola peaks at
 ``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. It is followed up to the
 fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continued with the slope it has there; see
-:func:`torque` and ``docs/physics.md``.
+:func:`bending_work` and ``docs/physics.md``.
 """
 
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 
 from common.errors import InputError
@@ -31,7 +32,7 @@ TWIST_FLOOR = 0.05
 """Least twisting stiffness A66 as a fraction of sqrt(A11*A22), see :func:`plate_constants`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fabric:
     """Bending moduli and density of a fabric.
 
@@ -48,6 +49,16 @@ class Fabric:
     alpha: np.ndarray
     beta: np.ndarray = field(default_factory=lambda: np.zeros(3))
     density: float = REFERENCE_DENSITY
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Fabric) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[float, ...]:
+        return *self.alpha.tolist(), *self.beta.tolist(), self.density
 
     def __post_init__(self) -> None:
         alpha, beta = (np.asarray(v, dtype=np.float64) for v in (self.alpha, self.beta))
@@ -115,16 +126,46 @@ def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def torque(curvature: np.ndarray, alpha: float, beta: float) -> np.ndarray:
-    """Torque per width (N) at ``curvature`` >= 0 (1/m), any shape, for one direction.
+    """Torque per width (N) at ``curvature`` >= 0 (1/m), see :func:`bending_work`."""
+    return bending_work(curvature, alpha, beta)[1]
 
-    alpha kappa + beta kappa², continued with its own slope once u = -beta kappa/alpha exceeds
-    ``SOFTENING_LIMIT``.
+
+def bending_work(
+    curvature: np.ndarray, alpha: np.ndarray, beta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy per area (J/m²), torque per width (N) and tangent (N·m) of cloth bent one way.
+
+    The torque alpha kappa + beta kappa² at ``curvature`` >= 0 (1/m), any shape, continued with its
+    own slope once u = -beta kappa/alpha exceeds :data:`SOFTENING_LIMIT`.
     """
     kappa = np.asarray(curvature, dtype=np.float64)
     u = -beta / alpha * kappa
-    beyond = np.maximum(u - SOFTENING_LIMIT, 0.0)
-    # The parabola in reduced curvature is u (1 - u); beyond the limit its u² stops growing
+    # In reduced curvature the parabola is u (1 - u); beyond the limit its u² stops growing
     # quadratically, which adds `beyond²` back.
-    return alpha * kappa * (1 - u) + np.where(
-        u > SOFTENING_LIMIT, alpha * kappa * beyond**2 / np.where(u > 0, u, 1.0), 0.0
+    beyond = np.maximum(u - SOFTENING_LIMIT, 0.0)
+    over = np.where(beyond > 0, u, 1.0)
+    return (
+        alpha * kappa**2 * (0.5 - u / 3 + beyond**3 / (3 * over**2)),
+        alpha * kappa * (1 - u + beyond**2 / over),
+        alpha * (1 - 2 * u + 2 * beyond),
+    )
+
+
+@numba.njit(inline="always")
+def softening_shape(u, limit):
+    """H(u) = 2 e(u)/u² and its two derivatives, e the integral of the reduced torque.
+
+    The energy per area of :func:`bending_work` is alpha kappa² H(u)/2.
+    """
+    if u <= limit:
+        return 1.0 - 2.0 * u / 3.0, -2.0 / 3.0, 0.0
+    # e(u) = s u²/2 + c u + d with the slope s and continuity at the limit
+    s = 1.0 - 2.0 * limit
+    c = limit * limit
+    d = -limit * limit * limit / 3.0
+    v = 1.0 / u
+    return (
+        s + 2.0 * v * (c + d * v),
+        -2.0 * v * v * (c + 2.0 * d * v),
+        4.0 * v * v * v * (c + 3.0 * d * v),
     )

@@ -139,8 +139,8 @@ class NonlinearCurves(_StrainMaterial):
     """Diagonalised membrane: a stress curve for each component (Miguel et al., section 4).
 
     A curve is a monotone cubic through its knots (PCHIP, whose slope never vanishes between
-    increasing knots), so that the energy has two continuous derivatives. From the last knot on it is
-    straight. That of shear is odd; pushed together along a yarn, cloth is as stiff as at rest.
+    increasing knots), so that the energy has two continuous derivatives, and straight from the last
+    knot on. That of shear is odd; pushed together along a yarn, cloth is as stiff as at rest.
 
     Attributes:
         warp, weft: knots (Green strain, stress in N/m) of pulling along each direction, both

@@ -8,7 +8,8 @@ exact Hessian at the end proves a minimum rather than a saddle.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -115,16 +116,14 @@ NUDGE_HALVINGS = 20
 NEAR = 1.0  # residual from which on steps of the exact Hessian are precise, for they converge fast
 
 
-def ending(status: Status, residual: float, iterations: int) -> str:
-    """What a minimisation that ended with ``status`` says of itself."""
-    return {
-        Status.CONVERGED: "equilibrium",
-        Status.MAX_ITERATIONS: f"residual {residual:.1e} after {iterations} iterations",
-        Status.LINE_SEARCH: f"no descent at residual {residual:.1e}",
-        Status.SADDLE: "stationary but not a minimum",
-        Status.SINGULAR: "no regularisation makes the Hessian definite",
-        Status.NOT_FINITE: "the energy is not a finite number",
-    }[status]
+_ENDINGS = {
+    Status.CONVERGED: "equilibrium",
+    Status.MAX_ITERATIONS: "residual {residual:.1e} after {iterations} iterations",
+    Status.LINE_SEARCH: "no descent at residual {residual:.1e}",
+    Status.SADDLE: "stationary but not a minimum",
+    Status.SINGULAR: "no regularisation makes the Hessian definite",
+    Status.NOT_FINITE: "the energy is not a finite number",
+}
 
 
 def minimise(
@@ -221,10 +220,14 @@ class _Run:
     def _end(self, status: Status) -> None:
         result = self.result
         result.status = status
-        result.message = ending(status, result.residual, result.iterations)
+        result.message = _ENDINGS[status].format(**vars(result))
 
-    def _timed(self, activity: str) -> "_Timer":
-        return _Timer(self.result.seconds, activity)
+    @contextmanager
+    def _timed(self, activity: str) -> Iterator[None]:
+        """Add the time spent in a ``with`` block to an entry of the result."""
+        began = time.thread_time()
+        yield
+        self.result.seconds[activity] += time.thread_time() - began
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         objective = self.objective
@@ -309,16 +312,3 @@ class _Run:
                 return there
             move /= 2
         return q
-
-
-class _Timer:
-    """Adds the time spent in a ``with`` block to an entry of a dictionary."""
-
-    def __init__(self, seconds: dict[str, float], activity: str) -> None:
-        self._seconds, self._activity = seconds, activity
-
-    def __enter__(self) -> None:
-        self._began = time.thread_time()
-
-    def __exit__(self, *_: object) -> None:
-        self._seconds[self._activity] += time.thread_time() - self._began

@@ -18,8 +18,9 @@ from torch import Tensor
 from sim.cloth import Cloth
 from sim.energies.clamp import FIRST
 from sim.energies.contact import RIM_RADIUS, Cylinder
+from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.membrane import CorotationalMembrane
-from sim.energies.midedge import LIMIT_START, MidEdgeBending
+from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
 from sim.scene import Scene
@@ -243,7 +244,7 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
 
 
 def fold_barrier(cloths: Cloths, angles: Tensor) -> Tensor:
-    """(B, N, 3) the barrier of :mod:`sim.energies.midedge` per unit of its scale."""
+    """(B, N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""
     topology = cloths.topology
     pole = torch.pi / 2 * (1.0 + topology.clamped.to(angles))
     bent = (angles.abs() > LIMIT_START * pole) & ~topology.boundary
@@ -264,18 +265,16 @@ def outer(cloths: Cloths, x: Tensor) -> Tensor:
     return total
 
 
-def touched(
-    cloths: Cloths, x: Tensor
-) -> list[tuple[str, Tensor, Tensor, int]]:
+def touched(cloths: Cloths, x: Tensor) -> list[tuple[str, Tensor, Tensor, int]]:
     """Points that may touch the cylinder: the vertices, then the middles of the edges.
 
     Returns:
         Name, points (B, P, 3), scale (B, P) in J/m³ and number of vertices of each point; the
         scale is zero where all are held. Nothing without a plate.
     """
+    topology = cloths.topology
     if cloths.plate_radius == 0:
         return []
-    topology = cloths.topology
     areas = _areas(cloths.rest[:, topology.all_faces])
     scale = cloths.pressure / (3 * 1e-4**2) / 4
     at_vertices = _gathered(areas / 3, topology.all_faces, topology.vertices) * topology.free

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from drapenet.refine.guided import surface_positions
 from sim.drape import DrapeResult, drape_result, scene_on
 from sim.energies.base import Energy
-from sim.energies.hinge_stencils import find_hinges, hinge_angles
+from sim.energies.hinges import find_hinges, hinge_angles
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.initial import interpolate_positions
 from sim.laws import Laws

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from drapenet.comparison import compare
 from drapenet.refine.captured import CapturedShape
 from drapenet.refine.scan import Cloud
-from sim.comparison import compare
 from sim.drape import DrapeResult
 from sim.measures import drape_coefficient, fold_count
 
@@ -26,7 +26,7 @@ class Fidelity:
         largest_mm: of the vertex that moved furthest.
         surface_mm: mean distance of the hanging vertices from the captured surface, wherever on it.
         curvature: relative difference of the mean curvature, see
-            :class:`sim.comparison.Difference`.
+            :class:`drapenet.comparison.Difference`.
         coefficient, captured_coefficient: drape coefficients, percent.
         folds, captured_folds: their numbers.
     """

@@ -1,6 +1,6 @@
 """The virtual cantilever tester: strips cut at any angle hang from a clamp."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,8 @@ TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
 CELLS, CELLS_ACROSS = 20, 10
 """Of simulated strips, along the bending length of their direction and across them; alpha is then
 right to 1 %."""
-GUIDE = 100.0
-"""Stiffness of a guide's ties in units of alpha/edge²; the rulings are then level to 1e-4."""
+Guide = Callable[[Mesh, int, float], Sequence[Energy]]
+"""Energies that keep a strip's rulings level: of its grid, its vertices across and an alpha."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class HungStrip:
 
 def hang(
     fabric: Fabric, *, angle: float = 0.0, slope: float = 0.0, length: float = 0.09,
-    width: float = 0.03, edge: float = 0.003, across: int | None = None, guided: bool = False,
+    width: float = 0.03, edge: float = 0.003, across: int | None = None, guide: Guide | None = None,
     laws: Laws | None = None, gravity: float = GRAVITY, **triangulation,
 ) -> HungStrip:
     """Let a strip hang from a clamp.
@@ -47,7 +47,7 @@ def hang(
         angle: of the strip to the warp, radians; pi/4 is the bias, pi/2 the weft.
         length, width, edge: free length, width and mesh spacing, m.
         across: mesh cells across the strip; None makes them square.
-        guided: keep the rulings level, see :class:`TiedRows`; a real strip is free.
+        guide: keeps the strip a cylinder; None: it is free, as a real one.
         gravity: m/s²; tiny values give the small deflections of plate theory.
         triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
 
@@ -58,7 +58,7 @@ def hang(
     across = round(width / edge) if across is None else across
     if length < 2 * edge or across < 1:
         raise InputError("a strip needs two mesh cells along it and one across")
-    if guided and triangulation.get("jitter"):
+    if guide and triangulation.get("jitter"):
         raise InputError("a guided strip needs a regular mesh: jitter=0")
     cut, held = strip(
         length=length, width=across * edge, edge=edge, clamp=2 * edge, **triangulation
@@ -68,11 +68,7 @@ def hang(
     mesh = Mesh(rest=np.column_stack([cos * x - sin * y, sin * x + cos * y]), faces=cut.faces)
     flat = np.column_stack([x * np.cos(slope), y, -x * np.sin(slope)])
     fabric = fabric.at_density(REFERENCE_DENSITY)
-    extra = []
-    if guided:
-        stiffness = GUIDE * float(fabric.alpha.max()) / edge**2
-        extra = [TiedRows(len(mesh.rest), across=across + 1, stiffness=stiffness),
-                 LevelSides(mesh, across=across + 1, stiffness=stiffness * edge**2)]
+    extra = guide(mesh, across + 1, float(fabric.alpha.max())) if guide else []
     scene = Scene(mesh=mesh, held=held, gravity=gravity)
     found = find_equilibrium(scene, fabric, scene.state(flat), laws=laws, extra=extra,
                              options=TIGHT)
@@ -83,80 +79,9 @@ def hang(
     return HungStrip(curve=curve, twist=float(np.arctan2(side[2], side[1])), result=found.newton)
 
 
-# A strip cut off the yarn directions twists when it bends, and one with a Poisson effect curves
-# across. Held to a cylinder, as an endlessly wide one, it carries the law's torque for the cut's
-# direction. Strips are grids whose columns of ``across`` vertices are numbered one after the other.
-
-
-class TiedRows(Energy):
-    """Penalty on differences along x and z between neighbours across a strip.
-
-    Args:
-        vertices: of the strip.
-        stiffness: N/m of each tie.
-    """
-
-    def __init__(self, vertices: int, *, across: int, stiffness: float) -> None:
-        grid = np.arange(vertices).reshape(-1, across)
-        neighbours = np.stack([grid[:, :-1], grid[:, 1:]], axis=-1).reshape(-1, 2)
-        self.dofs = np.concatenate([3 * neighbours, 3 * neighbours + 2])
-        self._stiffness = stiffness
-
-    def value(self, q: np.ndarray) -> float:
-        return 0.5 * self._stiffness * float((self._differences(q) ** 2).sum())
-
-    def gradient(self, q: np.ndarray) -> np.ndarray:
-        return self._stiffness * self._differences(q)[:, None] * [1.0, -1.0]
-
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        block = self._stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.broadcast_to(block, (len(self.dofs), 2, 2))
-
-    def _differences(self, q: np.ndarray) -> np.ndarray:
-        return q[self.dofs[:, 0]] - q[self.dofs[:, 1]]
-
-
-class LevelSides(Energy):
-    """Penalty on the part across the strip, y, of the normals at its sides, which stay level.
-
-    The Hessian leaves out what is proportional to that part itself.
-
-    Args:
-        stiffness: N·m per side edge.
-    """
-
-    def __init__(self, mesh: Mesh, *, across: int, stiffness: float) -> None:
-        row = mesh.edges % across
-        sides = np.flatnonzero((mesh.edge_faces[:, 1] < 0) & (row[:, 0] == row[:, 1]))
-        ends = (3 * mesh.edges[sides][:, :, None] + np.arange(3)).reshape(-1, 6)
-        coordinates = 3 * len(mesh.rest)
-        self.dofs = np.concatenate([ends, coordinates + sides[:, None]], axis=1)
-        self._normals = coordinates + 3 * sides[:, None] + np.arange(3)
-        self._stiffness = stiffness
-
-    def value(self, q: np.ndarray) -> float:
-        return 0.5 * self._stiffness * float((q[self._normals[:, 1]] ** 2).sum())
-
-    def gradient(self, q: np.ndarray) -> np.ndarray:
-        return self._stiffness * q[self._normals[:, 1]][:, None] * self._rows(q)
-
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        rows = self._rows(q)
-        return self._stiffness * rows[:, :, None] * rows[:, None, :]
-
-    def _rows(self, q: np.ndarray) -> np.ndarray:
-        """(N, 7) derivatives of the normals' parts across: by both ends, by the rotation."""
-        normal, edge = q[self._normals], q[self.dofs[:, 3:6]] - q[self.dofs[:, :3]]
-        length = np.linalg.norm(edge, axis=1, keepdims=True)
-        along = edge / length
-        tilt = along[:, 1:2] * normal / length
-        turn = along[:, 2] * normal[:, 0] - along[:, 0] * normal[:, 2]
-        return np.concatenate([tilt, -tilt, turn[:, None]], axis=1)
-
-
 def simulate_strips(
     fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float = 0.03,
-    cells: int = CELLS, guided: bool = False, **options,
+    cells: int = CELLS, guide: Guide | None = None, **options,
 ) -> dict[str, list[np.ndarray]]:
     """Curves (N, 2), m, of simulated strips of ``lengths`` (m) by direction.
 
@@ -174,8 +99,8 @@ def simulate_strips(
         count = length * cells / bending_length(alpha, fabric.density)
         edge = length / np.ceil(count - 1e-9)  # a whole number may have been rounded up
         hung = hang(
-            fabric, angle=ANGLES[direction], length=length, edge=edge, guided=guided,
-            width=3 * edge if guided else width, across=3 if guided else CELLS_ACROSS,
+            fabric, angle=ANGLES[direction], length=length, edge=edge, guide=guide,
+            width=3 * edge if guide else width, across=3 if guide else CELLS_ACROSS,
             diagonals="random", **options,
         )
         if hung.result.status is not Status.CONVERGED:

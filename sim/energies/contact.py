@@ -1,4 +1,4 @@
-"""Contact with rigid obstacles: the cylinder under the plate, a tester's ramp.
+"""Contact with rigid obstacles, such as the cylinder under the plate.
 
 Obstacles are convex. Each gives, for any points, how deep they lie inside it; one energy turns
 depth into pressure.
@@ -81,29 +81,6 @@ class Cylinder:
         sideways = outwards > upwards
         return (distance, np.where(rounded, outwards / size, sideways),
                 np.where(rounded, upwards / size, ~sideways))
-
-
-@dataclass(frozen=True)
-class Ramp:
-    """A platform z = 0 that ends at x = 0 in a plane ``angle`` (rad) below the horizontal.
-
-    The stand of a bending-length tester with a fixed angle.
-    """
-
-    angle: float
-
-    def depths(self, points: np.ndarray) -> np.ndarray:
-        x, _, z = points.T
-        return np.minimum(-z, -(x * np.sin(self.angle) + z * np.cos(self.angle)))
-
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        x, _, z = points.T
-        sloping = -(x * np.sin(self.angle) + z * np.cos(self.angle)) < -z
-        slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
-        return np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
-
-    def bends(self, points: np.ndarray) -> np.ndarray:
-        return np.zeros((len(points), 3, 3))
 
 
 class ObstacleContact(Energy):

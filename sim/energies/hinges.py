@@ -1,6 +1,6 @@
-"""Hinge bending laws: every edge stores an energy of the angle between its two triangles.
+"""Hinge bending: every edge stores an energy of the angle between its two triangles.
 
-They stand beside the default law for comparison and for export to simulators that use them. Their
+Hinges stand beside the default law for comparison and for export to simulators that use them. Their
 moduli are not physical: the stiffness of a strip of hinges depends on its triangulation and does
 not converge under refinement (docs/physics.md, :mod:`sim.cantilever.equivalent`).
 
@@ -8,16 +8,78 @@ An edge between held and free cloth clamps its free triangle. As in the default 
 the free side alone: H is then the height of the free triangle, not the sum of two heights.
 """
 
+from dataclasses import dataclass
+
+import numba
 import numpy as np
 
+from sim.energies import dihedral
 from sim.energies.base import Energy
-from sim.energies.hinge_stencils import (
-    HingeStencils,
-    chain_gradient,
-    chain_hessian,
-    hinge_angles,
-)
-from sim.material import SOFTENING_LIMIT
+from sim.energies.fold_barrier import barrier, is_bent, leaves_room
+from sim.material import bending_work
+from sim.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class HingeStencils:
+    """N hinges with at least one triangle that can move, in the order of their edges.
+
+    Attributes:
+        edge: (N,) the mesh's edges they fold about.
+        corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
+            then the corners opposite it. The first triangle can move.
+        areas: (N, 2) m², rest areas of the two triangles.
+        movable: (N, 2) bool, which of the two triangles can move; column 0 is all true.
+        vectors: (N, 2) m, the rest edges from their start.
+        opposite: (N, 2, 2) m, the two corners opposite the edge, from its start.
+    """
+
+    edge: np.ndarray
+    corners: np.ndarray
+    areas: np.ndarray
+    movable: np.ndarray
+    vectors: np.ndarray
+    opposite: np.ndarray
+
+    @property
+    def dofs(self) -> np.ndarray:
+        """(N, 12) unknowns, as :class:`sim.energies.base.Energy` asks for."""
+        return (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """(N,) m, rest lengths of the edges."""
+        return np.linalg.norm(self.vectors, axis=1)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """(N, 2) unit vectors across the rest edges, in material axes."""
+        return np.stack([self.vectors[:, 1], -self.vectors[:, 0]], axis=1) / self.lengths[:, None]
+
+    @property
+    def bent_area(self) -> np.ndarray:
+        """(N,) m², rest area of the triangles of each hinge that can move, e (H0 + H1) / 2."""
+        return (self.areas * self.movable).sum(axis=1)
+
+
+def find_hinges(mesh: Mesh, active: np.ndarray) -> HingeStencils:
+    """Hinges of ``mesh`` beside the triangles ``active`` (F,) bool."""
+    face, side = np.nonzero(active[:, None] & (mesh.neighbours >= 0))
+    across = mesh.neighbours[face, side]
+    # An edge between two active triangles appears twice; keep the first.
+    edge, first = np.unique(mesh.face_edges[face, side], return_index=True)
+    face, side, across = face[first], side[first], across[first]
+    corner, take = mesh.faces[face], np.arange(len(face))
+    start, end = corner[take, (side + 1) % 3], corner[take, (side + 2) % 3]
+    corners = np.stack([start, end, corner[take, side], across], axis=1)
+    pair = mesh.edge_faces[edge]
+    both = np.stack([face, np.where(pair[:, 0] == face, pair[:, 1], pair[:, 0])], axis=1)
+    origin = mesh.rest[start]
+    return HingeStencils(
+        edge=edge, corners=corners, areas=mesh.areas[both], movable=active[both],
+        vectors=mesh.rest[end] - origin,
+        opposite=mesh.rest[corners[:, 2:]] - origin[:, None],
+    )
 
 
 class DihedralBending(Energy):
@@ -25,39 +87,52 @@ class DihedralBending(Energy):
 
     theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
     rest heights H of the two triangles, and tau the torque per width alpha kappa + beta kappa²,
-    continued as :func:`sim.material.torque` is, so that it always grows.
+    continued as :func:`sim.material.bending_work` does, so that it always grows. A barrier
+    (:mod:`sim.energies.fold_barrier`) of the ``stiffness`` keeps triangles from folding through
+    each other.
 
     Args:
         hinges: the elements.
-        alpha: (N,) linear moduli, N·m.
-        beta: (N,) quadratic moduli, N·m².
+        alpha, beta: (N,) moduli, N·m and N·m².
+        stiffness: of the barrier, N·m.
     """
 
-    def __init__(self, hinges: HingeStencils, *, alpha: np.ndarray, beta: np.ndarray) -> None:
+    def __init__(
+        self, hinges: HingeStencils, *, alpha: np.ndarray, beta: np.ndarray, stiffness: float
+    ) -> None:
         self.dofs = hinges.dofs
-        self._alpha, self._beta = alpha, beta
-        self._areas = bent_area(hinges)
+        self._alpha, self._beta, self._areas = alpha, beta, hinges.bent_area
         # kappa = spread * |theta|, 1/m per rad; e H / 2 is the area
         self._spread = hinges.lengths / self._areas
+        self._barrier = stiffness * hinges.lengths**2 / hinges.areas.sum(axis=1)
 
     def value(self, q: np.ndarray) -> float:
-        return float(self._areas @ self._work(hinge_angles(q, self.dofs))[0])
+        return float(self._work(q)[0].sum())
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        angle = hinge_angles(q, self.dofs)
-        _, torque, _ = self._work(angle)
-        return chain_gradient(q, self.dofs, self._areas * self._spread * np.sign(angle) * torque)
+        return chain_gradient(q, self.dofs, self._work(q)[1])
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         # The torque always grows, so that only the turning of the hinges is indefinite.
-        angle = hinge_angles(q, self.dofs)
-        _, torque, tangent = self._work(angle)
-        slope = self._areas * self._spread * np.sign(angle) * torque
-        bend = self._areas * self._spread**2 * tangent
+        _, slope, bend = self._work(q)
         return chain_hessian(q, self.dofs, 0.0 * slope if convex else slope, bend)
 
-    def _work(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return work_of_bending(self._spread * np.abs(angle), self._alpha, self._beta)
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+        return leaves_room(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
+
+    def _work(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Energies (N,), J, and their first two derivatives by the angles."""
+        angle = hinge_angles(q, self.dofs)
+        density, torque, tangent = bending_work(
+            self._spread * np.abs(angle), self._alpha, self._beta)
+        value = self._areas * density
+        slope = self._areas * self._spread * np.sign(angle) * torque
+        bend = self._areas * self._spread**2 * tangent
+        bent = is_bent(angle, np.pi)
+        if bent.any():
+            for total, part in zip((value, slope, bend), barrier(angle[bent], np.pi), strict=True):
+                total[bent] += self._barrier[bent] * part
+        return value, slope, bend
 
 
 class QuadraticBending(Energy):
@@ -75,7 +150,7 @@ class QuadraticBending(Energy):
     def __init__(self, hinges: HingeStencils, *, gamma: np.ndarray) -> None:
         self.dofs = hinges.dofs
         self._weights = flatness_weights(hinges)
-        self._scale = 1.5 * gamma / bent_area(hinges)
+        self._scale = 1.5 * gamma / hinges.bent_area
         blocks = np.einsum("n,ni,nj,ab->niajb", 2 * self._scale, self._weights, self._weights,
                            np.eye(3))
         self._hessian = blocks.reshape(-1, 12, 12)
@@ -95,11 +170,6 @@ class QuadraticBending(Energy):
         return np.einsum("ni,nik->nk", self._weights, q[self.dofs].reshape(-1, 4, 3))
 
 
-def bent_area(hinges: HingeStencils) -> np.ndarray:
-    """(N,) m², rest area of the triangles of each hinge that can move, e (H0 + H1) / 2."""
-    return (hinges.areas * hinges.movable).sum(axis=1)
-
-
 def flatness_weights(hinges: HingeStencils) -> np.ndarray:
     """(N, 4) weights K of the corners: e times the unit heights of both triangles, added up."""
     squared = hinges.lengths**2
@@ -114,19 +184,49 @@ def flatness_weights(hinges: HingeStencils) -> np.ndarray:
     return weights
 
 
-def work_of_bending(
-    curvature: np.ndarray, alpha: np.ndarray, beta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy per area (J/m²), torque per width (N) and tangent (N·m).
+@numba.njit(cache=True)
+def hinge_angles(q, dofs):
+    """(N,) dihedral angles, rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
+    x, result = np.empty((4, 3)), np.empty(len(dofs))
+    for t in range(len(dofs)):
+        _load(q, dofs[t], x)
+        result[t] = dihedral.angle(x)
+    return result
 
-    Of the law of :func:`sim.material.torque`, at ``curvature`` >= 0 (1/m) with moduli alpha
-    (N·m) and beta (N·m²), all (N,).
+
+@numba.njit(cache=True)
+def chain_gradient(q, dofs, slope):
+    """(N, 12) gradients of energies E(theta) with the derivatives ``slope`` (N,), J/rad."""
+    result = np.zeros((len(dofs), 12))
+    x, g = np.empty((4, 3)), np.empty((4, 3))
+    for t in range(len(dofs)):
+        _load(q, dofs[t], x)
+        dihedral.gradient(x, g)
+        for k in range(12):
+            result[t, k] = slope[t] * g[k // 3, k % 3]
+    return result
+
+
+@numba.njit(cache=True)
+def chain_hessian(q, dofs, slope, bend):
+    """(N, 12, 12) Hessians of energies E(theta) with derivatives ``slope`` and ``bend`` (N,).
+
+    The part of ``slope`` is indefinite, that of ``bend`` has the sign of ``bend``.
     """
-    u = -beta / alpha * curvature
-    beyond = np.maximum(u - SOFTENING_LIMIT, 0.0)
-    over = np.where(beyond > 0, u, 1.0)
-    return (
-        alpha * curvature**2 * (0.5 - u / 3 + beyond**3 / (3 * over**2)),
-        alpha * curvature * (1 - u + beyond**2 / over),
-        alpha * (1 - 2 * u + 2 * beyond),
-    )
+    result = np.zeros((len(dofs), 12, 12))
+    x, g, frame = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3))
+    for t in range(len(dofs)):
+        _load(q, dofs[t], x)
+        dihedral.gradient(x, g)
+        for a in range(12):
+            for b in range(12):
+                result[t, a, b] = bend[t] * g[a // 3, a % 3] * g[b // 3, b % 3]
+        dihedral.add_hessian(x, slope[t], (0, 3, 6, 9), frame, result[t])
+    return result
+
+
+@numba.njit(inline="always")
+def _load(q, dofs, x):
+    """Copy the corners of one hinge to x (4, 3)."""
+    for k in range(12):
+        x[k // 3, k % 3] = q[dofs[k]]

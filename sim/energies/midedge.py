@@ -13,13 +13,9 @@ For small angles this is the Morley plate element; unlike hinge energies it conv
 plate it discretises, on any triangulation (docs/physics.md).
 
 Meshes too coarse for the cloth would fold through themselves, where phi jumps. A barrier
-
-    k e/h (-(|phi| - s)² log((p - |phi|)/(p - s)))
-
-prevents that beyond s = ``LIMIT_START`` times the pole p: p is a quarter turn, which leaves half a
-turn between two triangles, and half a turn at a clamp, whose other side is fixed. k is the least
-alpha, e/h the rest length of the edge over the rest height of the triangle. A converged drape that
-feels it is not resolved by its mesh.
+(:mod:`sim.energies.fold_barrier`) of the stiffness k e/h prevents that. Its pole is a quarter turn,
+which leaves half a turn between two triangles, and half a turn at a clamp, whose other side is
+fixed. k is the least alpha, e/h the rest length of the edge over the rest height of the triangle.
 """
 
 import copy
@@ -30,13 +26,12 @@ import numpy as np
 from sim.energies import dihedral, plate_law
 from sim.energies.base import Energy
 from sim.energies.clamp import bending_areas
+from sim.energies.fold_barrier import barrier, is_bent, leaves_room
 from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
 
 CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
-LIMIT_START = 0.76  # of the pole: 2.4 rad between two triangles
-LEAST_ROOM = 0.2  # share of the way to the pole that a step must leave
 
 
 class MidEdgeBending(Energy):
@@ -107,18 +102,7 @@ class MidEdgeBending(Energy):
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        """False when an angle would pass its pole or take most of its way there in one step.
-
-        The second is the fraction-to-boundary rule of interior-point methods: without it, a
-        step can end so close to the pole that no later one gets away.
-        """
-        before, after = np.abs(self.angles(old)), np.abs(self.angles(new))
-        near = after > LIMIT_START * self._pole
-        if not near.any():
-            return True
-        pole = self._pole[near]
-        room = np.minimum(pole - before[near], (1 - LIMIT_START) * pole)
-        return bool((pole - after[near] >= LEAST_ROOM * room).all())
+        return leaves_room(self.angles(old), self.angles(new), self._pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) angles phi, rad."""
@@ -138,7 +122,7 @@ class MidEdgeBending(Energy):
 
     def is_folded(self, q: np.ndarray) -> bool:
         """Whether the barrier acts anywhere."""
-        return bool((np.abs(self.angles(q)) > LIMIT_START * self._pole).any())
+        return bool(is_bent(self.angles(q), self._pole).any())
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
         """(N, 3) derivatives of the energy by the angles phi, J/rad."""
@@ -148,17 +132,13 @@ class MidEdgeBending(Energy):
     def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
         phi = self.angles(q)
-        first, second = np.zeros(phi.shape), np.zeros(phi.shape)
-        bent = np.abs(phi) > LIMIT_START * self._pole
-        if not bent.any():
-            return 0.0, first, second
-        angle, pole, scale = np.abs(phi[bent]), self._pole[bent], self._barrier[bent]
-        over, left = angle - LIMIT_START * pole, pole - angle
-        with np.errstate(invalid="ignore"):
-            logarithm = np.log(left / ((1 - LIMIT_START) * pole))
-        first[bent] = np.sign(phi[bent]) * scale * (over**2 / left - 2.0 * over * logarithm)
-        second[bent] = scale * (4.0 * over / left + (over / left) ** 2 - 2.0 * logarithm)
-        return float(scale @ (-(over**2) * logarithm)), first, second
+        value, first, second = 0.0, np.zeros(phi.shape), np.zeros(phi.shape)
+        bent = is_bent(phi, self._pole)
+        if bent.any():
+            energies, first[bent], second[bent] = (
+                self._barrier[bent] * part for part in barrier(phi[bent], self._pole[bent]))
+            value = float(energies.sum())
+        return value, first, second
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:

@@ -23,7 +23,15 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants
+from sim.material import (
+    BIAS,
+    SOFTENING_LIMIT,
+    WARP,
+    WEFT,
+    Fabric,
+    plate_constants,
+    softening_shape,
+)
 
 
 class PlateConstants(NamedTuple):
@@ -71,27 +79,10 @@ def constants(fabric: Fabric) -> PlateConstants:
 
 
 @numba.njit(inline="always")
-def _shape(u, limit):
-    """H, dH/du, d²H/du²."""
-    if u <= limit:
-        return 1.0 - 2.0 * u / 3.0, -2.0 / 3.0, 0.0
-    # e(u) = s u²/2 + c u + d with the slope s and continuity at the limit
-    s = 1.0 - 2.0 * limit
-    c = limit * limit
-    d = -limit * limit * limit / 3.0
-    v = 1.0 / u
-    return (
-        s + 2.0 * v * (c + d * v),
-        -2.0 * v * v * (c + 2.0 * d * v),
-        4.0 * v * v * v * (c + 3.0 * d * v),
-    )
-
-
-@numba.njit(inline="always")
 def _returned(k, alpha, base, rho, limit):
     """F and its two derivatives at k >= 0: energy of the law rho less that of the softer base."""
-    fast, fast1, _ = _shape(base * k, limit)
-    slow, slow1, _ = _shape(rho * k, limit)
+    fast, fast1, _ = softening_shape(base * k, limit)
+    slow, slow1, _ = softening_shape(rho * k, limit)
     return (
         0.5 * alpha * k * k * (slow - fast),
         alpha * k * (slow - fast + 0.5 * k * (rho * slow1 - base * fast1)),
@@ -108,7 +99,7 @@ def energy(s, law):
     if a <= 0.0:
         return 0.0
     u = (law.g_w * x * x + law.g_f * y * y + 2.0 * law.g_t * z * z) / np.sqrt(a)
-    h, _, _ = _shape(u, limit)
+    h, _, _ = softening_shape(u, limit)
     total = 0.5 * a * h
     if law.base_b > law.rho_b:
         total += _returned(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
@@ -137,7 +128,7 @@ def derivatives(s, law, g, h):
         return
     n = np.sqrt(a)
     u = (law.g_w * s[0] ** 2 + law.g_f * s[1] ** 2 + 2.0 * law.g_t * s[2] ** 2) / n
-    shape, slope, bend = _shape(u, law.u_c)
+    shape, slope, bend = softening_shape(u, law.u_c)
     da = (da0, da1, da2)
     weight = (2.0 * law.g_w, 2.0 * law.g_f, 4.0 * law.g_t)
     du, dn = np.empty(3), np.empty(3)

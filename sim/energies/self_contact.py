@@ -105,7 +105,7 @@ class SelfContact(Energy):
         """False when the cloth would pass through itself on the way, or end close to doing so.
 
         A fifth of the way to the collision must be left, for the reason given at
-        :meth:`sim.energies.fold_limit.FoldLimit.allows`.
+        :func:`sim.energies.fold_barrier.leaves_room`.
         """
         before, after = self._positions(old), self._positions(new)
         return self._ipctk.is_step_collision_free(

@@ -69,8 +69,9 @@ class StrainMembrane(Energy):
         strain = self.strains(q)
         stress, tangent = self.law.stress(strain), self.law.tangent(strain)
         if convex:
-            stress = stress + _negative_part_of_stress(stress)
-            tangent = tangent + _negative_part(tangent)
+            tensor = _without_negative(stress[:, [[0, 2], [2, 1]]])
+            stress = tensor[:, [0, 1, 0], [0, 1, 1]]
+            tangent = _without_negative(tangent)
         return _hessian(q, self.dofs, self._shape, self._areas, stress, tangent)
 
     def strains(self, q: np.ndarray) -> np.ndarray:
@@ -78,27 +79,10 @@ class StrainMembrane(Energy):
         return _strains(q, self.dofs, self._shape)
 
 
-def _negative_part_of_stress(stress: np.ndarray) -> np.ndarray:
-    """What (N, 3), added to the tensors ``stress`` (N, 3), removes their negative eigenvalues."""
-    mean = (stress[:, 0] + stress[:, 1]) / 2
-    half = (stress[:, 0] - stress[:, 1]) / 2
-    radius = np.hypot(half, stress[:, 2])
-    low, high = np.minimum(mean - radius, 0.0), np.minimum(mean + radius, 0.0)
-    turn = np.where(radius > 0, (low - high) / np.where(radius > 0, 2 * radius, 1.0), 0.0)
-    centre = -(low + high) / 2
-    return np.column_stack([centre + turn * half, centre - turn * half, turn * stress[:, 2]])
-
-
-def _negative_part(tangent: np.ndarray) -> np.ndarray:
-    """What, added to symmetric matrices (N, 3, 3), removes their negative eigenvalues."""
-    a, b, c = tangent[:, 0, 0], tangent[:, 0, 1], tangent[:, 1, 1]
-    definite = (a > 0) & (a * c - b * b > 0) & (np.linalg.det(tangent) > 0)
-    removed = np.zeros_like(tangent)
-    if not definite.all():
-        values, vectors = np.linalg.eigh(tangent[~definite])
-        scaled = vectors * np.minimum(values, 0.0)[:, None, :]
-        removed[~definite] = -scaled @ np.swapaxes(vectors, 1, 2)
-    return removed
+def _without_negative(matrices: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (N, K, K) without their negative eigenvalues."""
+    values, vectors = np.linalg.eigh(matrices)
+    return (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
 
 
 @numba.njit(cache=True)

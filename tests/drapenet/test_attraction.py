@@ -8,7 +8,7 @@ from data.render import render_views
 from drapenet.refine.attraction import BENT, captured_shape, smoothed
 from drapenet.refine.depth import DepthViews
 from sim.drape import drape
-from sim.energies.hinge_stencils import find_hinges, hinge_angles
+from sim.energies.hinges import find_hinges, hinge_angles
 from sim.material import MICRO, Fabric
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig, Scene

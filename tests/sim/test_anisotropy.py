@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.anisotropy import (
+from sim.energies.hinges import find_hinges
+from sim.equilibrium import find_equilibrium
+from sim.hinge_laws import (
+    HingeLaw,
     edge_directions,
     hinge_directions,
     mean_modulus,
@@ -14,9 +17,6 @@ from sim.anisotropy import (
     shape_operators,
     smoothed,
 )
-from sim.energies.hinge_stencils import find_hinges
-from sim.equilibrium import find_equilibrium
-from sim.hinge_laws import HingeLaw
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import strip

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from benchmarks.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from benchmarks.guides import LevelSides, TiedRows, level_rulings
 from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,
@@ -20,7 +21,6 @@ from sim.cantilever.elastica import (
     strip_shape,
     tabulated_law,
 )
-from sim.cantilever.tester import LevelSides, TiedRows
 from sim.energies import plate_law
 from sim.laws import Laws
 from sim.material import Fabric, torque
@@ -190,7 +190,7 @@ def test_cylinder_moduli_are_those_of_the_plate_law(angle):
 def test_guided_strips_follow_the_law_at_any_angle(angle):
     fabric = Fabric(ORTHOTROPIC.alpha)
     phi = np.radians(angle)
-    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guided=True)
+    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guide=level_rulings)
     assert hung.result.status.value == "converged"
     alpha, _ = cylinder_moduli(fabric, phi)
     found = 0.3 * 9.81 * 0.09**3 / gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1]))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of
 
+from benchmarks.guides import level_rulings
 from common.errors import InputError
 from sim.cantilever.bezier import Bezier, fit_bezier
 from sim.cantilever.fabric import correct, estimate, fabric_of
@@ -138,7 +139,7 @@ def test_three_free_strips_give_six_moduli():
 def test_guided_simulated_strips_are_read():
     alpha = FABRIC.alpha[2]
     lengths = {"weft": [x * bending_length(alpha, 0.3) for x in (1.5, 2.5)]}
-    strips = simulate_strips(FABRIC, lengths, cells=24, guided=True)
+    strips = simulate_strips(FABRIC, lengths, cells=24, guide=level_rulings)
     for method in ("regression", "table"):
         found = estimate(strips, density=0.3, method=method)["weft"]
         assert found.alpha == pytest.approx(alpha, rel=0.02)

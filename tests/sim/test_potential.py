@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sim.cloth import Cloth
-from sim.energies.midedge import LIMIT_START, MidEdgeBending
+from sim.energies.fold_barrier import LIMIT_START
+from sim.energies.midedge import MidEdgeBending
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen

@@ -1,12 +1,14 @@
 """Rigs: what they hold, what their cloth may touch, and drapes with known properties."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from common.errors import InputError
 from sim.cantilever import elastica
 from sim.drape import drape, scene_on
-from sim.energies.contact import Cylinder, Ramp
+from sim.energies.contact import Cylinder
 from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.material import Fabric
@@ -14,6 +16,29 @@ from sim.measures import deepest_entry, drape_coefficient, fold_count
 from sim.mesh import strip
 from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A platform z = 0 that ends at x = 0 in a plane ``angle`` (rad) below the horizontal.
+
+    The stand of a bending-length tester with a fixed angle.
+    """
+
+    angle: float
+
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        x, _, z = points.T
+        return np.minimum(-z, -(x * np.sin(self.angle) + z * np.cos(self.angle)))
+
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        x, _, z = points.T
+        sloping = -(x * np.sin(self.angle) + z * np.cos(self.angle)) < -z
+        slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
+        return np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
+
+    def bends(self, points: np.ndarray) -> np.ndarray:
+        return np.zeros((len(points), 3, 3))
 
 
 def isotropic(alpha: float) -> Fabric:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.comparison import best_turn, compare, mean_curvature, same_folds
+from drapenet.comparison import best_turn, compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
 from sim.mesh.specimens import make_specimen

@@ -1,0 +1,88 @@
+"""Strips that are held to cylinders, as endlessly wide ones would be.
+
+A strip cut off the yarn directions twists when it bends, and one with a Poisson effect curves
+across. Held to a cylinder it carries the law's torque for the cut's direction. Strips are grids
+whose columns of ``across`` vertices are numbered one after the other.
+"""
+
+import numpy as np
+
+from sim.energies.base import Energy
+from sim.mesh import Mesh
+
+GUIDE = 100.0
+"""Stiffness of the ties in units of alpha/edge²; the rulings are then level to 1e-4."""
+
+
+def level_rulings(mesh: Mesh, across: int, alpha: float) -> list[Energy]:
+    """A guide (:data:`sim.cantilever.tester.Guide`) of cloth of the modulus ``alpha``, N·m."""
+    edge = float(np.linalg.norm(mesh.rest[across] - mesh.rest[0]))
+    stiffness = GUIDE * alpha / edge**2
+    return [TiedRows(len(mesh.rest), across=across, stiffness=stiffness),
+            LevelSides(mesh, across=across, stiffness=GUIDE * alpha)]
+
+
+class TiedRows(Energy):
+    """Penalty on differences along x and z between neighbours across a strip.
+
+    Args:
+        vertices: of the strip.
+        stiffness: N/m of each tie.
+    """
+
+    def __init__(self, vertices: int, *, across: int, stiffness: float) -> None:
+        grid = np.arange(vertices).reshape(-1, across)
+        neighbours = np.stack([grid[:, :-1], grid[:, 1:]], axis=-1).reshape(-1, 2)
+        self.dofs = np.concatenate([3 * neighbours, 3 * neighbours + 2])
+        self._stiffness = stiffness
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * self._stiffness * float((self._differences(q) ** 2).sum())
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return self._stiffness * self._differences(q)[:, None] * [1.0, -1.0]
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        block = self._stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return np.broadcast_to(block, (len(self.dofs), 2, 2))
+
+    def _differences(self, q: np.ndarray) -> np.ndarray:
+        return q[self.dofs[:, 0]] - q[self.dofs[:, 1]]
+
+
+class LevelSides(Energy):
+    """Penalty on the part across the strip, y, of the normals at its sides, which stay level.
+
+    The Hessian leaves out what is proportional to that part itself.
+
+    Args:
+        stiffness: N·m per side edge.
+    """
+
+    def __init__(self, mesh: Mesh, *, across: int, stiffness: float) -> None:
+        row = mesh.edges % across
+        sides = np.flatnonzero((mesh.edge_faces[:, 1] < 0) & (row[:, 0] == row[:, 1]))
+        ends = (3 * mesh.edges[sides][:, :, None] + np.arange(3)).reshape(-1, 6)
+        coordinates = 3 * len(mesh.rest)
+        self.dofs = np.concatenate([ends, coordinates + sides[:, None]], axis=1)
+        self._normals = coordinates + 3 * sides[:, None] + np.arange(3)
+        self._stiffness = stiffness
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * self._stiffness * float((q[self._normals[:, 1]] ** 2).sum())
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return self._stiffness * q[self._normals[:, 1]][:, None] * self._rows(q)
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        rows = self._rows(q)
+        return self._stiffness * rows[:, :, None] * rows[:, None, :]
+
+    def _rows(self, q: np.ndarray) -> np.ndarray:
+        """(N, 7) derivatives of the normals' parts across: by both ends, by the rotation."""
+        normal, edge = q[self._normals], q[self.dofs[:, 3:6]] - q[self.dofs[:, :3]]
+        length = np.linalg.norm(edge, axis=1, keepdims=True)
+        along = edge / length
+        tilt = along[:, 1:2] * normal / length
+        turn = along[:, 2] * normal[:, 0] - along[:, 0] * normal[:, 2]
+        return np.concatenate([tilt, -tilt, turn[:, None]], axis=1)
