@@ -1,16 +1,14 @@
-"""Energies, gradients, Hessians and factors of many cloths on one topology, on one device.
+"""Energies, gradients, Hessians and factors of many cloths on one topology, on one device."""
 
-By automatic differentiation of :mod:`sim.reference`, element by element: elements are independent,
-so that one row of all their Hessians is one backward pass.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sim import reference
+from sim.batch.hessians import derivatives, triangle_blocks
 from sim.cloth import Cloth
 from sim.linear.multifrontal import FrontalSolver
 
@@ -93,32 +91,11 @@ class DeviceCloths:
         share = torch.tensor([convex for *_, convex in asked], dtype=x.dtype).to(self.device)
         # One more entry for what has no place.
         data = x.new_zeros(len(x), len(self.pattern.indices) + 1)
-        self._add(data, "triangles", self._triangles(cloths, x, n, share))
+        self._add(data, "triangles", triangle_blocks(cloths, x, n, share))
         for name, points, scale, corners in reference.touched(cloths, x):
-            blocks = _second_derivatives(
-                lambda move, p=points, s=scale: reference.pressed(cloths, p + move, s),
-                torch.zeros_like(points)) / corners**2
-            self._add(data, name, blocks.repeat(1, 1, corners, corners))
+            _, blocks = derivatives(partial(reference.pressed, cloths, scale=scale), points)
+            self._add(data, name, blocks.repeat(1, 1, corners, corners) / corners**2)
         return data[:, :-1]
-
-    def _triangles(
-        self, cloths: reference.Cloths, x: Tensor, n: Tensor, share: Tensor
-    ) -> Tensor:
-        """(B, N, 12, 12) blocks of the free triangles, their membranes convex by a ``share``."""
-        topology = cloths.topology
-        corners, normals = x[:, topology.faces], n[:, topology.face_edges]
-        constants = reference.element_constants(cloths)
-
-        def energies(step: Tensor) -> Tensor:
-            there = corners + step[..., :9].unflatten(-1, (3, 3))
-            turned = reference.carried(topology, corners, there, normals, step[..., 9:])
-            return reference.element_energies(cloths, *constants, there, turned)
-
-        blocks = _second_derivatives(energies, x.new_zeros(*corners.shape[:2], 12))
-        areas, _, shapes, *_ = constants
-        lift = _membrane_lift(cloths, corners, shapes)
-        blocks[..., :9, :9] += (share[:, None] * areas)[..., None, None] * lift
-        return blocks
 
     def _add(self, data: Tensor, name: str, blocks: Tensor) -> None:
         """Add blocks (B, N, K, K) to CSR data."""
@@ -139,41 +116,3 @@ class DeviceCloths:
 
     def _on(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(self.device)
-
-
-def _membrane_lift(cloths: reference.Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
-    """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
-
-    Its negative eigenvalues belong to a twist and to the two rotations out of the plane, see
-    :mod:`sim.energies.membrane`.
-    """
-    u, v = reference.deformation_gradients(corners, shapes).unbind(-1)
-    half, product = 0.5 * ((u * u).sum(-1) - (v * v).sum(-1)), (u * v).sum(-1)
-    # By hand, for a singular value decomposition of one NaN would stop all samples.
-    angle = 0.5 * torch.atan2(product, half)
-    cosine, sine = torch.cos(angle)[..., None], torch.sin(angle)[..., None]
-    one, other = cosine * u + sine * v, cosine * v - sine * u
-    s1, s2 = one.norm(dim=-1), other.norm(dim=-1).clamp(min=1e-12)
-    p1, p2 = (2 * cloths.mu * (s - 1) + cloths.lam * (s1 + s2 - 2) for s in (s1, s2))
-    left1, left2 = one / s1[..., None], other / s2[..., None]
-    normal = torch.linalg.cross(left1, left2)
-    weight1 = cosine * shapes[..., 0] + sine * shapes[..., 1]  # (B, N, 3): of each corner
-    weight2 = cosine * shapes[..., 1] - sine * shapes[..., 0]
-
-    def mode(weight: Tensor, direction: Tensor) -> Tensor:
-        return (weight[..., None] * direction[..., None, :]).flatten(-2)
-
-    twist = (mode(weight1, left2) - mode(weight2, left1)) * 0.5**0.5
-    modes = torch.stack([twist, mode(weight1, normal), mode(weight2, normal)], dim=-2)
-    values = torch.stack([(p1 + p2) / (s1 + s2), p1 / s1, p2 / s2], dim=-1)
-    return modes.mT @ ((-values).clamp(min=0.0)[..., None] * modes)
-
-
-def _second_derivatives(energies: Callable[[Tensor], Tensor], step: Tensor) -> Tensor:
-    """(B, N, K, K) of independent energies (B, N), each of its own step (B, N, K), at ``step``."""
-    step = step.requires_grad_()
-    slope, = torch.autograd.grad(energies(step).sum(), step, create_graph=True)
-    units = torch.eye(step.shape[-1], dtype=step.dtype, device=step.device)
-    rows, = torch.autograd.grad(slope, step, units[:, None, None].expand(-1, *step.shape),
-                                is_grads_batched=True)
-    return rows.movedim(0, -2)
