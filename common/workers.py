@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 
-from joblib.externals.loky import ProcessPoolExecutor, get_reusable_executor, process_executor
+from joblib.externals.loky import ProcessPoolExecutor, process_executor
 from joblib.externals.loky.backend.context import LokyContext
 from joblib.externals.loky.backend.process import LokyProcess
 
@@ -53,6 +53,8 @@ class _Context(LokyContext):
 
 
 _context = _Context()
+_kept: dict[tuple[int, int], ProcessPoolExecutor] = {}
+"""The pool that was used last, unless it is in use, by its main process and its size."""
 
 
 @contextmanager
@@ -62,19 +64,20 @@ def worker_pool(
     """A pool of ``workers`` processes, ended at once where the block fails or is interrupted.
 
     Processes take a second to start, as long as a drape. So those without an ``initializer`` stay
-    for a minute, for whoever comes next; all who need such a pool at the same time share one. With
-    an ``initializer`` all processes are fresh, call ``initializer(*arguments)``, and end with the
-    block. What the main script defines is sent as code, all else by name.
+    for a minute, for the next call of as many. With one, all processes are fresh, call
+    ``initializer(*arguments)``, and end with the block. What the main script defines is sent as
+    code, all else by name.
 
     Raises:
         InputError: a worker was ended from outside.
     """
-    settings = {"context": _context, "timeout": IDLE_SECONDS, "env": WORKER_ENVIRONMENT,
-                "initializer": _start, "initargs": (os.getpid(), initializer, arguments)}
-    if initializer is None:
-        pool = get_reusable_executor(workers, **settings)
-    else:
-        pool = ProcessPoolExecutor(workers, **settings)
+    key = os.getpid(), workers  # a copy of this process has no way to the original's processes
+    # Loky's own reusable pool is not ours alone: joblib takes it for its own, and fails.
+    pool = _kept.pop(key, None) if initializer is None else None
+    if pool is None or pool._flags.shutdown:  # or broken
+        pool = ProcessPoolExecutor(
+            workers, context=_context, timeout=IDLE_SECONDS, env=WORKER_ENVIRONMENT,
+            initializer=_start, initargs=(os.getpid(), initializer, arguments))
     try:
         yield pool
         if initializer is not None:
@@ -88,6 +91,9 @@ def worker_pool(
             raise InputError("a worker process was ended from outside, perhaps for lack of memory; "
                              "run the same command again, with fewer workers") from None
         raise
+    if initializer is None:
+        _kept.clear()  # the processes of a pool that nobody holds end
+        _kept[key] = pool
 
 
 def _start(parent: int, initializer: Callable[..., None] | None, arguments: tuple) -> None:

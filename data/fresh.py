@@ -1,6 +1,6 @@
 """Training samples rendered from drapes as they are asked for: no picture is shown twice.
 
-A dataset then needs drapes only, a fifteenth of what it takes with eight stored sets of views, and
+A dataset then needs drapes only, a tenth of what it takes with eight stored sets of views, and
 all of them stay in memory as whole counts of 10 µm.
 """
 

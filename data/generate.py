@@ -118,7 +118,7 @@ number of workers, parts and machines nor on interruptions.
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
     python -m data.generate out=outputs/small drapes=16 edge_mm=5 dataset=fresh
 
-A drape takes about 2 s of one core, and 20 kB without views, 300 kB with eight sets of them. What a
+A drape takes about 2 s of one core, and 31 kB without views, 320 kB with eight sets of them. What a
 dataset holds is shown by python -m data.inspect OUT.
 
 On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time

@@ -5,9 +5,9 @@
 Draws new fabrics from the prior, drapes and renders them (``outputs/evaluate/dataset``, which is
 completed if it exists), or takes the dataset ``data``, rendered now if it has no views. Adds the
 sensor's noise, asks the network about every capture, and writes ``evaluation.json``. Errors are
-those of its mean over the view orders (``infer.py`` also takes off its mean error on finer cloth),
-in units of the training set's standard deviation, beside those of always predicting the training
-set's mean.
+those of its mean over the view orders, without and with its mean error on cloth subtracted as
+``infer.py`` does, in units of the training set's standard deviation, beside those of always
+predicting the training set's mean.
 """
 
 import common.interrupt  # noqa: F401
@@ -19,6 +19,7 @@ from typing import NoReturn
 from common.ctrl_c import deferred
 
 with deferred():
+    import numpy as np
     import torch
 from tqdm import tqdm
 
@@ -53,6 +54,10 @@ def evaluate(header: Header, drapes: SplitDataset) -> dict:
         targets.append(scale.encode(to_stiff_soft(theta)))
         axes.append(direction_vectors(theta, torch.tensor(float(item["orientation"]))))
     columns = [torch.stack(column) for column in (outputs, targets, axes)]
+    said = scale.decode(columns[0][:, :6])
+    mean_errors = np.array([header.errors.mean_at(one) for one in said.double().numpy()])
+    corrected = torch.cat([scale.encode(said - torch.from_numpy(mean_errors).to(said)),
+                           columns[0][:, 6:]], dim=1)
     return {
         "checkpoint": header.identity,
         "dataset": {
@@ -62,6 +67,7 @@ def evaluate(header: Header, drapes: SplitDataset) -> dict:
             "not_converged": drapes.left_out.total(),
         },
         "network": regression_metrics(*columns),
+        "network_less_mean_error": regression_metrics(corrected, *columns[1:]),
         "training_mean": regression_metrics(torch.zeros_like(columns[0]), *columns[1:]),
     }
 
@@ -125,12 +131,15 @@ def make_dataset(header: Header, root: Path, config: dict) -> None:
 def format_result(result: dict) -> str:
     """The main figures as lines for a terminal."""
     data, network, mean = result["dataset"], result["network"], result["training_mean"]
+    corrected = result["network_less_mean_error"]
     lines = [f"{network['samples']} captures of {data['drapes']} drapes of {data['fabrics']} "
              f"unseen fabrics ({data['not_converged']} drapes left out: not converged)",
              f"{'standardised RMSE':28}{'network':>9}{'mean':>7}{'ratio':>7}"]
     for key, name in (("rmse_log_alpha", "log alpha, all directions"),
                       ("rmse_beta_over_alpha", "beta/alpha, all directions")):
         lines.append(_line(name, network[key], mean[key]))
+    lines.append(_line("log alpha less mean error", corrected["rmse_log_alpha"],
+                       mean["rmse_log_alpha"]))
     lines += [_line(name, value, mean["rmse"][name]) for name, value in network["rmse"].items()]
     if network["axis_error_deg"] is not None:
         error = network["axis_error_deg"]

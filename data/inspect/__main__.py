@@ -22,8 +22,8 @@ is in it: outcomes, parameters against the prior, drapes, disk use. Writes OUT/r
 OUT/histograms.png and OUT/contact_sheet.png (docs/data_format.md). Does not change DIR.
 
 out=outputs/inspect  folder of the report
-intersections=500    drapes looked at for self-intersections, evenly spread; some 30 ms each, beside
-                     4 ms for each drape of the dataset
+intersections=500    drapes looked at for self-intersections, evenly spread; some 5 ms each, beside
+                     5 ms for each drape of the dataset
 sheet=48             drapes on the contact sheet, from the limpest to the stiffest"""
 
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from joblib import Parallel, delayed
 
 import common
 from common import workers
@@ -18,13 +19,9 @@ from common.workers import WORKER_ENVIRONMENT, worker_pool
 
 @pytest.fixture(autouse=True)
 def none_is_kept():
-    def end() -> None:
-        with worker_pool(1) as pool:
-            pool.shutdown()
-
-    end()
+    workers._kept.clear()
     yield
-    end()
+    workers._kept.clear()
 
 
 def process_of(pool) -> int:
@@ -54,9 +51,20 @@ def test_processes_stay_for_the_next_call():
             assert pool.submit(os.getenv, name).result() == value
     with worker_pool(1) as pool:
         assert process_of(pool) == first
+        with worker_pool(1) as other:  # one within the other: each has its own
+            assert process_of(other) != first
     with worker_pool(2) as pool:
         found = {future.result() for future in [pool.submit(slowly) for _ in range(6)]}
-        assert len(found) == 2 and first in found
+        assert len(found) == 2 and first not in found
+    assert ended(first)
+
+
+def test_joblib_has_a_pool_of_its_own():
+    with worker_pool(2) as pool:
+        pool.submit(os.getpid).result()
+    assert Parallel(n_jobs=2)(delayed(abs)(-k) for k in range(3)) == [0, 1, 2]
+    with worker_pool(2) as pool:
+        assert pool.submit(os.getenv, "MKL_CBWR").result() == "AUTO"
 
 
 def test_processes_with_an_initializer_are_fresh_and_end_with_the_block():

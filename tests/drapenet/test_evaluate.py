@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from blobs import write_dataset
 
@@ -10,6 +11,7 @@ from data.dataset import DrapeDataset
 from data.prior import load_prior, prior_content
 from drapenet.checkpoint import read_header
 from drapenet.evaluate import evaluate
+from drapenet.network_errors import NetworkErrors
 
 
 def test_the_mean_scores_one_on_its_own_distribution(
@@ -25,6 +27,20 @@ def test_the_mean_scores_one_on_its_own_distribution(
     assert result["training_mean"]["rmse_log_alpha"] == pytest.approx(1, abs=0.15)
     assert result["network"]["samples"] == result["dataset"]["drapes"] == 64
     assert result["network"]["rmse_log_alpha"] != result["training_mean"]["rmse_log_alpha"]
+
+
+def test_the_mean_error_is_subtracted(untrained_checkpoint: Path, tmp_path: Path) -> None:
+    header = read_header(untrained_checkpoint)
+    drapes = DrapeDataset(write_dataset(tmp_path / "dataset", drapes=6, seed=5))
+    shift = np.array([0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3])
+    squares = []
+    for sign in (1, 0, -1):
+        errors = NetworkErrors(sign * shift, np.zeros(6), 0.0, np.diag(shift**2), 9)
+        header.content["errors"] = errors.as_dict()
+        rmse = evaluate(header, drapes)["network_less_mean_error"]["rmse"]
+        squares.append(np.square(list(rmse.values())))
+    scaled = shift / header.content["targets"]["std"]
+    assert squares[0] + squares[2] - 2 * squares[1] == pytest.approx(2 * scaled**2, rel=1e-3)
 
 
 def test_training_fabrics_are_not_unseen(untrained_checkpoint: Path, tmp_path: Path) -> None:

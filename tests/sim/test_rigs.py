@@ -238,10 +238,10 @@ def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
 def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
     chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (1000, 100, 20, 10, 3, 0.1)]
     assert chosen == sorted(chosen, reverse=True)
-    assert chosen == [0.004, 0.004, 0.003, 0.0025, 0.0025, 0.0025]
-    assert 5.5 * 0.003 <= (20e-6 / (0.3 * 9.81)) ** (1 / 3) < 5.5 * 0.004
-    assert default_edge(isotropic(20).at_density(0.1), Rig()) == 0.003
-    assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.012)
+    assert chosen == [0.004, 0.004, 0.0025, 0.002, 0.002, 0.002]
+    assert 6.5 * 0.0025 <= (20e-6 / (0.3 * 9.81)) ** (1 / 3) < 6.5 * 0.003
+    assert default_edge(isotropic(20).at_density(0.1), Rig()) == 0.0025
+    assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.010)
 
 
 def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
