@@ -9,6 +9,7 @@ default, each drape is made on its own, by as many worker processes as there are
 """
 
 import os
+import re
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
@@ -158,12 +159,11 @@ def _requests(
 
 def _device(name: torch.device | str) -> torch.device:
     """The device, which must be there."""
-    known = str(name).split(":")[0] in ("cpu", "cuda")
-    if not known:
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", str(name)):
         raise InputError(f"device '{name}' knows no batches of drapes; choose cpu or cuda")
     device = torch.device(name)
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"device '{name}': PyTorch finds no GPU here")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise InputError(f"device '{name}': PyTorch finds no GPU of this number here")
     return device
 
 

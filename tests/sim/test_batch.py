@@ -238,6 +238,7 @@ def heavier(mesh, active, *, fabric):
     ({"seeds": [0, 1, -2]}, "seed=-2"), ({"starts": "flat"}, "flat"),
     ({"offsets": [(0, np.nan)] * 3}, "finite"), ({"at_a_time": 0}, "at_a_time=0"),
     ({"workers": 0}, "workers=0"), ({"device": "tpu9"}, "tpu9"), ({"device": "meta"}, "meta"),
+    ({"device": "cuda:x"}, "cuda:x"), ({"device": "cuda:99"}, "no GPU of this number"),
     ({"edge": 1e-6, "workers": 1}, "edge=0.001 mm"), ({"rig": "square"}, "rig='square'"),
     ({"laws": Laws(bending="hinge"), "together": True}, "together=False"),
     ({"laws": Laws(others=(heavier,)), "together": True}, "together=False"),
