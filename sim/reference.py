@@ -10,6 +10,7 @@ are (B, V, 3) m, normals of edges n (B, E, 3) (:mod:`sim.state`), rest points (B
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -127,46 +128,42 @@ def cloths_of(cloths: Sequence[Cloth], device: torch.device | str = "cpu") -> Cl
 
 def moved(topology: Topology, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
     """Normals (B, E, 3) after displacements (B, V, 3) and turns (B, E); see :mod:`sim.state`."""
-    before, after = (y[:, topology.edges[:, 1]] - y[:, topology.edges[:, 0]]
-                     for y in (x, x + move))
-    return _carried(before, after, n, turn)
-
-
-def carried(
-    topology: Topology, corners: Tensor, there: Tensor, normals: Tensor, turns: Tensor
-) -> Tensor:
-    """Normals (B, N, 3, 3) of triangles' edges after their corners (B, N, 3, 3) have moved.
-
-    ``turns`` (B, N, 3) are counted along the edges as in ``mesh.edges``.
-    """
-    before, after = (y.roll(-2, -2) - y.roll(-1, -2) for y in (corners, there))
-    forward = topology.faces.roll(-1, 1) < topology.faces.roll(-2, 1)
-    return _carried(before, after, normals, torch.where(forward, turns, -turns))
-
-
-def _carried(before: Tensor, after: Tensor, normals: Tensor, turns: Tensor) -> Tensor:
-    """Normals carried along by edges (..., 3) and turned about them by ``turns`` (...)."""
-    before, after = (y / y.norm(dim=-1, keepdim=True) for y in (before, after))
-    lean = (normals * after).sum(-1) / (1 + (before * after).sum(-1))
-    along = normals - lean[..., None] * (before + after)
-    turns = turns[..., None]
-    return torch.cos(turns) * along + torch.sin(turns) * torch.linalg.cross(after, along)
+    ends = (y[:, topology.edges] for y in (x, x + move))
+    before, after = (torch.nn.functional.normalize(y[:, :, 1] - y[:, :, 0], dim=2) for y in ends)
+    lean = (n * after).sum(-1) / (1 + (before * after).sum(-1))
+    along = n - lean[..., None] * (before + after)
+    turn = turn[..., None]
+    return torch.cos(turn) * along + torch.sin(turn) * torch.linalg.cross(after, along)
 
 
 def energy(cloths: Cloths, x: Tensor, n: Tensor) -> Tensor:
     """(B,) J of all of them together."""
-    corners = x[:, cloths.topology.faces]
-    normals = n[:, cloths.topology.face_edges]
-    elements = element_energies(cloths, *element_constants(cloths), corners, normals)
-    return elements.sum(1) + outer(cloths, x)
+    topology, rest = cloths.topology, rest_shapes(cloths)
+    corners = x[:, topology.faces]
+    angles = edge_angles(corners, n[:, topology.face_edges])
+    membrane = rest.areas * membrane_density(cloths, deformation_gradients(corners, rest))
+    return (membrane + bending(cloths, rest, angles)).sum(1) + outer(cloths, x)
 
 
-def element_constants(cloths: Cloths) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """What a triangle's energy needs of its rest shape.
+class RestShapes(NamedTuple):
+    """What the energies of the N free triangles need of their rest shapes.
 
-    Areas (B, N) m² for the membrane and for bending, shapes (B, N, 3, 2) 1/m with F = sum of
-    corners times shapes, maps (B, N, 3, 3) 1/m from angles to curvatures, and e/h (B, N, 3).
+    Attributes:
+        areas, bending_areas: (B, N) m².
+        shapes: (B, N, 3, 2) 1/m, whose sum with the corners is F.
+        maps: (B, N, 3, 3) 1/m, from angles to curvatures.
+        slenderness: (B, N, 3) of each edge, e/h.
     """
+
+    areas: Tensor
+    bending_areas: Tensor
+    shapes: Tensor
+    maps: Tensor
+    slenderness: Tensor
+
+
+def rest_shapes(cloths: Cloths) -> RestShapes:
+    """Of the free triangles."""
     topology = cloths.topology
     corners = cloths.rest[:, topology.faces]
     opposite = corners.roll(-2, 2) - corners.roll(-1, 2)  # edge opposite each corner
@@ -176,25 +173,15 @@ def element_constants(cloths: Cloths) -> tuple[Tensor, Tensor, Tensor, Tensor, T
     scale = lengths / areas[..., None]  # 2/h
     across_x, across_y = opposite[..., 1] / lengths, -opposite[..., 0] / lengths
     maps = torch.stack([across_x**2, across_y**2, across_x * across_y], dim=-2)
-    maps = maps * scale[..., None, :]
-    return areas, _bending_areas(topology, areas), shapes, maps, lengths * scale / 2
+    return RestShapes(areas, _bending_areas(topology, areas), shapes, maps * scale[..., None, :],
+                      lengths * scale / 2)
 
 
-def element_energies(
-    cloths: Cloths, areas: Tensor, bending_areas: Tensor, shapes: Tensor, maps: Tensor,
-    slenderness: Tensor, corners: Tensor, normals: Tensor,
-) -> Tensor:
-    """(B, N) J of the free triangles: membrane, bending and the barrier against folding through.
-
-    Args:
-        corners, normals: (B, N, 3, 3) of each triangle and of the edges opposite its corners.
-        others: see :func:`element_constants`.
-    """
-    angles = edge_angles(corners, normals)
-    curvatures = (maps * angles[..., None, :]).sum(-1)
-    return (areas * membrane_density(cloths, corners, shapes)
-            + bending_areas * plate_density(curvatures, cloths.law)
-            + (cloths.softest[..., None] * slenderness * fold_barrier(cloths, angles)).sum(-1))
+def bending(cloths: Cloths, rest: RestShapes, angles: Tensor) -> Tensor:
+    """(B, N) J of triangles by their angles (B, N, 3): the plate's and the barrier's."""
+    plate = plate_density((rest.maps * angles[..., None, :]).sum(-1), cloths.law)
+    stiffness = cloths.softest[..., None] * rest.slenderness
+    return rest.bending_areas * plate + (stiffness * fold_barrier(cloths, angles)).sum(-1)
 
 
 def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:
@@ -206,17 +193,24 @@ def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:
     return torch.atan2(out, edges.norm(dim=-1) * up)
 
 
-def membrane_density(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
+def deformation_gradients(corners: Tensor, rest: RestShapes) -> Tensor:
+    """(B, N, 3, 2) of triangles with corners (B, N, 3, 3)."""
+    return (corners[..., :, None] * rest.shapes[..., None, :]).sum(-3)
+
+
+def membrane_density(cloths: Cloths, gradients: Tensor) -> Tensor:
     """(B, N) J/m² of the isotropic corotational membrane.
 
-    mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, by its invariants.
+    mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, by its invariants,
+    as (mu (s1-s2)² + (mu + lambda) (s1+s2-2)²)/2.
     """
-    gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)  # (B, N, 3, 2)
-    u, v = gradient.unbind(-1)
-    square = (u * u).sum(-1) + (v * v).sum(-1)  # s1² + s2²
+    u, v = gradients.unbind(-1)
+    uu, vv, uv = (u * u).sum(-1), (v * v).sum(-1), (u * v).sum(-1)
     determinant = torch.linalg.cross(u, v).norm(dim=-1)  # s1 s2
-    total = (square + 2 * determinant).sqrt()
-    return cloths.mu * (square - 2 * total + 2) + 0.5 * cloths.lam * (total - 2) ** 2
+    total = (uu + vv + 2 * determinant).sqrt()  # s1 + s2
+    # (s1 - s2)²; without this form, strains would drown in the rounding of s1² + s2².
+    difference = ((uu - vv) ** 2 + 4 * uv**2) / total**2
+    return 0.5 * (cloths.mu * difference + (cloths.mu + cloths.lam) * (total - 2) ** 2)
 
 
 def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
@@ -239,7 +233,7 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
 def fold_barrier(cloths: Cloths, angles: Tensor) -> Tensor:
     """(B, N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""
     topology = cloths.topology
-    pole = torch.where(topology.clamped, torch.pi, torch.pi / 2).to(angles)
+    pole = torch.pi / 2 * (1.0 + topology.clamped.to(angles))
     bent = (angles.abs() > LIMIT_START * pole) & ~topology.boundary
     angle = torch.where(bent, angles.abs(), 0.9 * pole)  # a safe place for derivatives
     over, left = angle - LIMIT_START * pole, pole - angle
@@ -282,23 +276,6 @@ def pressed(cloths: Cloths, points: Tensor, scale: Tensor) -> Tensor:
     return scale * _depths(points, cloths.plate_radius) ** 3
 
 
-def membrane_lift(cloths: Cloths, corners: Tensor, shapes: Tensor) -> Tensor:
-    """(B, N, 9, 9) N/m: what makes the membrane's Hessian per area positive semi-definite.
-
-    It takes the compression out of the stress, see :class:`sim.energies.membrane.StrainMembrane`;
-    the tangent has no negative eigenvalues up to twice the length.
-    """
-    gradient = (corners[..., :, None] * shapes[..., None, :]).sum(-3)
-    _, stretch, right = torch.linalg.svd(gradient, full_matrices=False)  # (..., 2), (..., 2, 2)
-    force = 2 * cloths.mu[..., None] * (stretch - 1)
-    force = force + cloths.lam[..., None] * (stretch.sum(-1, keepdim=True) - 2)
-    compression = (-force / stretch.clamp(min=1e-12)).clamp(min=0.0)
-    weights = shapes @ right.mT  # (B, N, 3, 2): of each corner along the principal directions
-    pairs = (weights * compression[..., None, :]) @ weights.mT
-    blocks = pairs[..., :, None, :, None] * torch.eye(3).to(pairs)[:, None, :]
-    return blocks.flatten(-4, -3).flatten(-2, -1)
-
-
 def _depths(points: Tensor, radius: float) -> Tensor:
     """(B, P) depths of points (B, P, 3) in the cylinder, m, 0 outside."""
     out = points[..., :2].norm(dim=-1) - (radius - RIM_RADIUS)
@@ -327,8 +304,8 @@ def _bending_areas(topology: Topology, areas: Tensor) -> Tensor:
         return areas
     near, behind = ((areas * row).sum(1, keepdim=True) for row in (topology.first, topology.second))
     moved_area = (1 - 1 / FIRST) * near / behind
-    weights = torch.where(topology.first, FIRST, 1.0)
-    return areas * torch.where(topology.second, 1 / (1 + moved_area), weights)
+    areas = torch.where(topology.first, FIRST * areas, areas)
+    return torch.where(topology.second, areas / (1 + moved_area), areas)
 
 
 def _areas(corners: Tensor) -> Tensor:

@@ -1,16 +1,14 @@
-"""Energies, gradients, Hessians and factors of many cloths on one topology, on one device.
+"""Energies, gradients, Hessians and factors of many cloths on one topology, on one device."""
 
-By automatic differentiation of :mod:`sim.reference`, element by element: elements are independent,
-so that one row of all their Hessians is one backward pass.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sim import reference
+from sim.batch.hessians import derivatives, triangle_blocks
 from sim.cloth import Cloth
 from sim.linear.multifrontal import FrontalSolver
 
@@ -93,32 +91,11 @@ class DeviceCloths:
         share = torch.tensor([convex for *_, convex in asked], dtype=x.dtype).to(self.device)
         # One more entry for what has no place.
         data = x.new_zeros(len(x), len(self.pattern.indices) + 1)
-        self._add(data, "triangles", self._triangles(cloths, x, n, share))
+        self._add(data, "triangles", triangle_blocks(cloths, x, n, share))
         for name, points, scale, corners in reference.touched(cloths, x):
-            blocks = _second_derivatives(
-                lambda move, p=points, s=scale: reference.pressed(cloths, p + move, s),
-                torch.zeros_like(points)) / corners**2
-            self._add(data, name, blocks.repeat(1, 1, corners, corners))
+            _, blocks = derivatives(partial(reference.pressed, cloths, scale=scale), points)
+            self._add(data, name, blocks.repeat(1, 1, corners, corners) / corners**2)
         return data[:, :-1]
-
-    def _triangles(
-        self, cloths: reference.Cloths, x: Tensor, n: Tensor, share: Tensor
-    ) -> Tensor:
-        """(B, N, 12, 12) blocks of the free triangles, their membranes convex by a ``share``."""
-        topology = cloths.topology
-        corners, normals = x[:, topology.faces], n[:, topology.face_edges]
-        constants = reference.element_constants(cloths)
-
-        def energies(step: Tensor) -> Tensor:
-            there = corners + step[..., :9].unflatten(-1, (3, 3))
-            turned = reference.carried(topology, corners, there, normals, step[..., 9:])
-            return reference.element_energies(cloths, *constants, there, turned)
-
-        blocks = _second_derivatives(energies, x.new_zeros(*corners.shape[:2], 12))
-        areas, _, shapes, *_ = constants
-        lift = reference.membrane_lift(cloths, corners, shapes)
-        blocks[..., :9, :9] += (share[:, None] * areas)[..., None, None] * lift
-        return blocks
 
     def _add(self, data: Tensor, name: str, blocks: Tensor) -> None:
         """Add blocks (B, N, K, K) to CSR data."""
@@ -139,13 +116,3 @@ class DeviceCloths:
 
     def _on(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(self.device)
-
-
-def _second_derivatives(energies: Callable[[Tensor], Tensor], step: Tensor) -> Tensor:
-    """(B, N, K, K) of independent energies (B, N), each of its own step (B, N, K), at ``step``."""
-    step = step.requires_grad_()
-    slope, = torch.autograd.grad(energies(step).sum(), step, create_graph=True)
-    units = torch.eye(step.shape[-1], dtype=step.dtype, device=step.device)
-    rows, = torch.autograd.grad(slope, step, units[:, None, None].expand(-1, *step.shape),
-                                is_grads_batched=True)
-    return rows.movedim(0, -2)

@@ -9,7 +9,10 @@ default, each drape is made on its own, by as many worker processes as there are
 """
 
 import os
+import re
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -29,7 +32,9 @@ from sim.linear import CholeskySolver, make_solver
 from sim.material import Fabric
 from sim.mesh.specimens import TOPOLOGIES, default_edge
 from sim.newton import NewtonOptions, NewtonResult, minimise
-from sim.scene import Rig
+from sim.scene import Rig, Scene
+from sim.self_contact import contact_near
+from sim.state import State
 
 AT_A_TIME = 64
 """Default of ``at_a_time`` (:func:`drape_batch`)."""
@@ -69,9 +74,9 @@ def drape_batch(
         device: where the drapes are minimised, "cpu" or "cuda".
         together: whether drapes on one topology share their minimisation; None: not on a CPU.
         at_a_time: so many at most, which limits the memory.
-        workers: processes that make drapes each on its own; they take a second to start, and stay
-            for a minute. None for one a core. With 1, as for a single drape, this process does it
-            itself.
+        workers: processes that make drapes each on its own, or finish those made together that
+            touch themselves; they take a second to start, and stay for a minute. None for one a
+            core. With 1, as for a single drape, this process does it itself.
 
     Returns:
         The drapes in the order of ``fabrics``; a numerical failure is in a drape's ``status``. Of
@@ -94,12 +99,14 @@ def drape_batch(
     if not (device.type != "cpu" if together is None else together):
         return _one_by_one(requests, shared, workers)
     results: dict[int, DrapeResult] = {}
-    for key in sorted({request.key for request in requests}):
-        group = [k for k, request in enumerate(requests) if request.key == key]
-        for first in range(0, len(group), at_a_time):
-            part = group[first : first + at_a_time]
-            made = _together([requests[k] for k in part], shared, device)
-            results.update(zip(part, made, strict=True))
+    # Processes start with their first task, which most batches do not have.
+    with worker_pool(workers) if workers > 1 else nullcontext() as pool:
+        for key in sorted({request.key for request in requests}):
+            group = [k for k, request in enumerate(requests) if request.key == key]
+            for first in range(0, len(group), at_a_time):
+                part = group[first : first + at_a_time]
+                made = _together([requests[k] for k in part], shared, device, pool)
+                results.update(zip(part, made, strict=True))
     return [results[k] for k in range(len(requests))]
 
 
@@ -152,12 +159,11 @@ def _requests(
 
 def _device(name: torch.device | str) -> torch.device:
     """The device, which must be there."""
-    known = str(name).split(":")[0] in ("cpu", "cuda")
-    if not known:
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", str(name)):
         raise InputError(f"device '{name}' knows no batches of drapes; choose cpu or cuda")
     device = torch.device(name)
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"device '{name}': PyTorch finds no GPU here")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise InputError(f"device '{name}': PyTorch finds no GPU of this number here")
     return device
 
 
@@ -179,11 +185,11 @@ def _one_by_one(requests: list[_Request], shared: dict, workers: int) -> list[Dr
 
 
 def _together(
-    requests: list[_Request], shared: dict, device: torch.device
+    requests: list[_Request], shared: dict, device: torch.device, pool: Executor | None
 ) -> list[DrapeResult]:
     """Drapes on one topology, each mesh's minimisations in one batch."""
     def run(request: _Request, rendezvous: Rendezvous, number: int) -> DrapeResult:
-        minimiser = partial(_minimise_there, rendezvous, number, device)
+        minimiser = partial(_minimise_there, rendezvous, number, device, pool)
         return drape(**vars(request), **shared, minimiser=minimiser)
 
     return together([partial(run, request) for request in requests])
@@ -193,6 +199,7 @@ def _minimise_there(
     rendezvous: Rendezvous,
     number: int,
     device: torch.device,
+    pool: Executor | None,
     cloth: Cloth,
     q: np.ndarray,
     options: NewtonOptions | None,
@@ -200,7 +207,11 @@ def _minimise_there(
     """:func:`sim.newton.minimise`, with the calculations of the run ``number`` on the device."""
     if cloth.extra:
         # Cloth that touches itself couples vertices far apart, each in its own way.
-        return minimise(cloth.potential, q, options)
+        with rendezvous.apart():
+            if pool is None:
+                return minimise(cloth.potential, q, options)
+            task = (cloth.scene, cloth.fabric, cloth.laws, q, options)
+            return pool.submit(_minimise_touching, *task).result()
     if not reference.covers(cloth):
         raise InputError("these laws cannot be evaluated in a batch; make such drapes one by one "
                          "(together=False)")
@@ -215,6 +226,17 @@ def _minimise_there(
     objective = _Remote(rendezvous, number, there, place, cloth)
     result = minimise(objective, q, options, make_solver=lambda *_: objective)
     return replace(result, factor=None)
+
+
+def _minimise_touching(
+    scene: Scene, fabric: Fabric, laws: Laws, q: np.ndarray, options: NewtonOptions | None
+) -> NewtonResult:
+    """A minimum near the state ``q`` of cloth with its contact with itself there, which is made
+    anew because it does not travel between processes."""
+    positions = State.of(q, len(scene.mesh.rest)).positions
+    contact = contact_near(scene, positions, density=fabric.density)
+    cloth = Cloth(scene, fabric, laws=laws, extra=[contact])
+    return replace(minimise(cloth.potential, q, options), factor=None)
 
 
 class _Remote:

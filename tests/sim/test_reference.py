@@ -58,12 +58,11 @@ def test_values_and_gradients_are_those_of_the_kernels(rig, folded):
     total = reference.energy(twins, x + move, reference.moved(twins.topology, x, n, move, turn))
     by_move, by_turn = torch.autograd.grad(total.sum(), (move, turn))
     for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
-        assert float(total[k].detach()) == pytest.approx(cloth.potential.value(q), rel=1e-9)
+        assert float(total[k].detach()) == pytest.approx(cloth.potential.value(q), rel=1e-13)
         both = np.concatenate([by_move[k].ravel().numpy(), by_turn[k].numpy()])
         expected = cloth.potential.gradient(q)
         found = cloth.potential.free_unknowns(both)
-        near = 1e-5 if folded else 1e-8  # next to its pole, the barrier multiplies rounding
-        assert np.abs(found - expected).max() < near * np.abs(expected).max()
+        assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
 def test_steps_carry_normals_as_the_simulator_does():
@@ -79,6 +78,44 @@ def test_steps_carry_normals_as_the_simulator_does():
     for k in range(2):
         expected = moved(states[k], edges, steps[k])[3 * x.shape[1]:].reshape(-1, 3)
         assert np.abs(found[k].numpy() - expected).max() < 1e-12
+        there = (x[k] + move[k])[edges]
+        along = torch.nn.functional.normalize(there[:, 1] - there[:, 0], dim=1)
+        assert (found[k] * along).sum(1).abs().max() < 1e-13
+        assert (found[k].norm(dim=1) - 1).abs().max() < 1e-13
+
+
+def test_turns_are_right_handed_about_edges():
+    """A step of turns alone, and its derivative at zero: xi u × n."""
+    cloths, states = crumpled(Rig(), 1.5e-3, 0.1)
+    topology = reference.Topology(cloths[0].scene)
+    x, n = split(cloths, states)
+    angles = torch.from_numpy(np.random.default_rng(2).normal(0, 1, n.shape[:2]))
+    along = torch.nn.functional.normalize(
+        x[:, topology.edges[:, 1]] - x[:, topology.edges[:, 0]], dim=2)
+    across = torch.linalg.cross(along, n)
+    still = torch.zeros_like(x)
+    found = reference.moved(topology, x, n, still, angles)
+    turned = torch.cos(angles)[..., None] * n + torch.sin(angles)[..., None] * across
+    assert (found - turned).abs().max() < 1e-14
+    _, slope = torch.func.jvp(lambda turn: reference.moved(topology, x, n, still, turn),
+                              (torch.zeros_like(angles),), (angles,))
+    assert (slope - angles[..., None] * across).abs().max() < 1e-13
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["moved", "mirrored"])
+def test_rigid_motions_and_mirrors_cost_nothing(sign):
+    cloths, states = crumpled(Rig(), 1.5e-3, 0.1)
+    twins = reference.cloths_of(cloths)
+    x, n = split(cloths, states)
+    rotation, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))
+    rotation = torch.from_numpy(rotation * np.sign(np.linalg.det(rotation)) * sign)
+
+    def inner(x: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
+        return reference.energy(twins, x, n) - reference.outer(twins, x)
+
+    shift = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    there = inner(x @ rotation.T + shift, sign * n @ rotation.T)  # normals are axial vectors
+    assert torch.allclose(there, inner(x, n), rtol=1e-11, atol=0)
 
 
 def test_derivatives_by_the_fabric_through_automatic_differentiation():
