@@ -206,7 +206,8 @@ def fold_over_itself() -> tuple[Scene, State, Mesh]:
     """A strip held flat over 60 mm whose free 60 mm are folded back above the held part."""
     mesh, held = strip(length=0.06, width=0.03, edge=5e-3, clamp=0.06, diagonals="random",
                        jitter=0.1, seed=1)
-    return Scene(mesh=mesh, held=held), State.at(mesh, folded(mesh, radius=8e-3, at=0.0)), mesh
+    scene = Scene(mesh=mesh, held=held)
+    return scene, scene.state(folded(mesh, radius=8e-3, at=0.0)), mesh
 
 
 def test_cloth_rests_on_cloth():
