@@ -2,6 +2,6 @@
 
 import os
 
-from common.workers import WORKER_ENVIRONMENT
+from common.threads import ONE_THREAD
 
-os.environ.update(WORKER_ENVIRONMENT)
+os.environ.update(ONE_THREAD)

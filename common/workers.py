@@ -17,17 +17,7 @@ from joblib.externals.loky.backend.process import LokyProcess
 from common.ctrl_c import deferred
 from common.errors import InputError
 from common.memory import keep_freed_memory
-
-WORKER_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-    # Without it MKL's rounding depends on where in memory a matrix happens to lie.
-    "MKL_CBWR": "AUTO",
-    # Memory in large pages: 2 to 3 % less time at 41 x 41.
-    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
-}
+from common.threads import ONE_THREAD
 
 IDLE_SECONDS = 60.0
 """For which worker processes that nobody uses stay."""
@@ -76,7 +66,7 @@ def worker_pool(
     pool = _kept.pop(key, None) if initializer is None else None
     if pool is None or pool._flags.shutdown:  # or broken
         pool = ProcessPoolExecutor(
-            workers, context=_context, timeout=IDLE_SECONDS, env=WORKER_ENVIRONMENT,
+            workers, context=_context, timeout=IDLE_SECONDS, env=ONE_THREAD,
             initializer=_start, initargs=(os.getpid(), initializer, arguments))
     try:
         yield pool

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from threadpoolctl import ThreadpoolController
@@ -25,3 +28,9 @@ def test_one_thread_within_and_as_many_as_before_afterwards():
             inverse(np.zeros((2, 2)))
         assert threads() == {2}
     np.testing.assert_array_equal(found, np.diag([1.0, 0.5]))
+
+
+def test_benchmarks_choose_one_thread_before_a_library_reads_how_many():
+    loaded = ("import benchmarks.one_thread, sys; "
+              "print(*{'numpy', 'torch', 'numba'} & {*sys.modules})")
+    assert not subprocess.check_output([sys.executable, "-c", loaded]).split()

@@ -14,7 +14,8 @@ from joblib import Parallel, delayed
 import common
 from common import workers
 from common.errors import InputError
-from common.workers import WORKER_ENVIRONMENT, worker_pool
+from common.threads import ONE_THREAD
+from common.workers import worker_pool
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +48,7 @@ def ended(process: int) -> bool:
 def test_processes_stay_for_the_next_call():
     with worker_pool(1) as pool:
         first = process_of(pool)
-        for name, value in WORKER_ENVIRONMENT.items():
+        for name, value in ONE_THREAD.items():
             assert pool.submit(os.getenv, name).result() == value
     with worker_pool(1) as pool:
         assert process_of(pool) == first
