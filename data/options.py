@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from common.errors import InputError
 from data.cameras import CameraRig
+from data.nuisances import NuisanceConfig
 from data.prior import load_prior
 from data.records import DatasetConfig
 from data.sampling import SamplingConfig
@@ -20,6 +22,7 @@ class DatasetOptions:
     drift_mm: float = 3.0
     orientations: int = 8
     turn_deg: float = 2.0
+    soft_share: float = 0.0
     drapes_per_shard: int = 16
     compression: int = 4
 
@@ -29,6 +32,19 @@ class PriorOptions:
     """The group ``prior``; see ``configs/prior``."""
 
     file: str = "vae"
+
+
+@dataclass
+class NuisanceOptions:
+    """The group ``nuisances``; see ``configs/nuisances``."""
+
+    membrane_n_per_m: list[float] = field(default_factory=lambda: [200.0, 200.0])
+    shear: list[float] = field(default_factory=lambda: [1.0, 1.0])
+    friction_un: float = 0.0
+    curl_per_m: float = 0.0
+    size_mm: float = 0.0
+    plate_mm: float = 0.0
+    cut_deg: float = 0.0
 
 
 @dataclass
@@ -44,6 +60,7 @@ class Options:
     edge_mm: float = 0.0
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
     prior: PriorOptions = field(default_factory=PriorOptions)
+    nuisances: NuisanceOptions = field(default_factory=NuisanceOptions)
     rig: Any = None
 
 
@@ -60,6 +77,8 @@ def config_from_options(options: Options) -> DatasetConfig:
             drift=dataset.drift_mm * 1e-3,
             orientations=dataset.orientations,
             turn=math.radians(dataset.turn_deg),
+            soft_share=dataset.soft_share,
+            nuisances=_nuisances(options.nuisances),
         ),
         prior=load_prior(options.prior.file),
         rig=Rig.from_name(cameras.name),
@@ -67,4 +86,19 @@ def config_from_options(options: Options) -> DatasetConfig:
         edge=options.edge_mm * 1e-3,
         drapes_per_shard=dataset.drapes_per_shard,
         compression=dataset.compression,
+    )
+
+
+def _nuisances(options: NuisanceOptions) -> NuisanceConfig:
+    for name in ("membrane_n_per_m", "shear"):
+        if len(options[name]) != 2:
+            raise InputError(f"nuisances.{name}: give two numbers, from and to")
+    return NuisanceConfig(
+        membrane=tuple(options.membrane_n_per_m),
+        shear=tuple(options.shear),
+        friction=1e-6 * options.friction_un,
+        curl=options.curl_per_m,
+        size=1e-3 * options.size_mm,
+        plate=1e-3 * options.plate_mm,
+        cut=math.radians(options.cut_deg),
     )

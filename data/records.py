@@ -70,9 +70,9 @@ class DatasetConfig:
                              f"fabric, or {1e3 * EDGES[0]:g} to {1e3 * EDGES[1]:g} mm")
         if not 1 <= self.compression <= 9:
             raise InputError(f"compression={self.compression} must lie between 1 and 9")
-        if not self.rig.has_plate or self.rig.specimen != "square":
-            raise InputError(f"rig.name={self.rig.name}: datasets are made of square specimens on "
-                             f"a plate; choose {DEFAULT_RIG}")
+        if not self.rig.has_plate:
+            raise InputError(f"rig.name={self.rig.name}: datasets are made of specimens on a "
+                             f"plate; choose {DEFAULT_RIG}")
         farthest = self.cameras.farthest() + self.rig.specimen_size
         limit = DEPTH_UNIT * np.iinfo(np.uint16).max
         if self.sampling.orientations and farthest > limit:
@@ -152,6 +152,7 @@ def simulate(
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
     edge = config.edge or default_edge(fabric, config.rig)
+    rig = plan.nuisances.rig(config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
              for name, field in fields(config.layout, 0).items()}
     record = empty | {
@@ -160,6 +161,8 @@ def simulate(
         "fabric": plan.fabric,
         "theta": plan.theta,
         "rejected": plan.rejected,
+        "weight": plan.weight,
+        "nuisances": plan.nuisances.vector,
         "density": fabric.density,
         "start": (plan.fallback if lender is None else BORROWED).encode(),
         "planned": plan.start.encode(),
@@ -176,10 +179,11 @@ def simulate(
     try:
         result = solver(
             fabric,
-            rig=config.rig,
+            rig=rig,
             edge=edge,
             seed=plan.seed,
             offset=tuple(plan.offset),
+            laws=plan.nuisances.laws,
             **start,
         )
     except ACCIDENTS as error:
@@ -243,7 +247,7 @@ def make_record(
     if result is None:
         return record
     try:
-        shown = _measures(result, config.rig)
+        shown = _measures(result, plan.nuisances.rig(config.rig))
         if len(plan.orientations):
             with effort.booked("views"):
                 shown |= _views(plan, config, renderer(result.positions, result.faces))

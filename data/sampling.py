@@ -5,20 +5,27 @@ a drape is the same whichever process makes it, and however often the work was i
 drape borrows depends on the outcomes of earlier drapes of its shard as well.
 """
 
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 
 from common.errors import InputError
-from data.prior import Prior, sample_admissible
+from data.nuisances import NuisanceConfig, Nuisances
+from data.prior import Prior, prior_content, prior_from_content, sample_admissible
 from data.render import VIEWS
 
 STARTS = ("sine", "fold")
 """Initial states that need no other drape."""
 BORROWED = "borrowed"
 """The initial state that is an earlier drape of another fabric in the same shard."""
+SOFT = 4e-6
+"""N·m at 300 g/m²: a fabric is soft if the geometric mean of its three alphas is below it."""
+_COUNTED = 20_000  # samples of a prior among which soft ones are counted
+_LARGEST_SHARE = 0.5  # of soft fabrics
 
 
 class Stream(IntEnum):
@@ -28,6 +35,8 @@ class Stream(IntEnum):
     START = 1
     VIEWS = 2
     LENDER = 3
+    CLOTH = 4
+    SPECIMEN = 5
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,9 @@ class SamplingConfig:
             (section 5.2.2; 12 there); 0 stores drapes only.
         turn: standard deviation of the turntable's angle from a whole number of quarter turns,
             in each view after the first, radians.
+        soft_share: share of fabrics that are drawn from the soft ones of the prior (:data:`SOFT`);
+            the rest from all of it.
+        nuisances: of the specimens.
     """
 
     seed: int = 0
@@ -53,6 +65,8 @@ class SamplingConfig:
     drift: float = 0.003
     orientations: int = 8
     turn: float = 0.035
+    soft_share: float = 0.0
+    nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "starts", tuple(self.starts))
@@ -70,10 +84,13 @@ class SamplingConfig:
         if not 0 <= self.turn <= 0.2:
             raise InputError("the turntable's deviation must lie between 0 and 11 degrees, not "
                              f"{np.degrees(self.turn):g}")
+        if not 0 <= self.soft_share <= _LARGEST_SHARE:
+            raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
+                             f"{_LARGEST_SHARE:g}")
 
     def as_dict(self) -> dict:
         """All fields, in JSON's types."""
-        return asdict(self) | {"starts": list(self.starts)}
+        return asdict(self) | {"starts": list(self.starts), "nuisances": self.nuisances.as_dict()}
 
 
 @dataclass(frozen=True)
@@ -85,6 +102,8 @@ class DrapePlan:
         fabric: index of the fabric; drapes of one fabric share theta.
         theta: (6,) parameters, see :mod:`data.fabrics`.
         rejected: inadmissible samples drawn before this fabric.
+        weight: density of the prior at theta over that of the fabrics drawn.
+        nuisances: of the specimen.
         start: initial state, one of :data:`STARTS` or :data:`BORROWED`.
         fallback: one of :data:`STARTS`, for a borrowed start without a lender; else ``start``.
         seed: seed of the mesh and of the initial state.
@@ -99,6 +118,8 @@ class DrapePlan:
     fabric: int
     theta: np.ndarray
     rejected: int
+    weight: float
+    nuisances: Nuisances
     start: str
     fallback: str
     seed: int
@@ -115,7 +136,10 @@ def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
 def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan:
     """The plan of drape ``index``; consecutive drapes share a fabric."""
     fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
-    theta, rejected = sample_admissible(prior, stream(config.seed, Stream.FABRIC, fabric))
+    theta, rejected, weight = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
+                                          soft_share=config.soft_share)
+    nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),
+                                        stream(config.seed, Stream.SPECIMEN, index))
     rng = stream(config.seed, Stream.START, index)
     # With one drape a fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
@@ -127,8 +151,38 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     orientations = sectors * (2 * np.pi / max(1, config.orientations))
     turns = rng.normal(0.0, config.turn, (config.orientations, VIEWS))
     turns[:, 0] = 0.0
-    return DrapePlan(index, fabric, theta, rejected, start, fallback, seed, offset, orientations,
-                     turns)
+    return DrapePlan(index, fabric, theta, rejected, weight, nuisances, start, fallback, seed,
+                     offset, orientations, turns)
+
+
+def draw_fabric(
+    prior: Prior, rng: np.random.Generator, *, soft_share: float = 0.0
+) -> tuple[np.ndarray, int, float]:
+    """theta (6,), how many inadmissible samples were rejected, and :attr:`DrapePlan.weight`."""
+    theta, rejected = sample_admissible(prior, rng)
+    if not soft_share:
+        return theta, rejected, 1.0
+    usual = _share_of_soft(json.dumps(prior_content(prior)))
+    if not usual:
+        raise InputError(f"soft_share={soft_share:g}: none of {_COUNTED} samples of the prior is "
+                         f"soft; give 0")
+    if rng.random() < soft_share:
+        while not _is_soft(theta):
+            theta, more = sample_admissible(prior, rng)
+            rejected += more
+    return theta, rejected, 1 / (1 - soft_share + soft_share * _is_soft(theta) / usual)
+
+
+def _is_soft(theta: np.ndarray) -> np.ndarray:
+    """Whether theta (..., 6) is a soft fabric."""
+    return theta[..., :3].mean(axis=-1) < np.log(SOFT)
+
+
+@lru_cache(maxsize=4)
+def _share_of_soft(content: str) -> float:
+    """Share of soft fabrics in the prior that ``content`` describes, JSON."""
+    prior = prior_from_content(json.loads(content), origin="the prior")
+    return float(_is_soft(prior.sample(_COUNTED, np.random.default_rng(0))).mean())
 
 
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:

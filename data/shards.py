@@ -17,10 +17,11 @@ import numpy as np
 
 from common.errors import InputError, one_line
 from common.files import replace_shared_file
+from data.nuisances import NAMES
 from data.progress import over_shards
 from data.render import VIEWS
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 DEPTH_UNIT = 1e-4  # m per count of stored depth
@@ -71,6 +72,8 @@ def fields(layout: Layout, vertices: int) -> dict[str, Field]:
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics"),
         "rejected": Field("i4", (), "", "impossible samples of the prior before this fabric"),
+        "weight": Field("f8", (), "1", "of the fabric, where soft ones are drawn more often"),
+        "nuisances": Field("f8", (len(NAMES),), "SI", "see data.nuisances"),
         "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
         "start": Field("S8", (), "", "initial state: sine, fold or borrowed"),
         "planned": Field("S8", (), "", "the same as planned; borrowing needs an earlier drape"),

@@ -28,6 +28,8 @@ class Rig:
         plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
         specimen: "square" or "disc".
         corners_apart: distance between the two corners that hold a specimen without plate, m.
+        cut: angle from the warp to a side of the square, counter-clockwise, rad: 0 for one that is
+            cut along its yarns. Only with a plate.
 
     Raises:
         InputError: a specimen that such a rig cannot hold.
@@ -37,10 +39,14 @@ class Rig:
     plate_diameter: float = 0.100
     specimen: str = "square"
     corners_apart: float | None = None
+    cut: float = 0.0
 
     def __post_init__(self) -> None:
         if self.specimen not in ("square", "disc"):
             raise InputError(f"specimen={self.specimen!r}: choose square or disc")
+        if not abs(self.cut) <= np.pi / 4 or (self.cut and not self.has_plate):
+            raise InputError(f"a cut of {np.degrees(self.cut):g}° from the warp: give at most 45°, "
+                             "and 0 without a plate")
         if not 0 <= self.plate_diameter < self.specimen_size < np.inf:
             raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
                              f"{1e3 * self.specimen_size:g} mm: it must be smaller")
@@ -60,7 +66,8 @@ class Rig:
         else:
             holder = "support" if self.specimen == "disc" else "cylinder"
             size = self.plate_diameter
-        return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}"
+        cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
+        return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
 
     @property
     def plate_radius(self) -> float:

@@ -21,7 +21,7 @@ from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig
 
 
-def skirt(fabric, *, rig, edge, start, seed, offset):
+def skirt(fabric, *, rig, edge, start, seed, offset, laws):
     """In place of the solver: five folds, the deeper the softer, which lean to one side."""
     mesh = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset).mesh
     radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.midedge import MidEdgeBending
+from sim.energies.natural_curvature import CurvedBending
 from sim.material import Fabric
 from sim.mesh import Mesh
 
@@ -36,6 +36,7 @@ class BendingFriction:
             :meth:`sim.energies.midedge.MidEdgeBending.curvatures` gives them; they belong to one
             mesh, so that no coarser one can have them. None: flat.
         build_up: d, 1/m.
+        curvature: natural one, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
 
     Raises:
         InputError: a torque below 0, or a build-up that is not above 0.
@@ -44,6 +45,7 @@ class BendingFriction:
     torque: float
     origin: np.ndarray | None = None
     build_up: float = BUILD_UP
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not (self.torque >= 0 and self.build_up > 0):
@@ -54,7 +56,7 @@ class BendingFriction:
         return FrictionBending(mesh, active, fabric=fabric, friction=self)
 
 
-class FrictionBending(MidEdgeBending):
+class FrictionBending(CurvedBending):
     """Plate energy of the free triangles with ``friction``.
 
     The other arguments are those of :class:`sim.energies.midedge.MidEdgeBending`.
@@ -63,7 +65,7 @@ class FrictionBending(MidEdgeBending):
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, friction: BendingFriction
     ) -> None:
-        super().__init__(mesh, active, fabric=fabric)
+        super().__init__(mesh, active, fabric=fabric, curvature=np.array(friction.curvature))
         self._torque, self._build_up = friction.torque, friction.build_up
         self._origin = 0.0 if friction.origin is None else friction.origin
         if np.shape(self._origin) not in ((), (shape := (int(active.sum()), 3))):

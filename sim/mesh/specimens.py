@@ -30,6 +30,8 @@ SHARED_OFFSET = 0.2
 """Largest offset, in widths of the overhang, that moves a base mesh; beyond it, triangles on the
 narrow side would lose more than a fifth of their width, and a mesh is made for the offset."""
 _ROOM = 2.0  # edges between rim and border, at least
+_SIZES = 5e-3  # m: a mesh is made for whole multiples of it
+_STRETCH = 0.03  # largest change of such a mesh's size, or of its plate's, that moves its points
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,9 @@ def make_specimen(
 ) -> Specimen:
     """Mesh the specimen of ``rig``.
 
-    An offset up to :data:`SHARED_OFFSET` moves the points of a base mesh, whose faces are shared:
-    those of plate and rim stay, those of the border move by all of it, others in proportion.
+    Specimens of nearly one size, and those with an offset up to :data:`SHARED_OFFSET`, share the
+    faces of a base mesh and differ in its points: the plate's move with the plate, those of the
+    border with the border, others in proportion.
 
     Args:
         edge: length of the edges at the plate's rim, m, within :data:`EDGES`. Without a plate,
@@ -71,15 +74,38 @@ def make_specimen(
     """
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
-    shared = np.hypot(*offset) <= SHARED_OFFSET * overhang
-    centre = (0.0, 0.0) if shared else (float(offset[0]), float(offset[1]))
-    specimen = _base_specimen(rig, float(edge), int(topology), centre, float(grading))
-    if not shared or not np.any(offset):
+    # In the axes of the sides, from which the warp may be off.
+    way = np.asarray(offset, dtype=float) @ _turn(rig.cut)
+    shared = np.hypot(*way) <= SHARED_OFFSET * overhang
+    base = _base_rig(rig)
+    specimen = _base_specimen(base, float(edge), int(topology),
+                              (0.0, 0.0) if shared else tuple(way.tolist()), float(grading))
+    if rig == base and not (shared and way.any()):
         return specimen
     rest = specimen.mesh.rest
-    share = np.where(specimen.held, 0.0, share_of_offset(rest, rig))
-    return Specimen(specimen.mesh.with_rest(rest + share[:, None] * np.asarray(offset)),
-                    specimen.held)
+    share = np.where(specimen.held, 0.0, share_of_offset(rest, base, (0, 0) if shared else way))
+    if rig.has_plate:
+        plate = rig.plate_diameter / base.plate_diameter
+        border = rig.specimen_size / base.specimen_size
+        rest = rest * (plate + (border - plate) * share)[:, None]
+    if shared:
+        rest = rest + share[:, None] * way
+    return Specimen(specimen.mesh.with_rest(rest @ _turn(rig.cut).T), specimen.held)
+
+
+def _base_rig(rig: Rig) -> Rig:
+    """The rig whose meshes serve ``rig``: of whole sizes, cut along the yarns."""
+    if not rig.has_plate:
+        return rig
+    sizes = np.array([rig.specimen_size, rig.plate_diameter])
+    whole = np.round(_SIZES * np.round(sizes / _SIZES), 6)
+    near = (np.abs(whole - sizes) <= _STRETCH * sizes).all()
+    return Rig(*(whole if near else sizes).tolist(), specimen=rig.specimen)
+
+
+def _turn(angle: float) -> np.ndarray:
+    """(2, 2) counter-clockwise rotation of columns."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def _check(
@@ -132,7 +158,7 @@ def share_of_offset(
 
     Zero on the plate, one on the border, in proportion between them. Lengths in m.
     """
-    from_centre = np.abs(rest - np.asarray(centre))
+    from_centre = np.abs((rest - np.asarray(centre)) @ _turn(rig.cut))
     if rig.specimen == "disc":
         from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
     to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)

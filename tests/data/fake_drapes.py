@@ -12,7 +12,7 @@ from sim.mesh.specimens import TOPOLOGIES, make_specimen
 FAIL_SEED_MODULUS = 5  # the fake solver fails where the seed is a multiple
 
 
-def cone(fabric, *, rig, edge, start, seed, offset):
+def cone(fabric, *, rig, edge, start, seed, offset, laws=None):
     """Cloth that slopes down from the plate, the steeper the softer; some fail, by their seed."""
     mesh = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset).mesh
     reach = np.maximum(np.linalg.norm(mesh.rest, axis=1) - rig.plate_radius, 0)

@@ -116,7 +116,7 @@ def test_every_set_up_keeps_the_specimen_in_the_picture_sideways(rig):
 
 
 def test_unknown_rig_and_unusable_intrinsics_are_input_errors():
-    with pytest.raises(InputError, match="known rigs: square300_cylinder100"):
+    with pytest.raises(InputError, match="known rigs: disc300_support180, square300_cylinder100"):
         CameraRig.load("../../etc/passwd")
     with pytest.raises(InputError, match="incomplete"):
         CameraRig.from_config({"name": "half", "camera": {"fx": 1.0}, "jitter": {}})

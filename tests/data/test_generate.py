@@ -348,7 +348,7 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["seed=-1"], "seed=-1"),
         (["prior.file=nowhere.json"], "nowhere.json"),
         (["rig=moon"], "moon"),
-        (["rig.name=disc300_support180"], "rig.name=disc300_support180"),
+        (["rig.name=square600_corners500"], "rig.name=square600_corners500"),
         (["rig.name=square600_corners500"], "rig.name=square600_corners500"),
         (["rig.camera.distance_mm=-527"], "distance_mm=-527"),
         (["rig.camera.distance_mm=7000"], "rig.camera.distance_mm=7000"),

@@ -142,7 +142,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 4, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 5, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 

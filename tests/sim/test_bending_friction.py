@@ -67,6 +67,21 @@ def test_strip_that_friction_holds_flat_hangs_like_a_stiffer_one() -> None:
     assert drops[0] > 1.02 * drops[1] > 1.1 * drops[2] > 0
 
 
+def test_a_strip_curls_until_friction_holds_its_natural_curvature(
+    arc: tuple[Scene, State]
+) -> None:
+    """alpha (S0 - kappa) against the torque of friction from flat."""
+    scene, _ = arc
+    torque, build_up = 2e-4, 0.5
+    laws = Laws(bending=BendingFriction(torque, build_up=build_up, curvature=(BENT, 0.0, 0.0)))
+    flat = scene.state(np.column_stack([scene.mesh.rest, np.zeros(len(scene.mesh.rest))]))
+    found = find_equilibrium(scene, FABRIC, flat, laws=laws, options=OPTIONS)
+    assert found.converged
+    kappa = brentq(lambda k: ALPHA * (BENT - k) - torque * k / np.hypot(k, build_up), 0.0, BENT)
+    tip = found.state.positions[np.isclose(scene.mesh.rest[:, 0], 0.06)].mean(axis=0)
+    assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
+
+
 @pytest.mark.parametrize("wrong", [{"torque": -1e-4}, {"torque": 1e-4, "build_up": 0.0},
                                    {"torque": np.nan}])
 def test_friction_that_makes_no_sense_is_refused(wrong: dict) -> None:

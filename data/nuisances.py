@@ -1,0 +1,127 @@
+"""What specimens differ in beside the moduli of their fabric, and what moves their drape.
+
+Neither is known of a captured specimen, so datasets draw both anew for every one and training
+learns what they leave uncertain. ``configs/nuisances`` states how far they spread, and why.
+"""
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+
+from common.errors import InputError
+from sim.energies.bending_friction import BendingFriction
+from sim.energies.natural_curvature import NaturallyCurved
+from sim.laws import Laws
+from sim.membranes import Corotational, OrthotropicStVK
+from sim.scene import Rig
+
+POISSON = 0.3  # in the plane
+_PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
+
+
+@dataclass(frozen=True)
+class Nuisances:
+    """Of one specimen.
+
+    Attributes:
+        membrane: stiffness along the yarns, N/m.
+        shear: shear stiffness, relative to that of an isotropic membrane as stiff.
+        friction: bending torque that friction between the yarns takes, N·m per metre.
+        curl_warp, curl_weft: natural curvature, 1/m.
+        size: what the specimen's size, and plate, what the plate's diameter exceeds, m.
+        cut: from the warp to the specimen's side, rad.
+    """
+
+    membrane: float = Corotational().stiffness
+    shear: float = 1.0
+    friction: float = 0.0
+    curl_warp: float = 0.0
+    curl_weft: float = 0.0
+    size: float = 0.0
+    plate: float = 0.0
+    cut: float = 0.0
+
+    @property
+    def vector(self) -> np.ndarray:
+        """(8,) of :data:`NAMES`."""
+        return np.array([getattr(self, name) for name in NAMES])
+
+    @property
+    def laws(self) -> Laws:
+        """The cloth's energies; those that :class:`sim.laws.Laws` has by itself where it can be."""
+        membrane = Corotational(self.membrane)
+        if self.shear != 1.0:
+            membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane, poisson=POISSON,
+                                       shear=self.shear * self.membrane / (2 * (1 + POISSON)))
+        curvature = (self.curl_warp, self.curl_weft, 0.0)
+        if self.friction:
+            return Laws(BendingFriction(self.friction, curvature=curvature), membrane)
+        return Laws(NaturallyCurved(curvature) if any(curvature) else Laws().bending, membrane)
+
+    def rig(self, nominal: Rig) -> Rig:
+        """The rig that the specimen lies on, of sizes near those of the ``nominal`` one."""
+        return replace(nominal, specimen_size=nominal.specimen_size + self.size,
+                       plate_diameter=nominal.plate_diameter + self.plate,
+                       cut=0.0 if nominal.specimen == "disc" else self.cut)
+
+
+NAMES = tuple(field.name for field in fields(Nuisances))
+"""Components of :attr:`Nuisances.vector`."""
+
+
+@dataclass(frozen=True)
+class NuisanceConfig:
+    """How nuisances spread over specimens.
+
+    Attributes:
+        membrane: 2.5th and 97.5th percentile of a log-normal distribution, N/m.
+        shear: limits of a log-uniform distribution.
+        friction: largest, uniform from 0, N·m per metre.
+        curl: standard deviation along warp and weft each, 1/m.
+        size, plate: standard deviations, m. cut: the same, rad.
+
+    Raises:
+        InputError: a distribution that makes no sense.
+    """
+
+    membrane: tuple[float, float] = (Corotational().stiffness,) * 2
+    shear: tuple[float, float] = (1.0, 1.0)
+    friction: float = 0.0
+    curl: float = 0.0
+    size: float = 0.0
+    plate: float = 0.0
+    cut: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("membrane", "shear"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+            low, high = getattr(self, name)
+            if not 0 < low <= high < math.inf:
+                raise InputError(f"nuisances: {name} from {low:g} to {high:g}: give two positive "
+                                 "numbers, the smaller one first")
+        for name in ("friction", "curl", "size", "plate", "cut"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"nuisances: {name}={getattr(self, name):g} must not be negative")
+        if not (max(self.size, self.plate) <= 0.005 and self.cut <= math.radians(10)):
+            raise InputError("nuisances: at most size_mm=5, plate_mm=5 and cut_deg=10 are "
+                             "possible")
+
+    def sample(self, cloth: np.random.Generator, specimen: np.random.Generator) -> Nuisances:
+        """Draw those of a cloth and those of a specimen of it, each from its own generator."""
+        def between(limits: tuple[float, float], share: float) -> float:
+            return float(limits[0] * (limits[1] / limits[0]) ** share)
+
+        normal = specimen.standard_normal(5)
+        return Nuisances(
+            membrane=between(self.membrane, 0.5 + cloth.standard_normal() / (2 * _PERCENTILE)),
+            shear=between(self.shear, cloth.random()),
+            friction=self.friction * cloth.random(),
+            curl_warp=self.curl * normal[0], curl_weft=self.curl * normal[1],
+            size=self.size * normal[2], plate=self.plate * normal[3], cut=self.cut * normal[4],
+        )
+
+    def as_dict(self) -> dict:
+        """All fields, in JSON's types."""
+        return {name: list(value) if isinstance(value, tuple) else value
+                for name, value in asdict(self).items()}

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from common.errors import InputError
+from data.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.options import Options, config_from_options
+from data.prior import load_prior
+from data.sampling import SOFT, SamplingConfig, plan_drape
+from sim.laws import Laws
+from sim.mesh.specimens import make_specimen
+from sim.scene import DISC_RIG, Rig
+
+
+def drawn(config, count=2000):
+    rng, other = np.random.default_rng(1), np.random.default_rng(2)
+    return np.array([config.sample(rng, other).vector for _ in range(count)])
+
+
+def test_without_spread_specimens_are_those_of_the_simulator():
+    nuisances = NuisanceConfig().sample(np.random.default_rng(0), np.random.default_rng(1))
+    assert nuisances == Nuisances()
+    assert nuisances.laws == Laws() and nuisances.rig(Rig()) == Rig()
+
+
+def test_real_specimens_spread_as_the_configuration_states():
+    from data.configs import compose_config
+
+    options = compose_config("generate", ["nuisances=real"], schema=Options)
+    columns = dict(zip(NAMES, drawn(config_from_options(options).sampling.nuisances).T,
+                       strict=True))
+    assert np.mean((columns["membrane"] > 100) & (columns["membrane"] < 1000)) == pytest.approx(
+        0.95, abs=0.015)
+    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(10) * 2.5, abs=0.04)
+    assert 0.2 <= columns["shear"].min() < 0.21 and 0.99 < columns["shear"].max() <= 1
+    assert columns["friction"].mean() == pytest.approx(1e-4, rel=0.05)
+    assert columns["curl_warp"].std() == pytest.approx(3, rel=0.05)
+    assert columns["size"].std() == pytest.approx(1e-3, rel=0.05)
+    assert columns["cut"].std() == pytest.approx(np.radians(1), rel=0.05)
+
+
+def test_a_cloth_keeps_its_nuisances_and_its_specimens_have_their_own():
+    config = SamplingConfig(starts_per_fabric=2, nuisances=NuisanceConfig(
+        membrane=(100, 1000), friction=1e-4, size=1e-3))
+    one, other, strange = (plan_drape(k, config=config, prior=load_prior("gaussian")).nuisances
+                           for k in range(3))
+    assert one.membrane == other.membrane != strange.membrane
+    assert one.friction == other.friction != strange.friction
+    assert one.size != other.size
+
+
+@pytest.mark.parametrize("nominal", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nominal):
+    nuisances = Nuisances(size=2e-3, plate=-6e-4, cut=0.03)
+    rig, plain = nuisances.rig(nominal), make_specimen(nominal, edge=6e-3)
+    offset = (3e-3, -2e-3)
+    specimen = make_specimen(rig, edge=6e-3, offset=offset)
+    assert (specimen.mesh.faces == plain.mesh.faces).all()
+    rest, areas = specimen.mesh.rest, specimen.mesh.areas
+    if nominal.specimen == "square":
+        assert areas.sum() == pytest.approx(rig.specimen_area, rel=1e-9)
+    held = specimen.held[specimen.mesh.faces].all(axis=1)
+    assert areas[held].sum() == pytest.approx(np.pi * rig.plate_radius**2, rel=1e-6)
+    assert 0.5 * (rest.max(0) + rest.min(0)) == pytest.approx(offset, abs=3e-4)
+    if nominal.specimen == "square":
+        corner = rest[np.argmax(rest.sum(axis=1))] - offset
+        assert np.arctan2(*corner[::-1]) == pytest.approx(np.pi / 4 + 0.03, abs=1e-9)
+    assert (areas > 0).all()
+
+
+def test_weights_give_the_prior_back():
+    config = SamplingConfig(starts_per_fabric=1, soft_share=0.3)
+    plans = [plan_drape(k, config=config, prior=load_prior("gaussian")) for k in range(1500)]
+    soft = np.array([p.theta[:3].mean() < np.log(SOFT) for p in plans])
+    usual = load_prior("gaussian").sample(20_000, np.random.default_rng(3))[:, :3].mean(axis=1)
+    usual = np.mean(usual < np.log(SOFT))
+    weights = np.array([p.weight for p in plans])
+    assert soft.mean() == pytest.approx(0.3 + 0.7 * usual, abs=0.04)
+    assert (weights * soft).mean() == pytest.approx(usual, rel=0.2)
+    assert weights.mean() == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("wrong", [
+    {"membrane": (0, 100)}, {"membrane": (300, 200)}, {"friction": -1e-6}, {"size": 0.02},
+    {"cut": 1.0}, {"curl": np.nan}])
+def test_distributions_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError, match="nuisances"):
+        NuisanceConfig(**wrong)
