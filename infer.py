@@ -13,6 +13,8 @@ import common.interrupt  # noqa: F401
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+
 from common.cli import parse_overrides, run_command
 from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
@@ -32,6 +34,7 @@ def infer(
     with deferred():
         from data.cameras import CameraRig
         from data.captures import to_camera
+        from drapenet.canonical import drape_map, turn_doubts
         from drapenet.estimate import belief, make_estimate, to_json
         from drapenet.predict import predict
         from drapenet.preprocess import crop_doubts
@@ -42,6 +45,7 @@ def infer(
     views = to_camera(capture, rig)
     cut = crop_doubts(views, form=header.form)
     camera = locate_camera(views, rig.nominal())
+    turns = drape_map(views, camera, Rig.from_name(header.rig)).turns
     prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
     estimate = make_estimate(prediction, capture=capture, header=header)
     refined = None
@@ -57,7 +61,8 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
-    content["warnings"] += [*cut, *camera_doubts(camera, rig)]
+    content["capture"]["turns_deg"] = np.degrees(turns).round(1).tolist()
+    content["warnings"] += [*cut, *camera_doubts(camera, rig), *turn_doubts(turns)]
     drape, picture = refined.resimulation if refined else None, None
     try:
         if drapes and not drape:

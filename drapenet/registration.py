@@ -9,54 +9,82 @@ from scipy.signal import find_peaks
 from data.cameras import Camera, CameraRig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
-INNER_RADIUS = 0.035  # m, where the cloth lies flat on a plate of 50 mm
+INNER = 0.7  # of the plate's radius, where the cloth lies flat on it
+_SAMPLE = 6000  # points that the plate is looked for in
+_PITCHES = np.radians([25.0, 32.0, 38.0, 44.0, 50.0])
+"""How far cameras may look down: the search for the plate begins with each."""
 FOLD_PROMINENCE = 3e-3  # m; smaller ripples of the radius are depth steps, not folds
 LARGEST_TILT, LARGEST_SHIFT = np.radians(5.0), 0.050
 """rad and m, of the camera from its place on the rig: five standard deviations of set-ups; of sound
 captures at most 2.4° and 25 mm were found."""
 
 
-def locate_camera(views: np.ndarray, nominal: Camera) -> Camera:
+def locate_camera(views: np.ndarray, nominal: Camera, *, plate_radius: float = 0.05) -> Camera:
     """The camera's pose relative to the plate, from the flat top of the drape.
 
     The plate's plane is fitted to the highest points, its centre is the centroid of the points
-    on it. Pooling the four views makes that centroid symmetric, whatever the drape.
+    on it. Pooling all views makes that centroid symmetric, whatever the drape.
 
     Args:
-        views: (4, H, W) z-depth, m, background 0, of the nominal camera's size.
-        nominal: its intrinsics are kept, its pose is the first guess.
+        views: (K, H, W) z-depth, m, background 0, of the nominal camera's size.
+        nominal: its intrinsics are kept.
+        plate_radius: m.
 
     Returns:
         ``nominal`` with the pose found, its world x axis parallel to the picture's rows.
     """
-    cloth = views > 0
-    points = np.concatenate([nominal.back_project(view)[mask]
-                             for view, mask in zip(views, cloth, strict=True)])
-    rotation, shift = nominal.world_to_camera[:3, :3], nominal.world_to_camera[:3, 3]
-    normal = rotation[:, 2]
-    height = (points - shift) @ normal
-    on_plate = height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
-    centre = points[on_plate].mean(axis=0)
-    inner = on_plate
-    for _ in range(20):
-        if inner.sum() < 3:
-            break  # no plane through so few: whatever this is, it is not a drape on a plate
-        middle = points[inner].mean(axis=0)
-        normal = np.linalg.svd(points[inner] - middle, full_matrices=False)[2][2]
-        normal *= -np.sign(normal @ middle)  # up is towards the camera
-        above = (points - middle) @ normal
-        on_plate = np.abs(above) < DEPTH_STEP / 2
-        # Pixels are denser where the plate is nearer; z³ undoes that on a plane.
-        weights = points[on_plate, 2] ** 3
-        centre = weights @ points[on_plate] / weights.sum()
-        # Near the rim the cloth bends down already, and more of it is seen in front.
-        inner = (np.linalg.norm(points - centre, axis=1) < INNER_RADIUS) & (above > -DEPTH_STEP)
+    points = np.concatenate([nominal.back_project(view)[view > 0] for view in views])
+    few = points[:: max(1, len(points) // _SAMPLE)]
+    starts = [_plate(few, np.array([0.0, -np.cos(pitch), -np.sin(pitch)]), plate_radius, rounds=4)
+              for pitch in _PITCHES]
+    # On the plate lie more points than on any other plane, counted by their area.
+    normal = max(starts, key=lambda plate: plate[2])[0]
+    normal, centre, _ = _plate(few, normal, plate_radius, rounds=6)
+    normal, centre, _ = _plate(points, normal, plate_radius, rounds=2, centre=centre)
     east = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     east /= max(np.linalg.norm(east), 1e-12)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([east, np.cross(normal, east), normal], axis=1)
     pose[:3, 3] = centre
     return replace(nominal, world_to_camera=pose)
+
+
+def _plate(
+    points: np.ndarray, normal: np.ndarray, radius: float, *, rounds: int,
+    centre: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Normal and centre of the plate under points (N, 3), camera axes, and how much lies on it.
+
+    Args:
+        normal: first guess, up. centre: the same; None takes the highest points'.
+    """
+    height = points @ normal
+    on_plate = height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
+    inner = on_plate
+    if centre is None:
+        centre = points[on_plate].mean(axis=0)
+    else:
+        inner = (np.linalg.norm(points - centre, axis=1) < INNER * radius) & on_plate
+    weight = 0.0
+    for _ in range(rounds):
+        if inner.sum() < 3:
+            break  # no plane through so few: whatever this is, it is not a drape on a plate
+        middle = points[inner].mean(axis=0)
+        offsets = points[inner] - middle
+        normal = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
+        normal *= -np.sign(normal @ middle)  # up is towards the camera
+        above = (points - middle) @ normal
+        on_plate = (np.abs(above) < DEPTH_STEP / 2) & (
+            np.linalg.norm(points - centre, axis=1) < 2 * radius)
+        if not on_plate.any():
+            break
+        # Pixels are denser where the plate is nearer; z³ undoes that on a plane.
+        weights = points[on_plate, 2] ** 3
+        centre = weights @ points[on_plate] / weights.sum()
+        weight = float(weights.sum())
+        # Near the rim the cloth bends down already, and more of it is seen in front.
+        inner = (np.linalg.norm(points - centre, axis=1) < INNER * radius) & (above > -DEPTH_STEP)
+    return normal, centre, weight
 
 
 def camera_doubts(camera: Camera, rig: CameraRig) -> list[str]:

@@ -198,6 +198,7 @@ def test_estimate_says_what_it_is(
         assert content["spread_over_view_orders"][name]["alpha_percent"] >= 0
     assert content["checkpoint"]["sha256"] == read_header(checkpoint).content["weights"]["sha256"]
     assert 0 <= content["stiff_axis"]["direction_deg"] < 180
+    assert len(content["capture"]["turns_deg"]) == 4
     printed = capsys.readouterr().out
     assert f"{next(iter(content['moduli'].values()))['alpha_uN_m']:.2f}" in printed
 
@@ -250,13 +251,19 @@ def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")
-@pytest.mark.parametrize("name", ["mesh0", "mesh1"])
-def test_the_published_format_runs_as_it_is(name: str, checkpoint: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "turns"), [("mesh0", (90, 92, 86)), ("mesh1", (82, 93, 95))])
+def test_the_published_format_runs_as_it_is(
+    name: str, turns: tuple[int, ...], checkpoint: Path, tmp_path: Path
+) -> None:
+    """The table's turns as found in another way, see configs/rig."""
     infer.main([f"capture={SHARED / name}", f"checkpoint={checkpoint}", f"out={tmp_path / 'out'}",
                 "drapes=0"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert content["capture"]["density_g_m2"] == 300
     assert any("8-bit" in warning for warning in content["warnings"])
+    assert np.diff(content["capture"]["turns_deg"]) == pytest.approx(turns, abs=1.5)
+    doubted = any("the table turned by 82°" in warning for warning in content["warnings"])
+    assert doubted == (turns[0] == 82)
 
 
 def test_a_report_of_another_capture_does_not_stay(capture: Path, checkpoint: Path) -> None:

@@ -11,10 +11,10 @@ from data.cameras import Camera
 from data.captures import Capture
 from data.fabrics import fabric_from_theta, to_theta
 from data.prior.gaussian import GaussianPrior
+from drapenet.canonical import square_turn
 from drapenet.convention import SWAPPED, stiff_first
 from drapenet.estimate import LEAST_CONFIDENCE, Estimate
 from drapenet.refine.depth import DepthViews
-from drapenet.refine.guided import square_turn
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.views import FREE_ROUNDS, HELD_ROUNDS, SPREAD, RefinedViews, refine_views
 from drapenet.registration import count_folds, radius_profile, silhouette_overlap

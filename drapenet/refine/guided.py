@@ -61,7 +61,7 @@ def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndar
     arcs = np.arange(0, longest + 2 * STEP, STEP)
     curves = np.empty((AZIMUTHS, len(arcs), 2))
     for k in range(AZIMUTHS):
-        curves[k], _ = _curve(distance[k], elevations, float(hem[k]), plate, arcs)
+        curves[k] = _curve(distance[k], elevations, float(hem[k]), plate, arcs)
     # Around the circle, with the first azimuth repeated behind the last.
     grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
     look_up = RegularGridInterpolator(
@@ -76,30 +76,14 @@ def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndar
     return placed
 
 
-def square_turn(points: np.ndarray, rig: Rig) -> float:
-    """Direction of a square specimen's side in [0, pi/2), rad, from points (N, 3), m, of its drape.
-
-    From the rim to the hem the cloth is longest towards the four corners, however it hangs.
-    """
-    distance, hem = radial_map(points)
-    lengths = np.array([
-        _curve(distance[k], _elevations(), float(hem[k]), rig.plate_radius, np.zeros(1))[1]
-        for k in range(AZIMUTHS)])
-    azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
-    return float(np.angle(-(lengths @ np.exp(4j * azimuth))) / 4 % (np.pi / 2))
-
-
 def _elevations() -> np.ndarray:
     return _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
 def _curve(
     distance: np.ndarray, elevations: np.ndarray, hem: float, plate: float, arcs: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Radius and height (A, 2), m, at arc lengths (A,) from the rim along one azimuth.
-
-    Also the arc length of the hem.
-    """
+) -> np.ndarray:
+    """Radius and height (A, 2), m, at arc lengths (A,) from the rim along one azimuth."""
     radius = distance * np.cos(elevations)
     height = distance * np.sin(elevations) + CENTRE
     down = (radius > plate) & (elevations > hem) & (elevations < np.arctan2(-CENTRE, plate))
@@ -113,4 +97,4 @@ def _curve(
                        height[-1] - np.interp(back, length, height)]) / (end - back)
              if end > 0 else np.array([0.0, -1.0]))
     curve = np.column_stack([np.interp(arcs, length, radius), np.interp(arcs, length, height)])
-    return curve + np.maximum(arcs - end, 0.0)[:, None] * slope, float(end)
+    return curve + np.maximum(arcs - end, 0.0)[:, None] * slope

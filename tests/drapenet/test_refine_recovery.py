@@ -12,11 +12,11 @@ from data.fabrics import fabric_from_theta, to_theta
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
 from data.render import render_views
+from drapenet.canonical import square_turn
 from drapenet.refine import problem as problems
 from drapenet.refine import views as views_refinement
 from drapenet.refine.attraction import Springs
 from drapenet.refine.depth import DepthViews
-from drapenet.refine.guided import square_turn
 from drapenet.refine.held import springs_to_vertices
 from drapenet.refine.optimisers import Limits, Status, minimise
 from drapenet.refine.problem import ALPHA_RANGE, DrapeProblem

@@ -1,0 +1,119 @@
+"""Views of a synthetic skirt, by cameras and turntables that are not where they should be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig, Pose
+from data.render import DepthRenderer
+from drapenet.canonical import (
+    AZIMUTHS,
+    NEARER,
+    drape_map,
+    elevations,
+    side_direction,
+    turn_doubts,
+)
+from drapenet.registration import locate_camera
+from sim.material import Fabric
+from sim.scene import Rig
+from tests.cloths import skirt
+
+WRONG = np.radians([0.0, 5.0, -6.0, 3.0])  # of the table
+QUARTERS = np.arange(4) * np.pi / 2
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=6e-3, start="sine", seed=1,
+                  offset=(0.0, 0.0), laws=None)
+    return DepthRenderer(cloth.positions, cloth.faces)
+
+
+def seen_from(pitch, distance, roll=0.0):
+    nominal = CameraRig.load().nominal()
+    focal = nominal.fx * distance / 0.527
+    pose = Pose(distance, np.radians(pitch), 0.03, -0.02, np.radians(roll))
+    return replace(nominal, fx=focal, fy=focal, world_to_camera=pose.world_to_camera())
+
+
+def mapped(renderer, camera, orientation, *, wrong=WRONG, **options):
+    views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
+    nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
+    return drape_map(views, locate_camera(views, nominal), Rig(), **options)
+
+
+@pytest.mark.parametrize(("pitch", "distance", "roll"), [(45, 0.6, 2.0), (32, 0.45, 0.0)])
+def test_the_table_s_turns_and_the_plate_s_centre_are_measured(renderer, pitch, distance, roll):
+    camera = seen_from(pitch, distance, roll)
+    found = mapped(renderer, camera, 0.3)
+    assert np.degrees(found.turns - QUARTERS) == pytest.approx(np.degrees(WRONG), abs=1.0)
+    nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
+    views = np.stack([renderer.view(camera, 0.3 + angle) for angle in QUARTERS + WRONG])
+    pose = locate_camera(views, nominal).world_to_camera
+    centre = pose[:3, :3] @ [*found.centre, 0] + pose[:3, 3]
+    assert centre == pytest.approx(camera.world_to_camera[:3, 3], abs=1.5e-3)
+
+
+def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
+    """Compared where both cameras see cloth: a cell holds its mean."""
+    one = mapped(renderer, seen_from(45, 0.6), 0.3)
+    other = mapped(renderer, seen_from(33, 0.45, 3.0), 1.2, wrong=WRONG[::-1] - WRONG[-1])
+    # Sides are known up to quarter turns.
+    shifts = [np.roll(other.distance, k * AZIMUTHS // 4, axis=0) for k in range(4)]
+    seen = [(one.weight > 1) & (np.roll(other.weight, k * AZIMUTHS // 4, axis=0) > 1)
+            for k in range(4)]
+    gaps = [np.median(np.abs(shifted - one.distance)[both])
+            for shifted, both in zip(shifts, seen, strict=True)]
+    assert min(gaps) < 1e-3 < 3 * min(gaps) < np.median(gaps)
+
+
+def test_a_table_that_turns_wrongly_is_doubted(renderer):
+    """Steps of 95, 79, 99 and 87 degrees."""
+    doubts = turn_doubts(mapped(renderer, seen_from(40, 0.5), 0.1).turns)
+    assert len(doubts) == 2
+    assert "from view 1 to view 2" in doubts[0] and "from view 2 to view 3" in doubts[1]
+    assert not turn_doubts(mapped(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4)).turns)
+
+
+@pytest.mark.parametrize("orientation", [0.0, 0.4, 1.2])
+def test_sides_and_marked_directions_become_azimuth_zero(renderer, orientation):
+    found = mapped(renderer, seen_from(40, 0.5), orientation)
+    off = (found.zero - orientation + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    assert abs(np.degrees(off)) < 4
+    marked = mapped(renderer, seen_from(40, 0.5), orientation, zero=orientation)
+    assert marked.zero == orientation
+    rest = side_direction(marked.distance, marked.weight, Rig())
+    assert abs(np.degrees((rest + np.pi / 4) % (np.pi / 2) - np.pi / 4)) < 4
+
+
+def test_distances_are_those_of_the_cloth(renderer):
+    """A cone's: known in closed form."""
+    angle = np.linspace(0, 2 * np.pi, 181)[:-1]
+    rings = np.linspace(0.0, 1.0, 41)
+    radius = np.concatenate([[0.0], 0.05 + 0.06 * rings[1:]])
+    height = np.concatenate([[0.0], -0.09 * rings[1:]])
+    radius[1], height[1] = 0.05, 0.0
+    points = np.concatenate([np.column_stack([r * np.cos(angle), r * np.sin(angle),
+                                              np.full(180, z)])
+                             for r, z in zip(radius, height, strict=True)])
+    i = np.arange(180)
+    faces = np.concatenate([np.concatenate([
+        np.stack([k * 180 + i, k * 180 + (i + 1) % 180, (k + 1) * 180 + i], 1),
+        np.stack([k * 180 + (i + 1) % 180, (k + 1) * 180 + (i + 1) % 180, (k + 1) * 180 + i], 1)])
+        for k in range(len(radius) - 1)])
+    camera = seen_from(40, 0.5)
+    views = np.stack([DepthRenderer(points, faces).view(camera, angle) for angle in QUARTERS])
+    # As the plate of a drape is located: a little too near. A cone itself does not show it.
+    located = camera.world_to_camera.copy()
+    located[:3, 3] += located[:3, :3] @ [0.0, -NEARER, 0.0]
+    found = drape_map(views, replace(camera, world_to_camera=located), Rig(), zero=0.0)
+    borders = elevations(Rig())
+    up = (borders[1:] + borders[:-1]) / 2
+    # From (0, -0.06): r = 0.05 + 2/3 t, z = 0.06 - t, cut by the direction (cos up, sin up).
+    drop = (0.06 - np.tan(up) * 0.05) / (1 + np.tan(up) * 2 / 3)
+    expected = (0.05 + 2 / 3 * drop) / np.cos(up)
+    known = (drop > 0.01) & (drop < 0.08)
+    gap = np.abs(found.distance - expected)[:, known]
+    assert known.sum() > 15 and np.median(gap) < 3e-4 and np.quantile(gap, 0.95) < 1.5e-3
