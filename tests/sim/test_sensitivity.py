@@ -9,7 +9,7 @@ import torch
 from common.errors import InputError
 from sim.cantilever.elastica import elastica
 from sim.cloth import Cloth
-from sim.drape import DrapeResult, drape
+from sim.drape import FINE_OPTIONS, DrapeResult, drape
 from sim.energies.base import Energy
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.natural_curvature import NaturallyCurved
@@ -221,7 +221,7 @@ def test_a_failure_spoils_its_own_sample_only(draped):
     alpha = torch.tensor(np.stack([FABRIC.alpha, FABRIC.alpha]), requires_grad=True)
     beta = torch.tensor(np.stack([FABRIC.beta, FABRIC.beta]), requires_grad=True)
     found = equilibria([far, draped], alpha=alpha, beta=beta, density=0.15, membrane=100.0,
-                       options=replace(TIGHT, max_iterations=4))
+                       options=replace(FINE_OPTIONS, max_iterations=4))
     assert found.ok == [False, True]
     assert [r.status for r in found.results] == [Status.MAX_ITERATIONS, Status.CONVERGED]
     assert "no equilibrium" in found.messages[0]
