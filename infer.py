@@ -61,7 +61,7 @@ def infer(
         content |= refined.content
     elif refine == "depth":
         content["warnings"].append("no drape of the estimate converged; it is not refined")
-    content["capture"]["turns_deg"] = np.degrees(turns).round(1).tolist()
+    content["capture"]["turns_deg"] = (np.degrees(turns).round(1) + 0.0).tolist()  # no -0.0
     content["warnings"] += [*cut, *camera_doubts(camera, rig), *turn_doubts(turns)]
     drape, picture = refined.resimulation if refined else None, None
     try:
