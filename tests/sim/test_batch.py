@@ -36,17 +36,18 @@ ABSURD = Fabric(np.full(3, 1e300))  # its energy overflows
 
 @pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
 def test_drapes_made_together_are_those_made_alone(rig):
-    """The batch changes steps by rounding only: a start 1e-9 m aside takes 43 to 48 of them."""
+    """The batch changes steps by rounding only, by which one drape takes 43 to 48 of them."""
     settings = {"rig": rig, "edge": EDGE, "offsets": [(0, 0), (4e-3, 2e-3), (0, -3e-3)],
                 "seeds": SAME, "starts": ["fold", "fold", "sine"], "options": TIGHT}
     made = drape_batch(FABRICS, **settings, together=True)
     alone = drape_batch(FABRICS, **settings, workers=1)
     for one, other in zip(made, alone, strict=True):
         assert one.converged and one.positive_definite
-        assert abs(one.iterations - other.iterations) <= 0.25 * other.iterations
         assert np.abs(one.positions - other.positions).max() < 1e-8
         assert np.abs(one.state.normals - other.state.normals).max() < 1e-6
         assert one.residual < TIGHT.residual
+    together, apart = (sum(result.iterations for result in results) for results in (made, alone))
+    assert abs(together - apart) <= 0.1 * apart
 
 
 def test_a_failure_spoils_no_other():
