@@ -58,7 +58,8 @@ def test_a_failure_spoils_no_other():
                                      **settings)
     alone, = drape_batch([FABRICS[1]], seeds=SAME[:1], together=True, **settings)
     single = drape(FABRICS[1], seed=SAME[0], **settings)
-    assert good.converged and good.iterations == alone.iterations
+    # A batch may round its products by its size, and rounding decides upon the last step.
+    assert good.converged and abs(good.iterations - alone.iterations) <= 1
     for other in (alone, single):
         assert np.abs(good.positions - other.positions).max() < 1e-9
     assert late.status is Status.MAX_ITERATIONS and "45 iterations" in late.message
