@@ -41,11 +41,11 @@ def infer(
         from drapenet.registration import camera_doubts, locate_camera
         from sim.scene import Rig
 
-    rig = CameraRig.load(header.rig)
+    rig, specimen = CameraRig.load(header.rig), Rig.from_name(header.rig)
     views = to_camera(capture, rig)
     cut = crop_doubts(views, form=header.form)
-    camera = locate_camera(views, rig.nominal())
-    turns = drape_map(views, camera, Rig.from_name(header.rig)).turns
+    camera = locate_camera(views, rig.nominal(), plate_radius=specimen.plate_radius)
+    turns = drape_map(views, camera, specimen).turns
     prediction = predict(load_model(header), views, form=header.form, scale=header.scale)
     estimate = make_estimate(prediction, capture=capture, header=header)
     refined = None
@@ -53,7 +53,7 @@ def infer(
         from drapenet.refine.capture_report import refine_capture
         from drapenet.refine.views import FINE
 
-        refined = refine_capture(estimate, capture, views, camera, rig=Rig.from_name(header.rig),
+        refined = refine_capture(estimate, capture, views, camera, rig=specimen,
                                  known=belief(prediction, header), edge=edge or FINE)
         estimate = refined.estimate if refined else estimate
     content = to_json(estimate, capture=capture, header=header)
@@ -69,7 +69,7 @@ def infer(
             from drapenet.resimulate import EDGE, resimulate
 
             drape = resimulate(
-                estimate.fabric, views, camera, rig=Rig.from_name(header.rig),
+                estimate.fabric, views, camera, rig=specimen,
                 edge=edge or EDGE, drapes=drapes)
         if drape:
             from drapenet.limits import add_limits

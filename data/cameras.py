@@ -106,6 +106,11 @@ class Camera(Intrinsics):
         v = self.fy * local[:, 1] / depth + self.cy
         return np.stack([u, v], axis=1), depth
 
+    def cloth_points(self, view: np.ndarray) -> np.ndarray:
+        """World points (N, 3), m, of a view's cloth; view (height, width) z-depth, background 0."""
+        rotation, shift = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return (self.back_project(view)[view > 0] - shift) @ rotation
+
     def resized(self, width: int, height: int) -> "Camera":
         """The same view on another pixel grid (pixel *corners* of the picture stay in place)."""
         sx, sy = width / self.width, height / self.height

@@ -16,7 +16,6 @@ from sim.laws import Laws
 from sim.membranes import Corotational, OrthotropicStVK
 from sim.scene import Rig
 
-POISSON = 0.3  # in the plane
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
 
 
@@ -50,10 +49,10 @@ class Nuisances:
     @property
     def laws(self) -> Laws:
         """The cloth's energies; those that :class:`sim.laws.Laws` has by itself where it can be."""
-        membrane = Corotational(self.membrane)
+        membrane = isotropic = Corotational(self.membrane)
         if self.shear != 1.0:
-            membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane, poisson=POISSON,
-                                       shear=self.shear * self.membrane / (2 * (1 + POISSON)))
+            membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane,
+                                       poisson=isotropic.poisson, shear=self.shear * isotropic.mu)
         curvature = (self.curl_warp, self.curl_weft, 0.0)
         if self.friction:
             return Laws(BendingFriction(self.friction, curvature=curvature), membrane)

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from omegaconf import MISSING
+
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.nuisances import NuisanceConfig
@@ -38,13 +40,13 @@ class PriorOptions:
 class NuisanceOptions:
     """The group ``nuisances``; see ``configs/nuisances``."""
 
-    membrane_n_per_m: list[float] = field(default_factory=lambda: [200.0, 200.0])
-    shear: list[float] = field(default_factory=lambda: [1.0, 1.0])
-    friction_un: float = 0.0
-    curl_per_m: float = 0.0
-    size_mm: float = 0.0
-    plate_mm: float = 0.0
-    cut_deg: float = 0.0
+    membrane_n_per_m: list[float] = MISSING
+    shear: list[float] = MISSING
+    friction_un: float = MISSING
+    curl_per_m: float = MISSING
+    size_mm: float = MISSING
+    plate_mm: float = MISSING
+    cut_deg: float = MISSING
 
 
 @dataclass

@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data.cameras import Camera, CameraRig
+from sim.scene import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
 INNER = 0.7  # of the plate's radius, where the cloth lies flat on it
@@ -19,7 +20,9 @@ LARGEST_TILT, LARGEST_SHIFT = np.radians(5.0), 0.050
 captures at most 2.4° and 25 mm were found."""
 
 
-def locate_camera(views: np.ndarray, nominal: Camera, *, plate_radius: float = 0.05) -> Camera:
+def locate_camera(
+    views: np.ndarray, nominal: Camera, *, plate_radius: float = Rig().plate_radius
+) -> Camera:
     """The camera's pose relative to the plate, from the flat top of the drape.
 
     The plate's plane is fitted to the highest points, its centre is the centroid of the points
@@ -118,10 +121,9 @@ def radius_profile(
         camera: of all four, see :func:`locate_camera`.
         height: m above the plate; a band of 16 mm around it counts.
     """
-    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     total, weight = np.zeros(bins), np.zeros(bins)
     for k, view in enumerate(views):
-        points = (camera.back_project(view)[view > 0] - shift) @ rotation
+        points = camera.cloth_points(view)
         band = points[np.abs(points[:, 2] - height) < 0.008]
         azimuth = np.arctan2(band[:, 1], band[:, 0])
         facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera stands at -y
