@@ -87,7 +87,7 @@ def drape_map(
     """
     count = len(views)
     turns = np.arange(count) * (2 * np.pi / count) if turns is None else np.asarray(turns, float)
-    clouds = [_points(view, camera) for view in views]
+    clouds = [camera.cloth_points(view) for view in views]
     centre = np.array([0.0, NEARER])
     if count > 1:
         turns, centre = _registered(clouds, turns, rig)
@@ -151,12 +151,6 @@ def _fused(
     return _filled(total / np.maximum(weight, 1e-12), weight > 0), weight
 
 
-def _points(view: np.ndarray, camera: Camera) -> np.ndarray:
-    """A view's points (N, 3) m in the plate's axes."""
-    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return (camera.back_project(view)[view > 0] - shift) @ rotation
-
-
 def _binned(
     points: np.ndarray, turn: float, rig: Rig, columns: int, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -182,14 +176,15 @@ def _registered(
     First the turns alone, in whole degrees, from what neighbours in the circle have in common;
     then both together, by least squares.
     """
+    def seen_from(shift: np.ndarray, turns: np.ndarray) -> list[np.ndarray]:
+        return [_distances(cloud - [*shift, 0], turn, rig)
+                for cloud, turn in zip(clouds, turns, strict=True)]
+
     shift = np.array([0.0, NEARER])
-    maps = [_distances(cloud - [*shift, 0], turn, rig)
-            for cloud, turn in zip(clouds, turns, strict=True)]
-    turns = turns + np.radians(_whole_degrees(maps))
+    turns = turns + np.radians(_whole_degrees(seen_from(shift, turns)))
     start = turns
     for _ in range(_ROUNDS):
-        maps = [_distances(cloud - [*shift, 0], turn, rig)
-                for cloud, turn in zip(clouds, turns, strict=True)]
+        maps = seen_from(shift, turns)
         change = _least_squares(maps, turns, np.concatenate([shift - [0, NEARER], turns - start]),
                                 rig)
         shift, turns = shift + change[:2], turns + change[2:]
@@ -246,16 +241,17 @@ def _least_squares(
         so_far: (2 + K,) what was changed already, from its expectation.
     """
     stack = np.stack(maps)
-    mean = np.nanmean(np.where(np.isfinite(stack).any(axis=0), stack, 0.0), axis=0)
+    seen = np.isfinite(stack)
+    often = seen.sum(axis=0)
+    # NaN where no view sees cloth, and so are slopes next to it.
+    mean = np.where(seen, stack, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
     borders = elevations(rig)
     height = np.linspace(borders[0], borders[-1], 2 * _ROWS + 1)[1::2]
     azimuth = np.radians(np.arange(_DEGREES) + 0.5)
     by_azimuth = (np.roll(mean, -2, axis=0) - np.roll(mean, 2, axis=0)) / np.radians(4.0)
     by_height = np.gradient(mean, height, axis=1)
-    known = mean > 0
-    ratio = np.where(known, 1 / np.where(known, mean, 1), 0.0)
-    outward = np.cos(height) + np.sin(height) * by_height * ratio
-    around = -by_azimuth * ratio / np.cos(height)
+    outward = np.cos(height) + np.sin(height) * by_height / mean
+    around = -by_azimuth / mean / np.cos(height)
     c, s = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
     by_x, by_y = outward * c - around * s, outward * s + around * c
     count = len(maps)
@@ -265,8 +261,6 @@ def _least_squares(
         columns[k, 0] = -(np.cos(turn) * by_x - np.sin(turn) * by_y)
         columns[k, 1] = -(np.sin(turn) * by_x + np.cos(turn) * by_y)
         columns[k, 2 + k] = by_azimuth
-    seen = np.isfinite(stack)
-    often = seen.sum(axis=0)
     gaps = np.where(seen & (often > 1), stack - mean, 0.0)
     columns = np.where(seen[:, None], columns, 0.0)
     columns = columns - columns.sum(axis=0) / np.maximum(often, 1)
