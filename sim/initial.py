@@ -10,8 +10,10 @@ from common.threads import one_blas_thread
 from sim.mesh.specimens import share_of_offset
 from sim.scene import Rig
 
-STARTS = ("sine", "fold")
+STARTS = ("sine", "fold", "ring")
 """Starts made at random; a drape can also be borrowed, see :func:`borrowed_positions`."""
+
+_RING_WAVES = (4, 15)  # least number, and one more than the most
 
 
 def initial_positions(
@@ -25,12 +27,13 @@ def initial_positions(
     check_start(start)
     if start == "sine" and not rig.has_plate:
         return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
-    if start == "fold" and not rig.has_plate:
-        raise InputError(f"start=fold bends the cloth over a plate, which {rig.name} has not")
+    if not rig.has_plate:
+        raise InputError(f"start={start} bends the cloth over a plate, which {rig.name} has not")
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
         return flat + _waves(rest, rig, rng, amplitude=5e-3)
-    return _fold(rest, rig, rng) + _waves(rest, rig, rng, amplitude=1e-3)
+    shape = _fold if start == "fold" else _ring
+    return shape(rest, rig, rng) + _waves(rest, rig, rng, amplitude=1e-3)
 
 
 def check_start(start: str) -> None:
@@ -74,6 +77,17 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     drop = bend * (1 - np.cos(theta)) + straight * np.sin(turn)
     plane = (np.sign(s) * reach)[:, None] * across + t[:, None] * along
     return np.column_stack([plane, -drop])
+
+
+def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
+    """Waves all around the plate, as of cloth that is let down evenly: their number stays where the
+    drape can be in balance with it. Real discs hang in more folds than other starts lead to.
+    """
+    waves, phase = rng.integers(*_RING_WAVES), rng.uniform(0, 2 * np.pi)
+    angle = np.arctan2(rest[:, 1], rest[:, 0])
+    outside = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
+    height = outside * (0.25 * np.cos(waves * angle + phase) - 0.5)
+    return np.column_stack([rest, height])
 
 
 def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:

@@ -66,7 +66,7 @@ class Fabric:
         if not is_admissible(alpha, beta):
             raise InputError(
                 "no elastic plate is this soft along the bias: alpha_bias must exceed "
-                f"{bias_limit(alpha) / MICRO:.3g} µN·m for these warp and weft moduli"
+                f"{float(bias_limit(alpha)) / MICRO:.3g} µN·m for these warp and weft moduli"
             )
 
     def __eq__(self, other: object) -> bool:
@@ -85,22 +85,25 @@ class Fabric:
         return Fabric(alpha=self.alpha * scale, beta=self.beta * scale, density=density)
 
 
-def bias_limit(alpha: np.ndarray) -> float:
-    """Least alpha_bias (N·m) for which a positive-definite plate exists; see plate_constants."""
-    a11, a22 = alpha[WARP], alpha[WEFT]
-    return float((np.sqrt(a11) - np.sqrt(a22)) ** 2 / 4)
+def bias_limit(alpha: np.ndarray) -> np.ndarray:
+    """Least alpha_bias (...,), N·m, for which a positive-definite plate exists with ``alpha``
+    (..., 3); see plate_constants.
+    """
+    return (np.sqrt(alpha[..., WARP]) - np.sqrt(alpha[..., WEFT])) ** 2 / 4
 
 
-def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> bool:
-    """Whether moduli alpha (3,) N·m and beta (3,) N·m² belong to a stable plate.
+def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """(...,) bool: whether moduli alpha (..., 3) N·m and beta (..., 3) N·m² belong to a stable
+    plate.
 
     All of alpha must be positive and alpha_bias above :func:`bias_limit`. Any finite beta is
     admissible, because the torque is continued monotonically.
     """
     alpha, beta = np.asarray(alpha, float), np.asarray(beta, float)
-    if not (np.isfinite(alpha).all() and np.isfinite(beta).all() and alpha.min() > 0):
-        return False
-    return bool(alpha[BIAS] > bias_limit(alpha) * (1 + 1e-9))
+    finite = np.isfinite(alpha).all(axis=-1) & np.isfinite(beta).all(axis=-1)
+    sound = finite & (alpha.min(axis=-1) > 0)
+    possible = np.where(sound[..., None], alpha, 1.0)
+    return sound & (possible[..., BIAS] > bias_limit(possible) * (1 + 1e-9))
 
 
 def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:

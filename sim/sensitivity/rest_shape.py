@@ -11,6 +11,7 @@ import torch
 
 from sim import reference
 from sim.cloth import Cloth
+from sim.mesh.specimens import share_of_offset
 from sim.scene import Rig
 from sim.sensitivity.parameters import forces
 from sim.sensitivity.tangent import Tangent
@@ -23,19 +24,10 @@ def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
 
     Held vertices stay in place. By central differences of the forces, for any laws.
     """
-    scene, cloth = tangent.cloth.scene, tangent.cloth
-    mesh = scene.mesh
-    edges = mesh.rest[mesh.edges]
-    edge = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).mean()
-
-    def forces_at(rest: np.ndarray) -> np.ndarray:
-        moved = Cloth(replace(scene, mesh=mesh.with_rest(rest)), cloth.fabric, laws=cloth.laws)
-        return forces(moved.potential.energies, tangent.q, moved.potential.unknowns)
-
     result = np.zeros((len(moves), *tangent.positions.shape))
     for k, move in enumerate(moves):
-        step = _STEP * edge / np.abs(move).max()
-        push = forces_at(mesh.rest + step * move) - forces_at(mesh.rest - step * move)
+        step = _step(tangent, move)
+        push = _forces_at(tangent, step * move) - _forces_at(tangent, -step * move)
         result[k] = -tangent.response(push / (2 * step))[: tangent.coordinates].reshape(-1, 3)
     return result
 
@@ -43,16 +35,65 @@ def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
 def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
     """(2, V, 3) how a drape moves with the offset of the specimen from the plate, m per m.
 
-    The offset along warp and weft, as in :func:`sim.drape.drape`. Under the plate and next to it
-    the mesh stays and the cloth slides through it; outwards the mesh follows the cloth more and
-    more. Vertices thus move as the surface does, but not as points of the cloth.
+    The offset along warp and weft, as in :func:`sim.drape.drape`. On the plate the mesh stays and
+    the cloth slides through it; towards the border the mesh follows the cloth more and more.
+    Vertices thus move as the surface does, but not as points of the cloth.
+    """
+    share, _ = _of_border(tangent, rig)
+    return moves_with_rest(tangent, share[:, None] * np.eye(2)[:, None])
+
+
+def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
+    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad.
+
+    Those of the ``rig`` on which it lies; the mesh moves as for :func:`moves_with_offset`.
+    """
+    share, from_centre = _of_border(tangent, rig)
+    turned = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
+    return moves_with_rest(
+        tangent, share[:, None] * np.stack([from_centre / rig.specimen_size, turned]))
+
+
+def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:
+    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m.
+
+    The vertices on the plate move with it, and so do the others less and less towards the border.
     """
     scene = tangent.cloth.scene
-    radius = np.linalg.norm(scene.mesh.rest, axis=1)
-    width = rig.specimen_size / 2 - rig.plate_radius
-    share = np.clip((radius - rig.plate_radius) / width, 0.0, 1.0)
-    share[scene.held] = 0.0
-    return moves_with_rest(tangent, share[:, None] * np.eye(2)[:, None])
+    move = (1 - _of_border(tangent, rig)[0])[:, None] * scene.mesh.rest / rig.plate_diameter
+    step = _step(tangent, move)
+    ahead, behind = (
+        _forces_at(tangent, s * move, replace(rig, plate_diameter=rig.plate_diameter + s))
+        for s in (step, -step))
+    carried = np.zeros(tangent.cloth.potential.unknowns)
+    carried[: tangent.coordinates].reshape(-1, 3)[scene.held, :2] = move[scene.held]
+    push = (ahead - behind) / (2 * step) + tangent.force_of(carried)
+    return (carried - tangent.response(push))[: tangent.coordinates].reshape(-1, 3)
+
+
+def _of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Share (V,) of the border's moves that the mesh takes, and (V, 2) m from the centre."""
+    mesh = tangent.cloth.scene.mesh
+    centre = mesh.areas @ mesh.rest[mesh.faces].mean(axis=1) / mesh.areas.sum()
+    share = share_of_offset(mesh.rest, rig, centre)
+    return np.where(tangent.cloth.scene.held, 0.0, share), mesh.rest - centre
+
+
+def _step(tangent: Tangent, move: np.ndarray) -> float:
+    """By how much of a ``move`` of the rest points forces are compared."""
+    mesh = tangent.cloth.scene.mesh
+    edge = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1).mean()
+    return _STEP * edge / np.abs(move).max()
+
+
+def _forces_at(tangent: Tangent, move: np.ndarray, rig: Rig | None = None) -> np.ndarray:
+    """(U,) the energy's gradient with rest points moved by ``move`` (V, 2), on another ``rig``."""
+    cloth = tangent.cloth
+    mesh = cloth.scene.mesh
+    obstacles = rig.obstacles if rig else cloth.scene.obstacles
+    scene = replace(cloth.scene, mesh=mesh.with_rest(mesh.rest + move), obstacles=obstacles)
+    moved = Cloth(scene, cloth.fabric, laws=cloth.laws).potential
+    return forces(moved.energies, tangent.q, moved.unknowns)
 
 
 def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ def assert_equilibrium(result) -> None:
                           np.column_stack([result.rest[result.held], np.zeros(result.held.sum())]))
 
 
-@pytest.mark.parametrize("start", ["sine", "fold"])
+@pytest.mark.parametrize("start", ["sine", "fold", "ring"])
 @pytest.mark.parametrize(
     "fabric", [isotropic(100), isotropic(20, 2.0), isotropic(5), EXTREME],
     ids=["stiff", "median", "soft", "extreme"],

@@ -1,4 +1,4 @@
-"""Borrowed starts: the folds of another drape survive; files that hold one; interpolation."""
+"""Ring and borrowed starts: folds of another drape survive; files with one; interpolation."""
 
 import numpy as np
 import pytest
@@ -153,3 +153,22 @@ def test_bad_files_are_refused_in_one_line(tmp_path, lender, kind):
 def test_drapes_of_other_specimens_are_not_borrowed(lender, rig, word):
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), rig=rig, borrowed=(lender.rest, lender.positions))
+
+
+def test_a_ring_start_has_waves_all_around_and_leads_to_more_than_one_number_of_folds():
+    """Folds as deep on all sides; of one fabric, the number depends on the start's."""
+    found = set()
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 1])
+        rest = make_specimen(DISC_RIG, edge=0.008, topology=0, offset=(0.0, 0.0)).mesh.rest
+        start = initial_positions(rest, rig=DISC_RIG, start="ring", rng=rng)
+        radius = np.linalg.norm(rest, axis=1)
+        assert np.abs(start[radius <= DISC_RIG.plate_radius, 2]).max() < 1e-12
+        hem = start[radius > 0.149]
+        angle = np.arctan2(hem[:, 1], hem[:, 0])
+        spectrum = [abs((hem[:, 2] * np.exp(-1j * k * angle)).mean()) for k in range(1, 20)]
+        assert 4 <= 1 + int(np.argmax(spectrum)) <= 14
+        result = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=seed, start="ring")
+        assert result.converged
+        found.add(len(folds(result)))
+    assert len(found) > 1 and min(found) >= 4
