@@ -1,1 +1,1 @@
-"""From material parameters to training tensors: fabrics, cameras, pictures, shards."""
+"""Fabrics, datasets of their drapes, cameras, captures and sensors."""

@@ -13,13 +13,12 @@ world +x is to the right in the picture and the direction at 90 degrees points a
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from itertools import product
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from common.errors import InputError, one_line
-from data.configs import read_option
+from data.configs import group_options, read_config
 
 DEFAULT_RIG = "square300_cylinder100"
 
@@ -188,7 +187,7 @@ class Jitter:
 class CameraRig:
     """Nominal camera of a drape tester, and how much real set-ups vary around it.
 
-    Loaded from ``configs/rig/NAME.yaml``, where lengths are in mm and angles in degrees.
+    Loaded from ``configs/camera/NAME.yaml``, where lengths are in mm and angles in degrees.
     """
 
     name: str
@@ -198,12 +197,15 @@ class CameraRig:
 
     @classmethod
     def load(cls, name: str = DEFAULT_RIG) -> "CameraRig":
-        """Read ``configs/rig/NAME.yaml``; InputError when there is no such rig."""
-        return cls.from_config(read_option("rig", name))
+        """Read ``configs/camera/NAME.yaml``; InputError when there is no such rig."""
+        known = group_options("camera")
+        if name not in known:
+            raise InputError(f"unknown rig {name!r}; known rigs: {', '.join(known)}")
+        return cls.from_config(read_config(f"camera/{name}"))
 
     @classmethod
     def from_config(cls, config: Mapping) -> "CameraRig":
-        """Build from the mapping of a rig file (Hydra's group ``rig`` gives the same).
+        """Build from the mapping of such a file.
 
         Raises:
             InputError: an entry is missing or makes no sense.
@@ -223,18 +225,8 @@ class CameraRig:
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"rig configuration is incomplete ({one_line(error)}); "
-                f"see configs/rig/{DEFAULT_RIG}.yaml"
+                f"see configs/camera/{DEFAULT_RIG}.yaml"
             ) from None
-
-    @classmethod
-    def from_dict(cls, content: Mapping) -> "CameraRig":
-        """The inverse of :func:`dataclasses.asdict`, as in a dataset's ``dataset.json``."""
-        return cls(
-            name=content["name"],
-            intrinsics=Intrinsics(**content["intrinsics"]),
-            pose=Pose(**content["pose"]),
-            jitter=Jitter(**content["jitter"]),
-        )
 
     def nominal(self) -> Camera:
         """The camera without jitter."""
@@ -248,22 +240,6 @@ class CameraRig:
         """
         tail = ndtr(-JITTER_LIMIT_SIGMAS)
         return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(fields(Jitter)) + 1)))
-
-    def farthest(self) -> float:
-        """Largest distance of a sampled camera from the plate's centre, m.
-
-        Raises:
-            InputError: the jitter reaches cameras that cannot be.
-        """
-        # All that is asked of a camera holds within limits that it holds at.
-        for deviates in product((-JITTER_LIMIT_SIGMAS, JITTER_LIMIT_SIGMAS),
-                                repeat=len(fields(Jitter)) + 1):
-            try:
-                self._camera(np.array(deviates))
-            except InputError as error:
-                raise InputError(f"rig.jitter is too large for rig.camera: at "
-                                 f"{JITTER_LIMIT_SIGMAS:g} deviations {error}") from None
-        return self.pose.distance + JITTER_LIMIT_SIGMAS * self.jitter.distance
 
     def _camera(self, deviates: np.ndarray) -> Camera:
         focal, shift_x, shift_y, distance, pitch, above, aside, roll = deviates.tolist()

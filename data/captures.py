@@ -1,9 +1,10 @@
-"""Captures: folders with four depth pictures of one specimen, read, checked and written.
+"""Captures: folders with depth pictures of one specimen, read, checked and written.
 
 Two formats are recognised by their files:
 
-- ``capture.yaml`` with ``view_0.png`` to ``view_3.png``: 16-bit grey, depth in units of
-  ``depth_unit_m`` (millimetres unless stated), background 0, any size with matching intrinsics.
+- ``capture.yaml`` with ``view_0.png`` and so on, one to eight, usually four: 16-bit grey, depth in
+  units of ``depth_unit_m`` (millimetres unless stated), background 0, any size with matching
+  intrinsics.
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
   count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
   taken), the rig's intrinsics.
@@ -26,8 +27,7 @@ from scipy import ndimage
 
 from common.errors import InputError, one_line
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
-from data.reading import finite_number, read_mapping, read_text, read_views, shown
-from data.render import VIEWS
+from data.reading import MOST_VIEWS, finite_number, read_mapping, read_text, read_views, shown
 
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
@@ -36,17 +36,20 @@ SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is n
 SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
-CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "warp_direction_deg", "rig"}
+CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "turns_deg", "warp_direction_deg",
+                "rig"}
+LARGEST_WIDTH = 400  # pixels; of larger pictures every n-th is taken
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Four views of one specimen, a quarter turn apart.
+    """Views of one specimen on a turntable.
 
     Attributes:
-        views: (4, H, W) float32 z-depth in metres, background 0.
+        views: (K, H, W) float32 z-depth in metres, background 0.
         intrinsics: of these pictures.
+        turns: (K,) nominal turns of the table since the first view, rad.
         density: kg/m2.
         warp_direction: angle of the warp direction in the first view, in [0, pi) radians, 0 to
             the right in the picture, pi/2 away from the camera; None when it is not marked.
@@ -57,6 +60,7 @@ class Capture:
 
     views: np.ndarray
     intrinsics: Intrinsics
+    turns: np.ndarray
     density: float
     warp_direction: float | None
     rig: str
@@ -81,7 +85,7 @@ def _read(path: Path) -> Capture:
     if not path.exists():
         raise InputError(f"capture folder '{path}' does not exist; check the path")
     if not path.is_dir():
-        raise InputError(f"capture '{path}' is not a folder; give the folder with the four views")
+        raise InputError(f"capture '{path}' is not a folder; give the folder with the views")
     if (path / "capture.yaml").exists():
         return _read_metric(path)
     if (path / "density.txt").exists():
@@ -99,14 +103,16 @@ def write_capture(
     intrinsics: Intrinsics,
     density: float,
     warp_direction: float | None = None,
+    turns: np.ndarray | None = None,
     rig: str = DEFAULT_RIG,
     depth_unit: float = 1e-3,
 ) -> None:
     """Write a capture in the 16-bit format, whole or not at all, to a new or empty folder.
 
     Args:
-        views: (4, H, W) z-depth in metres, background 0.
+        views: (K, H, W) z-depth in metres, background 0.
         density: kg/m2; warp_direction: radians in the first view; depth_unit: metres per count.
+        turns: (K,) nominal turns of the table, rad; None: K-ths of a turn.
 
     Raises:
         InputError: wrong shape, depth that does not fit 16 bits, a folder that is not empty or
@@ -114,8 +120,10 @@ def write_capture(
     """
     path = Path(path)
     views = np.asarray(views)
-    if views.shape != (VIEWS, intrinsics.height, intrinsics.width):
-        raise InputError(f"views of shape {views.shape} do not fit the intrinsics and four views")
+    if views.shape[1:] != (intrinsics.height, intrinsics.width):
+        raise InputError(f"views of shape {views.shape} do not fit the intrinsics")
+    if not 1 <= len(views) <= MOST_VIEWS:
+        raise InputError(f"{len(views)} views: a capture has one to {MOST_VIEWS}")
     counts = np.rint(views / depth_unit)
     if not (np.isfinite(counts).all() and counts.min() >= 0 and counts.max() <= 65535):
         raise InputError(f"depth does not fit 16 bits at {depth_unit:g} m per count")
@@ -127,6 +135,8 @@ def write_capture(
         "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
         "rig": rig,
     }
+    if turns is not None:
+        description["turns_deg"] = np.degrees(turns).round(6).tolist()
     if warp_direction is not None:
         description["warp_direction_deg"] = round(math.degrees(warp_direction), 6)
     try:
@@ -144,31 +154,9 @@ def write_capture(
         raise InputError(f"cannot write the capture {path}: {reason}") from None
 
 
-def to_camera(capture: Capture, rig: CameraRig) -> np.ndarray:
-    """The views as the rig's nominal intrinsics would show them, (4, H, W) float32 m.
-
-    A remapping of pixels about the principal points: the viewpoint stays, so depth does. The
-    rig's pixels that lie outside the captured pictures become background.
-
-    Raises:
-        InputError: no cloth is left in a view.
-    """
-    source, target = capture.intrinsics, rig.intrinsics
-    if source == target:
-        return capture.views.copy()
-    # Imported late: a bad capture is told without waiting for torch.
-    import torch
-
-    from data.remap import remap_depth
-
-    u = (np.arange(target.width) - target.cx) / target.fx * source.fx + source.cx
-    v = (np.arange(target.height) - target.cy) / target.fy * source.fy + source.cy
-    views = remap_depth(torch.from_numpy(capture.views), torch.from_numpy(u)[None, :],
-                        torch.from_numpy(v)[:, None]).numpy()
-    if not (views > 0).any(axis=(1, 2)).all():
-        raise InputError(f"{capture.path}: with these intrinsics the cloth lies outside the "
-                         "rig's pictures; check fx, fy, cx and cy")
-    return views
+def whole_turns(count: int) -> np.ndarray:
+    """(count,) turns of the table, rad, that share a whole turn equally."""
+    return np.arange(count) * (2 * np.pi / count)
 
 
 def _read_metric(path: Path) -> Capture:
@@ -198,7 +186,14 @@ def _read_metric(path: Path) -> Capture:
     height, width = counts.shape[1:]
     intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
     views = (counts * unit).astype(np.float32)
-    return _checked(path, views, intrinsics, density, direction, rig, ())
+    turns = _turns(description.get("turns_deg"), file, len(views))
+    step = -(-width // LARGEST_WIDTH)
+    if step > 1:
+        views = views[:, ::step, ::step]
+        intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
+                                   for key in INTRINSICS_KEYS},
+                                width=views.shape[2], height=views.shape[1])
+    return _checked(path, views, intrinsics, turns, density, direction, rig, ())
 
 
 def _read_published(path: Path) -> Capture:
@@ -214,13 +209,15 @@ def _read_published(path: Path) -> Capture:
     views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
     warning = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
     intrinsics = CameraRig.load(DEFAULT_RIG).intrinsics
-    return _checked(path, views, intrinsics, density, None, DEFAULT_RIG, (warning,))
+    return _checked(path, views, intrinsics, whole_turns(len(views)), density, None, DEFAULT_RIG,
+                    (warning,))
 
 
 def _checked(
     path: Path,
     views: np.ndarray,
     intrinsics: Intrinsics,
+    turns: np.ndarray,
     density: float,
     warp_direction: float | None,
     rig: str,
@@ -251,7 +248,7 @@ def _checked(
         border = np.concatenate([cloth[0], cloth[-1], cloth[:, 0], cloth[:, -1]])
         if border.any():
             warnings += (f"view {k}: the cloth touches the picture's border",)
-    return Capture(views, intrinsics, density, warp_direction, rig, path, warnings)
+    return Capture(views, intrinsics, turns, density, warp_direction, rig, path, warnings)
 
 
 def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
@@ -303,6 +300,16 @@ def checked_density(value: object, what: str) -> float:
     if not low <= grams <= high:
         raise InputError(f"{what}={grams:g} is outside {low:g}-{high:g} g/m2; check the unit")
     return grams * 1e-3
+
+
+def _turns(value: object, file: Path, count: int) -> np.ndarray:
+    if value is None:
+        return whole_turns(count)
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{file}: turns_deg={shown(value)}: give one angle for each of the "
+                         f"{count} views, such as [0, 90, 180, 270]")
+    turns = np.radians([finite_number(turn, f"{file}: turns_deg") for turn in value])
+    return turns - turns[0]
 
 
 def _intrinsics(value: object, file: Path, width: int, height: int) -> Intrinsics:

@@ -30,7 +30,7 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
 
     Raises:
         InputError: an unknown key or group option, a group without an option, a word that is no
-            override, a wrong type, an empty ``out``.
+            override, a wrong type, a key without a value, an empty ``out``.
     """
     # Imported late: whoever only looks for a file in configs/ need not wait for Hydra.
     from hydra import compose, initialize_config_dir
@@ -52,6 +52,8 @@ def compose_config(name: str, words: list[str], *, schema: type | None = None) -
     except (ValueError, TypeError) as error:
         # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
         raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
+    if missing := OmegaConf.missing_keys(config):
+        raise InputError(f"keys without a value: {', '.join(sorted(missing))}")
     if config.get("out") is not None:
         folder_named(config["out"])
     return config

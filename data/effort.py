@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 SHARES = {
     "solver": "solver",
-    "views": "views",
     "rest": "checks and files",
     "start": "start of the processes",
     "idle": "idle",
@@ -42,7 +41,7 @@ def describe_effort(seconds: Mapping[str, float], *, workers: int, wall: float) 
 
     The shares are of the time that the processes had: CPU time, and the time in which a process
     had nothing to do. Time in which another program had the core, or in which the process waited
-    for the disk, is told apart.
+    for the disk, is stated separately.
 
     Args:
         seconds: sum of the totals of all processes, with ``start``, the CPU time until the first

@@ -142,7 +142,7 @@ class DatasetFolder:
         name = shard_name(shard)
         try:
             remove_partial(self.root, name)
-            write_shard(self.root / name, records, layout=self.config.layout, attributes={
+            write_shard(self.root / name, records, attributes={
                 "schema_version": SCHEMA_VERSION,
                 "identity": self.identity,
                 "config": json_text(self._settings),

@@ -1,6 +1,6 @@
 """Makes datasets of simulated drapes: ``python -m data.generate --help``.
 
-    prior -> plan of a drape -> equilibrium -> views -> record -> shard
+    prior -> plan of a drape -> equilibrium -> record -> shard
 
 A shard depends on the dataset's configuration and its number only, so any number of processes, on
 any number of machines, write the same files, and an interrupted dataset is completed as if nothing
@@ -20,7 +20,7 @@ from data.effort import describe_effort
 from data.folder import DatasetFolder
 from data.options import Options, config_from_options
 from data.progress import over_shards, progress_bar
-from data.records import DatasetConfig, Renderer, Solver
+from data.records import DatasetConfig, Solver
 from data.workers import make_shards
 
 
@@ -33,7 +33,6 @@ def generate_dataset(
     parts: int = 1,
     progress: bool = True,
     solver: Solver | None = None,
-    renderer: Renderer | None = None,
 ) -> dict:
     """Make, complete or extend the dataset in the folder ``out``.
 
@@ -45,8 +44,7 @@ def generate_dataset(
             Parts can be made at the same time, anywhere; the one that finds all others done
             finishes the dataset.
         progress: show a progress bar on standard error, and what the time was spent on.
-        solver, renderer: in place of :func:`sim.drape.drape` and
-            :class:`data.render.DepthRenderer`; of an importable module.
+        solver: in place of :func:`sim.drape.drape`; of an importable module.
 
     Returns:
         The content of ``dataset.json``: configuration, counts of every outcome, digests. While
@@ -69,7 +67,7 @@ def generate_dataset(
         if missing:
             folder.begin()
         _fill(folder, missing, of=sum(len(config.rows(shard)) for shard in mine), workers=workers,
-              progress=progress, solver=solver, renderer=renderer)
+              progress=progress, solver=solver)
         manifest = folder.finish(made=bool(missing), progress=progress)
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
@@ -87,7 +85,6 @@ def _fill(
     workers: int,
     progress: bool,
     solver: Solver | None,
-    renderer: Renderer | None,
 ) -> None:
     """Make ``shards``, the missing ones of a part of ``of`` drapes, and show how far they are."""
     missing = sum(len(folder.config.rows(shard)) for shard in shards)
@@ -99,8 +96,7 @@ def _fill(
         bar.update(of - missing + drapes - bar.n)
 
     with bar:
-        outcome = make_shards(folder, shards, workers=workers, solver=solver, renderer=renderer,
-                              report=show)
+        outcome = make_shards(folder, shards, workers=workers, solver=solver, report=show)
     if progress and shards:
         print(describe_effort(outcome.seconds, workers=outcome.workers, wall=outcome.wall),
               file=sys.stderr)
@@ -109,17 +105,16 @@ def _fill(
 HELP = """\
 usage: python -m data.generate [--multirun] [KEY=VALUE ...]
 
-Simulates drapes of random fabrics and renders four depth views of each in several random
-orientations, or, with dataset=fresh, leaves the views to training. Writes OUT/shard_*.h5 and
-OUT/dataset.json (docs/data_format.md). Run again after an interruption, it continues, and makes
-damaged shards anew; asked for more drapes, it extends the dataset. The files depend on neither the
-number of workers, parts and machines nor on interruptions.
+Simulates drapes of random fabrics. Writes OUT/shard_*.h5 and OUT/dataset.json
+(docs/data_format.md). Run again after an interruption, it continues, and makes damaged shards anew;
+asked for more drapes, it extends the dataset. The files depend on neither the number of workers,
+parts and machines nor on interruptions.
 
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
-    python -m data.generate out=outputs/small drapes=16 edge_mm=5 dataset=fresh
+    python -m data.generate out=outputs/small drapes=16 edge_mm=5
 
-A drape takes about 2 s of one core, and 31 kB without views, 320 kB with eight sets of them. What a
-dataset holds is shown by python -m data.inspect OUT.
+A drape takes about 2 s of one core, and 20 kB with edge_mm=3. What a dataset holds is shown by
+python -m data.inspect OUT.
 
 On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
 (docs/cluster.md; needs pip install '.[cluster]'):
@@ -138,7 +133,7 @@ def main(argv: list[str]) -> None:
 
     if any(word in ("-h", "--help") for word in argv):
         print(HELP)
-        print(describe_config("generate", ["dataset", "prior", "solver", "launcher", "rig"]))
+        print(describe_config("generate", ["dataset", "prior", "nuisances", "launcher"]))
         return
     if MULTIRUN & set(argv):
         launch([word for word in argv if word not in MULTIRUN], run)

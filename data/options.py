@@ -2,12 +2,10 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 from omegaconf import MISSING
 
 from common.errors import InputError
-from data.cameras import CameraRig
 from data.nuisances import NuisanceConfig
 from data.prior import load_prior
 from data.records import DatasetConfig
@@ -19,14 +17,11 @@ from sim.scene import Rig
 class DatasetOptions:
     """The group ``dataset``; see ``configs/dataset``."""
 
-    starts_per_fabric: int = 2
-    starts: list[str] = field(default_factory=list)
-    drift_mm: float = 3.0
-    orientations: int = 8
-    turn_deg: float = 2.0
-    soft_share: float = 0.0
-    drapes_per_shard: int = 16
-    compression: int = 4
+    starts_per_fabric: int = MISSING
+    starts: list[str] = MISSING
+    drift_mm: float = MISSING
+    soft_share: float = MISSING
+    drapes_per_shard: int = MISSING
 
 
 @dataclass
@@ -63,13 +58,12 @@ class Options:
     dataset: DatasetOptions = field(default_factory=DatasetOptions)
     prior: PriorOptions = field(default_factory=PriorOptions)
     nuisances: NuisanceOptions = field(default_factory=NuisanceOptions)
-    rig: Any = None
+    rig: str = Rig().name
 
 
 def config_from_options(options: Options) -> DatasetConfig:
     """The dataset that the composed options ask for; InputError where a value makes no sense."""
     dataset = options.dataset
-    cameras = CameraRig.from_config(options.rig)
     return DatasetConfig(
         drapes=options.drapes,
         sampling=SamplingConfig(
@@ -77,17 +71,13 @@ def config_from_options(options: Options) -> DatasetConfig:
             starts_per_fabric=dataset.starts_per_fabric,
             starts=tuple(dataset.starts),
             drift=dataset.drift_mm * 1e-3,
-            orientations=dataset.orientations,
-            turn=math.radians(dataset.turn_deg),
             soft_share=dataset.soft_share,
             nuisances=_nuisances(options.nuisances),
         ),
         prior=load_prior(options.prior.file),
-        rig=Rig.from_name(cameras.name),
-        cameras=cameras,
+        rig=Rig.from_name(options.rig),
         edge=options.edge_mm * 1e-3,
         drapes_per_shard=dataset.drapes_per_shard,
-        compression=dataset.compression,
     )
 
 

@@ -12,11 +12,11 @@ import yaml
 from PIL import Image, UnidentifiedImageError
 
 from common.errors import InputError, one_line
-from data.render import VIEWS
 
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)
 LARGEST_TEXT = 65536  # bytes
+MOST_VIEWS = 8
 
 
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
@@ -46,23 +46,24 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
 
 
 def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.ndarray:
-    """Counts (4, H, W) of exactly four different pictures of one size.
+    """Counts (K, H, W) of one to :data:`MOST_VIEWS` different pictures of one size.
 
-    Their names are ``pattern`` with 0 to 3 for ``{}``.
+    Their names are ``pattern`` with 0 to K - 1 for ``{}``.
 
     ``modes`` and ``kind`` are those of :func:`read_picture`.
     """
-    expected = [pattern.format(k) for k in range(VIEWS)]
     shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
     found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
+    if not found:
+        raise InputError(f"{folder}: {pattern.format(0)} is missing; a capture has one to "
+                         f"{MOST_VIEWS} views, {pattern.format(0)} and so on")
+    if len(found) > MOST_VIEWS:
+        raise InputError(f"{folder} has {len(found)} views; a capture has at most {MOST_VIEWS}")
+    expected = [pattern.format(k) for k in range(len(found))]
     for name in expected:
         if name not in found:
-            raise InputError(f"{folder}: {name} is missing; a capture has {', '.join(expected)}")
-    extra = found - set(expected)
-    if extra:
-        raise InputError(
-            f"{folder}: {min(extra)} is one view too many; a capture has {', '.join(expected)}"
-        )
+            raise InputError(f"{folder}: {name} is missing, but {max(found)} is there; number the "
+                             "views from 0 on")
     pictures = [read_picture(folder / name, modes=modes, kind=kind) for name in expected]
     for name, picture in zip(expected, pictures, strict=True):
         if picture.shape != pictures[0].shape:
@@ -75,7 +76,7 @@ def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.
         # A blank picture is the reader's to tell.
         if np.array_equal(a, b) and a.min() < a.max():
             raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "
-                             "be taken anew, a quarter turn after the one before")
+                             "be taken anew, after the table has turned on")
     return np.stack(pictures)
 
 

@@ -1,34 +1,22 @@
-"""From the index of a drape to its record: plan, equilibrium, views, rows of a shard."""
+"""From the index of a drape to its record: plan, equilibrium, measures, rows of a shard."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from common.errors import InputError
 from common.provenance import release
-from data.cameras import DEFAULT_RIG, CameraRig
 from data.effort import Effort
 from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
-from data.render import VIEWS, DepthRenderer
-from data.sampling import (
-    BORROWED,
-    DrapePlan,
-    SamplingConfig,
-    Stream,
-    choose_lender,
-    plan_drape,
-    stream,
-)
-from data.shards import DEPTH_UNIT, FACES, LENGTH_UNIT, Layout, fields, to_counts
+from data.sampling import BORROWED, DrapePlan, SamplingConfig, choose_lender, plan_drape
+from data.shards import FACES, LENGTH_UNIT, fields, to_counts
 from sim.mesh.specimens import EDGES, default_edge
-from sim.scene import Rig
+from sim.scene import RIGS, Rig
 
 Solver = Callable[..., object]
 """Like :func:`sim.drape.drape`."""
-Renderer = Callable[..., object]
-"""Like :class:`data.render.DepthRenderer`: of positions and faces, with a method ``view``."""
 Record = Mapping[str, np.ndarray]
 """What :func:`data.shards.write_shard` takes."""
 
@@ -42,24 +30,20 @@ class DatasetConfig:
 
     Attributes:
         drapes: number of drapes.
-        sampling: fabrics, starts, orientations, seed.
+        sampling: fabrics, specimens, starts, seed.
         prior: distribution of the fabrics.
         rig: specimen and plate.
-        cameras: camera, with its jitter.
         edge: length of the meshes' edges at the plate's rim, m; 0: chosen for each fabric, see
             :func:`sim.mesh.specimens.default_edge`.
         drapes_per_shard: drapes in a file.
-        compression: gzip level, 1 to 9.
     """
 
     drapes: int
     sampling: SamplingConfig
     prior: Prior
     rig: Rig
-    cameras: CameraRig
     edge: float = 0.0
-    drapes_per_shard: int = 16
-    compression: int = 4
+    drapes_per_shard: int = 64
 
     def __post_init__(self) -> None:
         for name in ("drapes", "drapes_per_shard"):
@@ -68,27 +52,10 @@ class DatasetConfig:
         if self.edge and not EDGES[0] <= self.edge <= EDGES[1]:
             raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
                              f"fabric, or {1e3 * EDGES[0]:g} to {1e3 * EDGES[1]:g} mm")
-        if not 1 <= self.compression <= 9:
-            raise InputError(f"compression={self.compression} must lie between 1 and 9")
         if not self.rig.has_plate:
-            raise InputError(f"rig.name={self.rig.name}: datasets are made of specimens on a "
-                             f"plate; choose {DEFAULT_RIG}")
-        farthest = self.cameras.farthest() + self.rig.specimen_size
-        limit = DEPTH_UNIT * np.iinfo(np.uint16).max
-        if self.sampling.orientations and farthest > limit:
-            raise InputError(f"rig.camera.distance_mm={1e3 * self.cameras.pose.distance:g} is too "
-                             f"far: views can hold {1e3 * limit:g} mm, and with the jitter and the "
-                             f"specimen up to {1e3 * farthest:g} are needed")
-
-    @property
-    def layout(self) -> Layout:
-        """Sizes of the arrays in a shard."""
-        return Layout(
-            orientations=self.sampling.orientations,
-            height=self.cameras.intrinsics.height,
-            width=self.cameras.intrinsics.width,
-            compression=self.compression,
-        )
+            known = ", ".join(name for name, rig in RIGS.items() if rig.has_plate)
+            raise InputError(f"rig={self.rig.name}: datasets are made of specimens on a plate; "
+                             f"choose one of {known}")
 
     def as_dict(self) -> dict:
         """All that determines a drape and its record, in JSON's types; not their number."""
@@ -96,12 +63,8 @@ class DatasetConfig:
             "sampling": self.sampling.as_dict(),
             "prior": prior_content(self.prior),
             "rig": self.rig.as_dict(),
-            "cameras": _plain(asdict(self.cameras)),
             "solver": {"edge_mm": round(1e3 * self.edge, 6)},
-            "storage": {
-                "drapes_per_shard": self.drapes_per_shard,
-                "compression": self.compression,
-            },
+            "storage": {"drapes_per_shard": self.drapes_per_shard},
             "code_version": release(),
         }
 
@@ -114,15 +77,6 @@ class DatasetConfig:
     def shards(self) -> int:
         """Number of shards."""
         return -(-self.drapes // self.drapes_per_shard)
-
-
-def _plain(value: object) -> object:
-    """``value`` with arrays and tuples as lists."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record]) -> Record | None:
@@ -142,9 +96,10 @@ def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record
 def simulate(
     plan: DrapePlan, config: DatasetConfig, solver: Solver, lender: Record | None = None
 ) -> tuple[dict, object]:
-    """Drape the plan's fabric; return the record without views, and the solver's result.
+    """Drape the plan's fabric; return the record without measures, and the solver's result.
 
-    A drape that fails, even by an arithmetical exception, keeps its record and says why.
+    A drape that fails, even by an arithmetical exception, keeps its record, which says why; of it
+    there is no result.
     """
     start: dict = {"start": plan.fallback}
     if lender is not None:
@@ -154,7 +109,7 @@ def simulate(
     edge = config.edge or default_edge(fabric, config.rig)
     rig = plan.nuisances.rig(config.rig)
     empty = {name: np.zeros(field.shape, field.dtype)
-             for name, field in fields(config.layout, 0).items()}
+             for name, field in fields(0).items()}
     record = empty | {
         FACES: np.zeros((0, 3), np.int32),
         "index": plan.index,
@@ -170,8 +125,6 @@ def simulate(
         "seed": plan.seed,
         "offset": plan.offset,
         "edge": edge,
-        "orientations": plan.orientations,
-        "turns": plan.turns,
         "residual": np.nan,
         "drape_coefficient": np.nan,
         "folds": -1,
@@ -192,8 +145,8 @@ def simulate(
     record |= {"residual": result.residual, "iterations": result.iterations}
     try:
         record |= {
-            "positions": to_counts(result.positions, unit=LENGTH_UNIT, dtype=np.int16),
-            "rest": to_counts(result.rest, unit=LENGTH_UNIT, dtype=np.int16),
+            "positions": to_counts(result.positions),
+            "rest": to_counts(result.rest),
             "vertices": len(result.rest),
             FACES: result.faces,
         }
@@ -226,20 +179,18 @@ def make_record(
     *,
     earlier: Sequence[Record] = (),
     solver: Solver | None = None,
-    renderer: Renderer | None = None,
     effort: Effort | None = None,
 ) -> dict[str, np.ndarray]:
     """The record of drape ``index``, for :func:`data.shards.write_shard`.
 
-    A drape of which no measures or views can be taken fails, and keeps its mesh.
+    A drape of which no measures can be taken fails, and keeps its mesh.
 
     Args:
         earlier: records of the drapes before it in the same shard; a borrowed start is taken
             from them.
-        effort: where to book the time of the simulation and of the views.
+        effort: where to book the time of the simulation.
     """
-    solver, renderer = solver or load_solver(), renderer or DepthRenderer
-    effort = effort or Effort()
+    solver, effort = solver or load_solver(), effort or Effort()
     plan = plan_drape(index, config=config.sampling, prior=config.prior)
     lender = find_lender(plan, config, earlier)
     with effort.booked("solver"):
@@ -247,13 +198,9 @@ def make_record(
     if result is None:
         return record
     try:
-        shown = _measures(result, plan.nuisances.rig(config.rig))
-        if len(plan.orientations):
-            with effort.booked("views"):
-                shown |= _views(plan, config, renderer(result.positions, result.faces))
+        return record | _measures(result, plan.nuisances.rig(config.rig))
     except ACCIDENTS as error:
         return record | _accident(error)
-    return record | shown
 
 
 def _measures(result: object, rig: Rig) -> dict:
@@ -263,18 +210,3 @@ def _measures(result: object, rig: Rig) -> dict:
 
     return {"drape_coefficient": drape_coefficient(result.positions, result.faces, rig),
             "folds": fold_count(result.positions, result.rest, rig)}
-
-
-def _views(plan: DrapePlan, config: DatasetConfig, scene: object) -> dict:
-    """The part of a record that tells the pictures."""
-    rng = stream(config.sampling.seed, Stream.VIEWS, plan.index)
-    cameras = [config.cameras.sample(rng) for _ in plan.orientations]
-    angles = plan.orientations[:, None] + plan.turns + np.arange(VIEWS) * (np.pi / 2)
-    views = [[scene.view(camera, float(angle)) for angle in row]
-             for camera, row in zip(cameras, angles, strict=True)]
-    return {
-        "views": to_counts(np.array(views), unit=DEPTH_UNIT, dtype=np.uint16),
-        "intrinsics": [[c.fx, c.fy, c.cx, c.cy] for c in cameras],
-        "world_to_camera": np.stack([c.world_to_camera for c in cameras]),
-        "rendered": 1,
-    }

@@ -1,12 +1,13 @@
-"""Depth pictures of a drape: four views, a quarter turn of the table apart.
+"""Depth pictures of a drape from several sides, usually four, a quarter turn of the table apart.
 
 The table turns counter-clockwise seen from above and the camera stands still: in view k the
-specimen's warp axis points along (cos a, sin a) in the world, a = orientation + k 90 degrees
+specimen's warp axis points along (cos a, sin a) in the world, a = orientation + turn of view k
 (Feng et al. 2022, section 3.1). Only the cloth is in the picture. The cylinder is left out because
 captures are cut out to the cloth; its top is covered by the specimen anyway.
 """
 
 import math
+from collections.abc import Sequence
 from types import ModuleType
 
 import numpy as np
@@ -16,6 +17,8 @@ from common.errors import InputError, one_line
 from data.cameras import Camera
 
 VIEWS = 4
+QUARTERS = tuple(k * math.pi / 2 for k in range(VIEWS))
+"""rad, how far the table has turned in each of four views."""
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
 
 
@@ -73,11 +76,14 @@ class DepthRenderer:
         hit = self._scene.cast_rays(self._tensor(rays), nthreads=self._threads)["t_hit"].numpy()
         return np.where(np.isfinite(hit), hit, np.float32(0.0))
 
-    def views(self, camera: Camera, orientation: float = 0.0) -> np.ndarray:
-        """The four pictures of a capture, (4, height, width) float32 m, background 0."""
-        return np.stack(
-            [self.view(camera, orientation + k * math.pi / 2) for k in range(VIEWS)]
-        )
+    def views(
+        self, camera: Camera, orientation: float = 0.0, turns: Sequence[float] = QUARTERS
+    ) -> np.ndarray:
+        """The pictures of a capture, (K, height, width) float32 m, background 0.
+
+        ``turns`` (K,), rad, is how far the table had turned in each.
+        """
+        return np.stack([self.view(camera, orientation + turn) for turn in turns])
 
 
 def render_views(

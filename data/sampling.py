@@ -1,4 +1,4 @@
-"""The plan of a dataset: which fabric, which start and which views each drape has.
+"""The plan of a dataset: which fabric, specimen and start each drape has.
 
 Everything here is a pure function of the dataset's seed and the index of a fabric or drape, so
 a drape is the same whichever process makes it, and however often the work was interrupted. What a
@@ -16,9 +16,8 @@ import numpy as np
 from common.errors import InputError
 from data.nuisances import NuisanceConfig, Nuisances
 from data.prior import Prior, prior_content, prior_from_content, sample_admissible
-from data.render import VIEWS
 
-STARTS = ("sine", "fold")
+STARTS = ("sine", "fold", "ring")
 """Initial states that need no other drape."""
 BORROWED = "borrowed"
 """The initial state that is an earlier drape of another fabric in the same shard."""
@@ -33,7 +32,7 @@ class Stream(IntEnum):
 
     FABRIC = 0
     START = 1
-    VIEWS = 2
+    VIEWS = 2  # of benchmarks that render a drape
     LENDER = 3
     CLOTH = 4
     SPECIMEN = 5
@@ -50,10 +49,6 @@ class SamplingConfig:
             :data:`STARTS`, and :data:`BORROWED`.
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
-        orientations: sets of four stored views of each drape, stratified over the full turn
-            (section 5.2.2; 12 there); 0 stores drapes only.
-        turn: standard deviation of the turntable's angle from a whole number of quarter turns,
-            in each view after the first, radians.
         soft_share: share of fabrics that are drawn from the soft ones of the prior (:data:`SOFT`);
             the rest from all of it.
         nuisances: of the specimens.
@@ -61,10 +56,8 @@ class SamplingConfig:
 
     seed: int = 0
     starts_per_fabric: int = 2
-    starts: tuple[str, ...] = STARTS
+    starts: tuple[str, ...] = ("sine", "fold")
     drift: float = 0.003
-    orientations: int = 8
-    turn: float = 0.035
     soft_share: float = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
@@ -72,8 +65,8 @@ class SamplingConfig:
         object.__setattr__(self, "starts", tuple(self.starts))
         if self.seed < 0:
             raise InputError(f"seed={self.seed} must not be negative")
-        if self.starts_per_fabric < 1 or self.orientations < 0:
-            raise InputError("starts_per_fabric must be at least 1, orientations not negative")
+        if self.starts_per_fabric < 1:
+            raise InputError(f"starts_per_fabric={self.starts_per_fabric} must be at least 1")
         if not set(self.starts) <= {*STARTS, BORROWED}:
             raise InputError(f"starts must be some of {', '.join(STARTS)}, {BORROWED}")
         if not set(self.starts) & set(STARTS):
@@ -81,9 +74,6 @@ class SamplingConfig:
                              "nothing to borrow")
         if not 0 <= self.drift <= 0.02:
             raise InputError(f"the drift must lie between 0 and 20 mm, not {self.drift * 1e3:g}")
-        if not 0 <= self.turn <= 0.2:
-            raise InputError("the turntable's deviation must lie between 0 and 11 degrees, not "
-                             f"{np.degrees(self.turn):g}")
         if not 0 <= self.soft_share <= _LARGEST_SHARE:
             raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
                              f"{_LARGEST_SHARE:g}")
@@ -108,10 +98,6 @@ class DrapePlan:
         fallback: one of :data:`STARTS`, for a borrowed start without a lender; else ``start``.
         seed: seed of the mesh and of the initial state.
         offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
-        orientations: (K,) angle of the warp in the first view, counter-clockwise seen from
-            above, radians in [0, 2 pi), one in each K-th of a turn, ascending.
-        turns: (K, 4) what the table has turned beyond k quarter turns in view k, radians; zero in
-            the first view.
     """
 
     index: int
@@ -124,8 +110,6 @@ class DrapePlan:
     fallback: str
     seed: int
     offset: np.ndarray
-    orientations: np.ndarray
-    turns: np.ndarray
 
 
 def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
@@ -147,12 +131,8 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fallback = made[(fabric + start_of_fabric) % len(made)] if start == BORROWED else start
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
-    sectors = np.arange(config.orientations) + rng.random(config.orientations)
-    orientations = sectors * (2 * np.pi / max(1, config.orientations))
-    turns = rng.normal(0.0, config.turn, (config.orientations, VIEWS))
-    turns[:, 0] = 0.0
     return DrapePlan(index, fabric, theta, rejected, weight, nuisances, start, fallback, seed,
-                     offset, orientations, turns)
+                     offset)
 
 
 def draw_fabric(

@@ -19,28 +19,11 @@ from common.errors import InputError, one_line
 from common.files import replace_shared_file
 from data.nuisances import NAMES
 from data.progress import over_shards
-from data.render import VIEWS
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
-DEPTH_UNIT = 1e-4  # m per count of stored depth
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Sizes of a dataset's arrays that are the same for all drapes.
-
-    Attributes:
-        orientations: sets of four views of a drape, K.
-        height, width: pixels of a view, H and W.
-        compression: gzip level, 1 to 9.
-    """
-
-    orientations: int
-    height: int
-    width: int
-    compression: int = 4
+COMPRESSION = 4  # gzip level
 
 
 @dataclass(frozen=True)
@@ -59,14 +42,12 @@ FACES = "faces"
 """The array of a shard's triangulations, each once; after the triangles of one follow zeros."""
 
 
-def fields(layout: Layout, vertices: int) -> dict[str, Field]:
+def fields(vertices: int) -> dict[str, Field]:
     """The arrays of a shard that have the drape in the shard as their first axis.
 
     Args:
         vertices: of the drape's mesh, V; of a shard, of its finest one.
     """
-    k = layout.orientations
-    image = (VIEWS, layout.height, layout.width)
     return {
         "index": Field("i8", (), "", "position of the drape in the dataset"),
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
@@ -80,7 +61,7 @@ def fields(layout: Layout, vertices: int) -> dict[str, Field]:
         "lender": Field("i8", (), "", "drape that was borrowed; -1 for another start"),
         "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
         "offset": Field("f8", (2,), "m", "specimen's centre from the plate's axis: warp, weft"),
-        "status": Field("S24", (), "", "outcome of the solver; views only of 'converged'"),
+        "status": Field("S24", (), "", "outcome of the solver"),
         "message": Field("S160", (), "", "the solver's words about it"),
         "residual": Field("f8", (), "a vertex's weight", "force residual at the end"),
         "iterations": Field("i4", (), "", "Newton iterations"),
@@ -91,23 +72,21 @@ def fields(layout: Layout, vertices: int) -> dict[str, Field]:
         "mesh": Field("i4", (), "", "the drape's triangulation among those of the shard"),
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
-        "rendered": Field("u1", (), "", "1 where the views are valid, else they are zeros"),
-        "orientations": Field("f8", (k,), "rad", "warp in view 0, counter-clockwise from above"),
-        "turns": Field("f8", (k, VIEWS), "rad", "turntable beyond k quarter turns in view k"),
-        "intrinsics": Field("f8", (k, 4), "px", "fx, fy, cx, cy of each set of views"),
-        "world_to_camera": Field("f8", (k, 4, 4), "m", "camera: x right, y down, z forward"),
-        "views": Field("u2", (k, *image), "1e-4 m", "z-depth without noise; 0 is background"),
     }
 
 
-def to_counts(values: np.ndarray, *, unit: float, dtype: type[np.integer]) -> np.ndarray:
-    """Values divided by ``unit`` and rounded; OverflowError where ``dtype`` cannot hold them."""
-    counts = np.rint(np.asarray(values, dtype=np.float64) / unit)
-    limits = np.iinfo(dtype)
-    if not (np.isfinite(counts).all() and (counts >= limits.min).all()
-            and (counts <= limits.max).all()):
-        raise OverflowError(f"values outside {limits.min * unit:g} to {limits.max * unit:g}")
-    return counts.astype(dtype)
+def to_counts(coordinates: np.ndarray) -> np.ndarray:
+    """Coordinates, m, as int16 counts of :data:`LENGTH_UNIT`, of the same shape.
+
+    Raises:
+        OverflowError: one is not finite, or too large for the type.
+    """
+    counts = np.rint(np.asarray(coordinates, dtype=np.float64) / LENGTH_UNIT)
+    limits = np.iinfo(np.int16)
+    if not ((counts >= limits.min) & (counts <= limits.max)).all():  # false of NaN
+        raise OverflowError(f"coordinates outside {limits.min * LENGTH_UNIT:g} to "
+                            f"{limits.max * LENGTH_UNIT:g} m")
+    return counts.astype(np.int16)
 
 
 SHARDS = "shard_*.h5"
@@ -123,7 +102,6 @@ def write_shard(
     path: Path,
     records: Sequence[Mapping[str, np.ndarray]],
     *,
-    layout: Layout,
     attributes: Mapping[str, str | int | float],
 ) -> None:
     """Write ``records`` to ``path``: whole or not at all; several processes may write it.
@@ -132,17 +110,8 @@ def write_shard(
 
     Raises:
         InputError: the system refuses to write.
+        ValueError: a row has another shape than :func:`fields` says.
     """
-    replace_shared_file(path, shard_bytes(records, layout=layout, attributes=attributes))
-
-
-def shard_bytes(
-    records: Sequence[Mapping[str, np.ndarray]],
-    *,
-    layout: Layout,
-    attributes: Mapping[str, str | int | float],
-) -> bytes:
-    """The content of a shard's file, see :func:`write_shard`."""
     # In memory, because HDF5 does not survive a full disk.
     memory = io.BytesIO()
     libver = ("earliest", "v110")
@@ -152,17 +121,17 @@ def shard_bytes(
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
         places, meshes = _distinct([record[FACES] for record in records])
         rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
-        own = [fields(layout, int(record["vertices"])) for record in rows]
-        for name, field in fields(layout, max(int(record["vertices"]) for record in rows)).items():
+        own = [fields(int(record["vertices"])) for record in rows]
+        for name, field in fields(max(int(record["vertices"]) for record in rows)).items():
             for record, expected in zip(rows, own, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
                                      f"{expected[name].shape}")
-            _write_field(file, name, field, [record[name] for record in rows], layout)
+            _write_field(file, name, field, [record[name] for record in rows])
         most = max(len(mesh) for mesh in meshes)
-        _write_field(file, FACES, Field("i4", (most, 3), "", ""), meshes, layout)
+        _write_field(file, FACES, Field("i4", (most, 3), "", ""), meshes)
     content = memory.getbuffer()[SEAL_SIZE:]
-    return _seal(hashlib.sha256(content).hexdigest()) + content
+    replace_shared_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
 
 
 def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
@@ -172,16 +141,13 @@ def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]
     return which, [faces[which.index(place)] for place in range(len(places))]
 
 
-def _write_field(
-    file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray], layout: Layout
-) -> None:
-    """Write one array, row by row: all pictures at once would fill the memory."""
+def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray]) -> None:
+    """Write one array; zeros follow rows that are shorter than its own."""
     options = {}
     if field.shape and np.prod(field.shape) > 64:
-        # A chunk is what is read at a time: one set of views, one drape's mesh.
-        chunk = (1, 1, *field.shape[1:]) if name == "views" else (1, *field.shape)
-        options = {"chunks": chunk, "compression": "gzip", "shuffle": True,
-                   "compression_opts": layout.compression}
+        # A chunk is what is read at a time: one drape's mesh.
+        options = {"chunks": (1, *field.shape), "compression": "gzip", "shuffle": True,
+                   "compression_opts": COMPRESSION}
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
@@ -281,21 +247,13 @@ class Shard:
         """Bytes on disk of each field's values, compressed."""
         return {name: rows.id.get_storage_size() for name, rows in self._file.items()}
 
-    def views(self, row: int, orientation: int) -> np.ndarray:
-        """One set of views (4, H, W) float32, z-depth in m, background 0."""
-        return self._file["views"][row, orientation].astype(np.float32) * np.float32(DEPTH_UNIT)
-
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) of a drape."""
+        """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
         vertices = slice(int(self._file["vertices"][row]))
         positions = self._file["positions"][row, vertices] * LENGTH_UNIT
         rest = self._file["rest"][row, vertices] * LENGTH_UNIT
-        return positions, rest, self.triangulation(int(self._file["mesh"][row]))
-
-    def triangulation(self, mesh: int) -> np.ndarray:
-        """Triangles (F, 3) int64 of one of the shard's triangulations."""
-        faces = self._file[FACES][mesh]
-        return faces[faces.any(axis=1)].astype(np.int64)
+        faces = self._file[FACES][int(self._file["mesh"][row])]
+        return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
 
 
 MANIFEST = "dataset.json"

@@ -13,7 +13,7 @@ import numpy as np
 from common.workers import worker_pool
 from data.effort import Effort
 from data.folder import DatasetFolder
-from data.records import Renderer, Solver, load_solver, make_record
+from data.records import Solver, load_solver, make_record
 
 REFRESH = 0.3  # s between two looks at what the workers have done
 
@@ -44,27 +44,20 @@ class _Worker:
     folder: DatasetFolder
     counts: np.ndarray
     solver: Solver
-    renderer: Renderer | None
     unreported: Counter[str]
 
 
 _worker: _Worker | None = None
 
 
-def _start(
-    folder: DatasetFolder,
-    counts: str,
-    solver: Solver | None,
-    renderer: Renderer | None,
-    began: float,
-) -> None:
+def _start(folder: DatasetFolder, counts: str, solver: Solver | None, began: float) -> None:
     """Prepare a worker process; ``counts`` is the file of those of :class:`_Worker`."""
     global _worker
     import_module("sim.measures")  # not while the first drape is made
     solver = solver or load_solver()
     spent = Counter({"start": time.process_time(), "wall": time.time() - began})
     shared = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
-    _worker = _Worker(folder, shared, solver, renderer, spent)
+    _worker = _Worker(folder, shared, solver, spent)
 
 
 def _make(place: int, shard: int) -> Counter[str]:
@@ -76,7 +69,7 @@ def _make(place: int, shard: int) -> Counter[str]:
     if worker.folder.content(shard) is None:
         for index in config.rows(shard):
             records.append(make_record(index, config, earlier=records, solver=worker.solver,
-                                       renderer=worker.renderer, effort=effort))
+                                       effort=effort))
             failed += records[-1]["status"] != b"converged"
             worker.counts[place] = len(records), failed
         worker.folder.write(shard, records)
@@ -92,7 +85,6 @@ def make_shards(
     *,
     workers: int,
     solver: Solver | None = None,
-    renderer: Renderer | None = None,
     report: Callable[[int, int], None] = lambda drapes, failed: None,
 ) -> Outcome:
     """Make ``shards``, each in one of ``workers`` processes.
@@ -110,7 +102,7 @@ def make_shards(
     try:
         with (
             tempfile.NamedTemporaryFile() as file,
-            worker_pool(workers, _start, folder, file.name, solver, renderer, began) as pool,
+            worker_pool(workers, _start, folder, file.name, solver, began) as pool,
         ):
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
             running = {pool.submit(_make, *place) for place in enumerate(shards)}

@@ -4,8 +4,7 @@
 
 Drapes the fabric on a finer mesh than training does, renders it with a camera that stands a
 little off its nominal place, adds sensor noise, and writes the four views with ``capture.yaml``.
-The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates. The
-bundled capture is of a drape on a regular grid of 51 x 51 vertices, from before meshes were graded.
+The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates.
 """
 
 import json

@@ -1,5 +1,6 @@
 """A dataset of pieces of cloth that hang in folds, none of them symmetric, at little cost."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 from data.cameras import CameraRig
 from data.prior import load_prior
 from data.records import DatasetConfig, make_record
+from data.render import DepthRenderer
 from data.sampling import SamplingConfig
 from data.shards import (
     SCHEMA_VERSION,
@@ -36,21 +38,16 @@ def skirt(fabric, *, rig, edge, start, seed, offset, laws):
     )
 
 
-def write_dataset(
-    root: Path, *, drapes: int, orientations: int = 0, rig: CameraRig | None = None,
-    edge: float = 0.012,
-    **sampling: object,
-) -> Path:
-    """Drapes of one fabric each, in shards of 16, with ``orientations`` stored sets of views."""
+def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: object) -> Path:
+    """Drapes of one fabric each, in shards of 16."""
     config = DatasetConfig(
-        drapes=drapes, prior=load_prior("gaussian"), rig=Rig(), cameras=rig or CameraRig.load(),
-        sampling=SamplingConfig(orientations=orientations, starts_per_fabric=1, **sampling),
-        edge=edge,
+        drapes=drapes, prior=load_prior("gaussian"), rig=Rig(),
+        sampling=SamplingConfig(starts_per_fabric=1, **sampling), edge=edge, drapes_per_shard=16,
     )
     root.mkdir(parents=True)
     for shard in range(config.shards):
         records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
-        write_shard(root / shard_name(shard), records, layout=config.layout,
+        write_shard(root / shard_name(shard), records,
                     attributes={"schema_version": SCHEMA_VERSION})
     write_manifest(root, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
@@ -60,3 +57,14 @@ def write_dataset(
                    for name in map(shard_name, range(config.shards))},
     })
     return root
+
+
+def capture_views(*, orientation: float = 0.4, turns: Sequence[float] | None = None) -> tuple:
+    """Views (4, 90, 120), m, of a skirt, and the intrinsics of their camera."""
+    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
+    shape = skirt(fabric, rig=Rig(), edge=0.012, start="sine", seed=0, offset=(0.0, 0.0),
+                  laws=None)
+    camera = CameraRig.load().nominal().resized(120, 90)
+    turns = np.arange(4) * np.pi / 2 if turns is None else turns
+    return (DepthRenderer(shape.positions, shape.faces).views(camera, orientation, turns),
+            camera.intrinsics)

@@ -5,18 +5,11 @@ from pathlib import Path
 
 import cloths
 import pytest
-from blobs import write_dataset
-
-
-@pytest.fixture(scope="session")
-def blob_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a dataset of 64 blobs."""
-    return write_dataset(tmp_path_factory.mktemp("blobs") / "dataset")
 
 
 @pytest.fixture(scope="session")
 def cloth_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a dataset of 40 pieces of cloth without views."""
+    """Folder of a dataset of 40 pieces of cloth."""
     return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=40, seed=8)
 
 
@@ -36,26 +29,27 @@ def untrained_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkpoint with plausible description and random weights, for what does not need skill."""
     import torch
 
+    from data.configs import read_option
     from drapenet.checkpoint import save_checkpoint
-    from drapenet.convention import TARGET_NAMES, TARGET_UNITS
-    from drapenet.model import DrapeNet
-    from drapenet.preprocess import InputFormat
+    from drapenet.network import MapNet
 
     torch.manual_seed(0)
-    mean = [-10.0, -10.6, -10.8, -0.0027, -0.0026, -0.0026]
-    std = [0.9, 0.8, 0.8, 0.002, 0.002, 0.002]
+    mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]
+    model = {"width": 8, "components": 2, "targets": 6, "distance": 0.076, "spread": 0.017}
     description = {
-        "rig": "square300_cylinder100", "convention": "stiff/soft",
-        "model": {"backbone": "resnet18"},
-        "input": InputFormat(width=64, height=48).as_dict(),
-        "targets": {"names": list(TARGET_NAMES), "units": list(TARGET_UNITS), "mean": mean,
-                    "std": std, "low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
-                    "high": [m + 2 * s for m, s in zip(mean, std, strict=True)]},
+        "rig": "square300_cylinder100",
+        "model": model,
+        "targets": {"mean": mean, "std": std},
+        "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
+                    "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],
+                    "deviation": std},
         "dataset": {"sha256": "0" * 64,
-                    "generation": {"sampling": {"seed": 999}, "prior": "blobs"}},
-        "validation": {"rmse": dict.fromkeys(TARGET_NAMES, 0.5)},
-        "config": {},
+                    "generation": {"sampling": {"seed": 999, "starts": ["sine", "fold"]},
+                                   "prior": "blobs",
+                                   "solver": {"edge_mm": 8.0}}},
+        "validation": {},
+        "config": {"setup": dict(read_option("setup", "real"))},
     }
     path = tmp_path_factory.mktemp("checkpoint") / "untrained.safetensors"
-    save_checkpoint(path, model=DrapeNet(), description=description, half=False)
+    save_checkpoint(path, model=MapNet(**model), description=description, half=False)
     return path

@@ -8,7 +8,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
-from data.inspect.pictures import contact_sheet, histograms, take_shots, views_report
+from data.inspect.pictures import contact_sheet, histograms, take_shots
 
 DEFAULTS = {"out": "outputs/inspect", "intersections": 500, "sheet": 48}
 
@@ -41,7 +41,7 @@ def main(argv: list[str]) -> None:
     drapes = read_drapes(root, manifest, intersections=options["intersections"])
     prior = prior_samples(manifest)
     shots = take_shots(root, manifest, drapes, count=options["sheet"])
-    content = report(manifest, drapes, prior) | {"views": views_report(shots)}
+    content = report(manifest, drapes, prior)
     print("\n".join(describe(content)))
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     replace_file(out / "report.json", text.encode())
@@ -87,7 +87,6 @@ def describe(content: dict) -> list[str]:
         _range("iterations", content["iterations"]),
         "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
         _self_intersections(content["self_intersections"], content["converged"]),
-        *_views(content["views"]),
         "",
         f"{'disk':<{LABEL}}{'MB':>8}{'kB a drape':>12}",
         *(f"{part:<{LABEL}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
@@ -112,13 +111,6 @@ def _self_intersections(figures: dict, converged: int) -> str:
     if figures["drapes"]:
         line += f" (first: {', '.join(map(str, figures['drapes'][:8]))})"
     return line
-
-
-def _views(figures: dict) -> list[str]:
-    if not figures["looked_at"]:
-        return []
-    return [f"stored views: {figures['different']:.2%} of the cloth's pixels differ from the mesh "
-            f"by over 1 mm, {figures['worst']:.2%} at worst, in {figures['looked_at']} views"]
 
 
 if __name__ == "__main__":

@@ -203,6 +203,6 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
 def _disk(drapes: Drapes) -> dict[str, int]:
     """Bytes of the shards by part."""
     used = dict(drapes.bytes)
-    parts = {"views": used.pop("views"), "meshes": sum(used.pop(name) for name in (*POINTS, FACES)),
+    parts = {"meshes": sum(used.pop(name) for name in (*POINTS, FACES)),
              "file structure": used.pop("other")}
     return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}

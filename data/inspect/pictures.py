@@ -1,24 +1,20 @@
 """Pictures of a dataset: drapes side by side, and histograms."""
 
 import io
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.cameras import Camera, CameraRig
 from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, for_people, spread
-from data.rasterise import camera_tensors, render_batch
+from data.render import DepthRenderer
 from data.shards import Shard
 
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH = 1.75  # inches of one
-ARROW = 0.09  # m, the warp's arrow from the plate's centre
-VISIBLE = 1e-3  # m; stored views that differ from the mesh by more count as different
 DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
 STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
 
@@ -31,84 +27,40 @@ class Shot:
         caption: what stands above it.
         failed: whether its solver gave up.
         view: (H, W) z-depth, m, background 0.
-        arrow: (2, 2) pixels of the plate's centre and of a point along the warp.
-        difference: (H, W) m, by how much a stored view differs from the mesh; None of others.
     """
 
     caption: str
     failed: bool
     view: np.ndarray
-    arrow: np.ndarray
-    difference: np.ndarray | None
 
 
 def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> list[Shot]:
     """One view of each of ``count`` converged drapes, from the limpest to the stiffest, and of up
-    to a row of failed ones.
-
-    The first stored view where there is one, otherwise one rendered here with the nominal camera,
-    the warp to the right.
+    to a row of failed ones; by the rig's nominal camera, the warp to the right.
     """
+    camera = CameraRig.load(manifest["config"]["rig"]["name"]).nominal()
     converged = np.flatnonzero(drapes.converged)
     by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
                                           kind="stable")]
     failed = np.flatnonzero(~drapes.converged)
-    shots = [_shoot(root, manifest, drapes, int(drape)) for drape
+    shots = [_shoot(root, camera, drapes, int(drape)) for drape
              in [*spread(by_coefficient, count), *spread(failed, ACROSS)]]
     return [shot for shot in shots if shot is not None]
 
 
-def _shoot(root: Path, manifest: dict, drapes: Drapes, drape: int) -> Shot | None:
+def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | None:
     """One drape; None of a failed one whose coordinates could not be stored."""
-    camera = CameraRig.from_dict(manifest["config"]["cameras"]).nominal()
     name, row = drapes.places[drape]
-    columns = {key: values[drape] for key, values in drapes.columns.items()}
-    failed = columns["status"] != "converged"
-    angle, stored = 0.0, None
     with Shard(root / name) as shard:
         positions, rest, faces = shard.mesh(row)
-        if shard.column("rendered")[row]:
-            stored = shard.views(row, 0)[0]
-            angle = float(shard.column("orientations")[row, 0] + shard.column("turns")[row, 0, 0])
-            fx, fy, cx, cy = shard.column("intrinsics")[row, 0].tolist()
-            camera = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy,
-                             world_to_camera=shard.column("world_to_camera")[row, 0])
     if not rest.any():
         return None
-    rendered = _render(positions, faces, camera, angle)
-    tip = ARROW * np.array([math.cos(angle), math.sin(angle), 0.0])
+    columns = {key: values[drape] for key, values in drapes.columns.items()}
+    failed = columns["status"] != "converged"
     words = columns["status"] if failed else (
         f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
-    return Shot(
-        caption=f"{columns['index']}: {words}",
-        failed=failed,
-        view=rendered if stored is None else stored,
-        arrow=camera.project(np.stack([np.zeros(3), tip]))[0],
-        difference=None if stored is None else np.abs(stored - rendered),
-    )
-
-
-def _render(positions: np.ndarray, faces: np.ndarray, camera: Camera, angle: float) -> np.ndarray:
-    intrinsics, pose = camera_tensors([camera])
-    return render_batch(
-        torch.from_numpy(positions)[None], torch.from_numpy(faces), angles=torch.tensor([[angle]]),
-        intrinsics=intrinsics, world_to_camera=pose, height=camera.height, width=camera.width,
-    )[0, 0].numpy()
-
-
-def views_report(shots: list[Shot]) -> dict:
-    """How far stored views are from their meshes, in JSON's types.
-
-    ``different`` is the share of pixels that show cloth in either and differ by over 1 mm.
-    Where outlines and folds end, a few always do: the stored mesh is rounded.
-    """
-    checked = [shot for shot in shots if shot.difference is not None]
-    cloth = [max(1, np.count_nonzero(shot.view + shot.difference)) for shot in checked]
-    shares = [np.count_nonzero(shot.difference > VISIBLE) / pixels
-              for shot, pixels in zip(checked, cloth, strict=True)]
-    return {"looked_at": len(checked),
-            "different": float(np.mean(shares)) if shares else None,
-            "worst": float(np.max(shares)) if shares else None}
+    return Shot(f"{columns['index']}: {words}", failed,
+                DepthRenderer(positions, faces).view(camera))
 
 
 def mosaic(views: list[np.ndarray], *, across: int = ACROSS) -> np.ndarray:
@@ -123,7 +75,7 @@ def mosaic(views: list[np.ndarray], *, across: int = ACROSS) -> np.ndarray:
 
 
 def contact_sheet(shots: list[Shot]) -> bytes:
-    """PNG of all shots: nearer is brighter, the arrow points along the warp."""
+    """PNG of all shots; nearer is brighter."""
     left, top, right, bottom = _window([shot.view for shot in shots])
     width, height = right - left, bottom - top
     sheet = mosaic([shot.view[top:bottom, left:right] for shot in shots])
@@ -138,9 +90,6 @@ def contact_sheet(shots: list[Shot]) -> bytes:
         x, y = k % across * width, k // across * height
         axes.text(x + 0.02 * width, y + 0.02 * height, shot.caption, fontsize=7, va="top",
                   color=MARK if shot.failed else "black")
-        start, tip = shot.arrow + np.array([x - left, y - top])
-        axes.annotate("", xy=tip, xytext=start, annotation_clip=True,
-                      arrowprops={"arrowstyle": "->", "color": MARK, "lw": 1.0})
     return _png(figure)
 
 

@@ -1,4 +1,4 @@
-"""A drape and a camera view that cost nothing, importable by worker processes."""
+"""Drapes that cost nothing, importable by worker processes."""
 
 import os
 import signal
@@ -85,17 +85,3 @@ def process_id(fabric, **settings):
     name = f"{os.getpid()}-{os.environ['OMP_NUM_THREADS']}-{os.environ['NUMBA_NUM_THREADS']}"
     open(os.path.join(folder, name), "w").close()
     return cone(fabric, **settings)
-
-
-class Stripes:
-    """In place of the ray caster: pictures that tell the mesh, the camera and the angle."""
-
-    def __init__(self, positions, faces):
-        self._drop = -positions[:, 2].min()
-
-    def view(self, camera, angle):
-        column = np.arange(camera.width) * np.ones((camera.height, 1))
-        picture = 0.5 + 1e-4 * column + self._drop + 0.01 * np.cos(angle)
-        picture += 1e-3 * (camera.fx - 300)
-        picture[: camera.height // 4] = 0
-        return picture.astype(np.float32)

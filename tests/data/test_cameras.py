@@ -9,6 +9,7 @@ import pytest
 from common.errors import InputError
 from data.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
 from data.captures import read_capture
+from data.configs import read_option
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
@@ -124,6 +125,17 @@ def test_unknown_rig_and_unusable_intrinsics_are_input_errors():
         Intrinsics(fx=-300, fy=300, cx=119.5, cy=89.5, width=240, height=180)
     with pytest.raises(InputError, match="inner part of the 120x90"):
         Intrinsics(fx=300, fy=300, cx=119.5, cy=89.5, width=120, height=90)
+
+
+@pytest.mark.parametrize(("group", "key", "value"), [
+    ("camera", "fx", "wide"), ("camera", "width", 240.5), ("camera", "pitch_deg", float("nan")),
+    ("camera", "distance_mm", -527), ("jitter", "roll_deg", -1),
+])
+def test_rigs_that_make_no_sense(group, key, value):
+    content = read_option("camera", "square300_cylinder100")
+    content[group][key] = value
+    with pytest.raises(InputError):
+        CameraRig.from_config(content)
 
 
 def flat_top(view: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray, float]:

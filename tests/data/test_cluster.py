@@ -7,7 +7,7 @@ import pytest
 from common.errors import InputError
 from data.generate import main
 
-SMALL = ["drapes=4", "edge_mm=20", "dataset=fresh", "dataset.drapes_per_shard=1", "workers=1"]
+SMALL = ["drapes=4", "edge_mm=20", "dataset.drapes_per_shard=1", "workers=1"]
 
 
 def files(folder):
@@ -25,9 +25,9 @@ def whole(tmp_path_factory):
 def test_jobs_make_a_part_each_and_the_last_one_finishes(whole, tmp_path, capsys):
     out, logs = tmp_path / "set", tmp_path / "logs"
     main(["--multirun", f"out={out}", f"hydra.sweep.dir={logs}", "parts=2", *SMALL])
-    told = capsys.readouterr().out
-    assert f"part 0 of 2 of {out} is done, other parts are not" in told
-    assert "4 drapes of 4 fabrics" in told
+    said = capsys.readouterr().out
+    assert f"part 0 of 2 of {out} is done, other parts are not" in said
+    assert "4 drapes of 4 fabrics" in said
     assert files(out) == files(whole)
     assert {path.name for path in logs.iterdir()} == {"multirun.yaml", "0", "1"}
 
@@ -66,7 +66,7 @@ def test_mistakes_are_found_before_jobs_start(tmp_path, words, complaint):
     assert not out.exists()
 
 
-def test_a_jobs_mistake_is_told_in_one_line(whole, tmp_path):
+def test_a_jobs_mistake_is_reported_in_one_line(whole, tmp_path):
     with pytest.raises(InputError, match="other settings") as refusal:
         main(["--multirun", f"out={whole}", f"hydra.sweep.dir={tmp_path}", *SMALL, "seed=3,4"])
     assert "\n" not in str(refusal.value)

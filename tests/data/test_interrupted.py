@@ -34,8 +34,7 @@ if __name__ == "__main__":
 
 def config(shards=6):
     """Three drapes of each fabric, some of them borrowed, in shards of six."""
-    small = small_config(6 * shards, orientations=0, starts_per_fabric=3,
-                         starts=(*STARTS, BORROWED))
+    small = small_config(6 * shards, starts_per_fabric=3, starts=(*STARTS, BORROWED))
     return replace(small, drapes_per_shard=6)
 
 

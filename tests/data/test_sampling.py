@@ -18,7 +18,7 @@ def test_a_plan_depends_on_seed_and_index_only():
     later = plans(8, seed=3)[7]
     for name in ("fabric", "start", "seed", "rejected"):
         assert getattr(ahead, name) == getattr(later, name)
-    for name in ("theta", "offset", "orientations", "turns"):
+    for name in ("theta", "offset"):
         np.testing.assert_array_equal(getattr(ahead, name), getattr(later, name))
     other = plan_drape(7, config=SamplingConfig(seed=4), prior=PRIOR)
     assert other.seed != ahead.seed
@@ -67,44 +67,19 @@ def test_lenders_are_equally_likely_and_depend_on_seed_and_drape():
     assert chosen[:50] != [choose_lender(i, seed=2, candidates=[4, 7, 9]) for i in range(50)]
 
 
-@pytest.mark.parametrize("number", [0, 2])
-def test_the_number_of_orientations_does_not_change_the_fabric_or_start(number):
-    few, many = plans(3, orientations=number)[2], plans(3, orientations=12)[2]
-    assert few.orientations.shape == (number,) and few.turns.shape == (number, 4)
-    np.testing.assert_array_equal(few.theta, many.theta)
-    np.testing.assert_array_equal(few.offset, many.offset)
-    assert few.seed == many.seed
-
-
-def test_orientations_are_stratified_and_uniform():
-    orientations = np.array([p.orientations for p in plans(300, orientations=6)])
-    sectors = np.floor(orientations / (2 * np.pi / 6))
-    np.testing.assert_array_equal(sectors, np.broadcast_to(np.arange(6), sectors.shape))
-    within = orientations / (2 * np.pi / 6) % 1
-    # The mean of 1800 uniform numbers has a standard error of 0.0068.
-    assert abs(within.mean() - 0.5) < 0.03
-    assert within.min() < 0.01 and within.max() > 0.99
-
-
 def test_drift_has_its_standard_deviation():
     offsets = np.array([p.offset for p in plans(500, drift=0.004)])
     assert abs(offsets.std() / 0.004 - 1) < 0.08
     assert not np.any([p.offset for p in plans(4, drift=0.0)])
 
 
-def test_the_table_turns_by_quarters_give_or_take():
-    turns = np.array([p.turns for p in plans(200, orientations=3, turn=0.05)])
-    assert turns.shape == (200, 3, 4) and not turns[..., 0].any()
-    assert abs(turns[..., 1:].std() / 0.05 - 1) < 0.06
-
-
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [({"seed": -1}, "seed=-1"), ({"starts_per_fabric": 0}, "starts_per_fabric"),
-     ({"orientations": -1}, "orientations"), ({"starts": ("flat",)}, "some of sine, fold"),
+     ({"starts": ("flat",)}, "some of sine, fold"),
      ({"starts": ()}, "must hold sine or fold"), ({"starts": ("borrowed",)}, "nothing to borrow"),
      ({"drift": -0.001}, "drift"), ({"drift": float("nan")}, "drift"), ({"drift": 0.1}, "drift"),
-     ({"turn": 0.5}, "turntable")],
+     ({"soft_share": 0.6}, "soft_share")],
 )
 def test_nonsense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):

@@ -12,7 +12,6 @@ from common.errors import InputError
 from data.shards import (
     SCHEMA_VERSION,
     SEAL_SIZE,
-    Layout,
     Shard,
     fields,
     read_manifest,
@@ -22,14 +21,14 @@ from data.shards import (
     write_shard,
 )
 
-LAYOUT, VERTICES = Layout(orientations=3, height=6, width=8), 81
+VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
 
 
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(LAYOUT, VERTICES).items():
+    for name, field in fields(VERTICES).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
@@ -42,15 +41,14 @@ def random_record(seed):
 
 @pytest.fixture
 def shard(tmp_path):
-    write_shard(tmp_path / "s.h5", [random_record(0), random_record(1)], layout=LAYOUT,
-                attributes=ATTRIBUTES)
+    write_shard(tmp_path / "s.h5", [random_record(0), random_record(1)], attributes=ATTRIBUTES)
     with Shard(tmp_path / "s.h5") as file:
         yield file
 
 
 def test_every_field_comes_back(shard):
     assert len(shard) == 2
-    for name in fields(LAYOUT, VERTICES):
+    for name in fields(VERTICES):
         rows = shard.column(name)
         for row, seed in enumerate((0, 1)):
             expected = random_record(seed)[name]
@@ -66,13 +64,7 @@ def test_attributes_and_units(shard):
     assert shard.attribute("absent") is None
     with h5py.File(shard.path) as file:
         assert file["offset"].attrs["unit"] == b"m"
-        assert file["views"].attrs["unit"] == b"1e-4 m"
-
-
-def test_views_in_metres(shard):
-    views = shard.views(1, 2)
-    assert views.shape == (4, 6, 8) and views.dtype == np.float32
-    np.testing.assert_allclose(views, random_record(1)["views"][2] * 1e-4, rtol=1e-6)
+        assert file["positions"].attrs["unit"] == b"1e-5 m"
 
 
 def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
@@ -80,10 +72,10 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
     positions = rng.uniform(-0.2, 0.2, (81, 3))
     rest = rng.uniform(-0.15, 0.15, (81, 2))
     record = random_record(0) | {
-        "positions": to_counts(positions, unit=1e-5, dtype=np.int16),
-        "rest": to_counts(rest, unit=1e-5, dtype=np.int16),
+        "positions": to_counts(positions),
+        "rest": to_counts(rest),
     }
-    write_shard(tmp_path / "s.h5", [record], layout=LAYOUT, attributes=ATTRIBUTES)
+    write_shard(tmp_path / "s.h5", [record], attributes=ATTRIBUTES)
     with Shard(tmp_path / "s.h5") as shard:
         back = shard.mesh(0)
     assert np.abs(back[0] - positions).max() <= 0.5001e-5
@@ -98,7 +90,7 @@ def test_each_triangulation_is_stored_once(tmp_path):
     lost = {"vertices": 0, "positions": np.zeros((0, 3)), "rest": np.zeros((0, 2)),
             "faces": np.zeros((0, 3))}
     records += [records[0] | small, records[0] | lost]
-    write_shard(tmp_path / "s.h5", records, layout=LAYOUT, attributes=ATTRIBUTES)
+    write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
     with Shard(tmp_path / "s.h5") as shard:
         assert shard.column("mesh").tolist() == [0, 1, 0, 2, 3]
         for row, record in enumerate(records):
@@ -110,14 +102,14 @@ def test_each_triangulation_is_stored_once(tmp_path):
 @pytest.mark.parametrize("value", [0.328, -0.328, np.nan, np.inf])
 def test_counts_refuse_what_they_cannot_hold(value):
     with pytest.raises(OverflowError, match="outside"):
-        to_counts(np.array([0.0, value]), unit=1e-5, dtype=np.int16)
+        to_counts(np.array([0.0, value]))
 
 
 def test_bytes_depend_on_the_content_alone(tmp_path):
     paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
-    write_shard(paths[0], [random_record(0)], layout=LAYOUT, attributes=ATTRIBUTES)
+    write_shard(paths[0], [random_record(0)], attributes=ATTRIBUTES)
     time.sleep(1.1)  # HDF5 can store times, in whole seconds
-    write_shard(paths[1], [random_record(0)], layout=LAYOUT, attributes=ATTRIBUTES)
+    write_shard(paths[1], [random_record(0)], attributes=ATTRIBUTES)
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -142,21 +134,21 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 5, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 6, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
 
-def test_a_record_of_another_layout_is_refused_and_leaves_no_file(tmp_path):
+def test_a_record_of_another_shape_is_refused_and_leaves_no_file(tmp_path):
     with pytest.raises(ValueError, match="positions has shape"):
         write_shard(tmp_path / "s.h5", [random_record(0) | {"positions": np.zeros((4, 3))}],
-                    layout=LAYOUT, attributes=ATTRIBUTES)
+                    attributes=ATTRIBUTES)
     assert not (tmp_path / "s.h5").exists()
 
 
 def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
-    write_shard(tmp_path / "old.h5", [random_record(0)], layout=LAYOUT,
+    write_shard(tmp_path / "old.h5", [random_record(0)],
                 attributes=ATTRIBUTES | {"schema_version": 0})
     for name, complaint in (("text.h5", "readable"), ("none.h5", "readable"), ("old.h5", "schema")):
         with pytest.raises(InputError, match=complaint):
@@ -177,7 +169,7 @@ def test_manifest(tmp_path):
                 finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (3, 7)}
+    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (5, 7)}
     for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError, match=complaint) as refusal:
@@ -187,5 +179,5 @@ def test_manifest(tmp_path):
 
 def test_the_documentation_lists_every_field():
     text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
-    documented = re.findall(r"^\| `(\w+)` \| (?:u?int|float|text)", text, flags=re.MULTILINE)
-    assert documented == list(fields(LAYOUT, VERTICES))
+    documented = re.findall(r"^\| `(\w+)` \| (?:int|float|text)", text, flags=re.MULTILINE)
+    assert documented == list(fields(VERTICES))

@@ -12,7 +12,7 @@ from data.generate import main
 ROOT = Path(__file__).parents[2]
 TOOL = ROOT / "tools" / "slurm.sh"
 PARTS = 4
-SMALL = ["drapes=32", "edge_mm=12", "dataset=fresh", "dataset.drapes_per_shard=2",
+SMALL = ["drapes=32", "edge_mm=12", "dataset.drapes_per_shard=2",
          "dataset.starts=[sine,fold,borrowed]"]
 
 pytestmark = pytest.mark.slurm

@@ -1,0 +1,190 @@
+"""Synthetic captures: a drape as some camera on some tripod sees it on some turntable.
+
+    drape -> set-up -> views without noise -> sensor -> cut-out
+
+``configs/setup`` states what set-ups differ in.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+import torch
+from scipy import ndimage
+
+from common.errors import InputError, one_line
+from data.cameras import Camera, CameraRig, Intrinsics, Pose
+from data.configs import read_option
+from data.rasterise import camera_tensors, render_batch
+from data.sensor import load_sensor
+from data.sensor_noise import SensorNoise
+
+REFERENCE_DISTANCE = 0.527  # m, of the lengths across the picture
+
+
+@dataclass(frozen=True)
+class SyntheticCapture:
+    """What a user has of a drape, and what they do not know.
+
+    Attributes:
+        views: (K, H, W) float32 z-depth, m, background 0.
+        intrinsics: as given with it.
+        turns: (K,) rad, nominal turns of the table.
+        orientation: true direction of the warp in the first view, rad.
+        sensor: name of its file in ``configs/sensor``.
+    """
+
+    views: np.ndarray
+    intrinsics: Intrinsics
+    turns: np.ndarray
+    orientation: float
+    sensor: str
+
+
+@dataclass(frozen=True)
+class Setups:
+    """A distribution of set-ups; SI units and radians, see ``configs/setup``.
+
+    Raises:
+        InputError: limits that make no sense.
+    """
+
+    views: tuple[float, ...]
+    distance: tuple[float, float]
+    pitch: tuple[float, float]
+    fill: tuple[float, float]
+    above: tuple[float, float]
+    aside: tuple[float, float]
+    roll: float
+    focal: float
+    turn: float
+    sensors: dict[str, float]
+    border: int
+    holes: int
+    hem_share: float
+    hem: float
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "pitch", "fill", "above", "aside"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise InputError(f"setup: {name} from {low:g} to {high:g}: the smaller one first")
+        for name in ("views", "sensors"):
+            shares = getattr(self, name)
+            shares = list(shares.values()) if isinstance(shares, dict) else shares
+            if not (min(shares, default=-1) >= 0 and abs(sum(shares) - 1) < 1e-6):
+                raise InputError(f"setup: the shares of {name} must add up to 1")
+
+    @classmethod
+    def load(cls, name: str = "real") -> "Setups":
+        """Read ``configs/setup/NAME.yaml``; InputError where there is none, or not such a one."""
+        return cls.from_config(read_option("setup", name))
+
+    @classmethod
+    def from_config(cls, config: Mapping) -> "Setups":
+        """Build from the mapping of such a file."""
+        try:
+            return cls(
+                views=tuple(config["views"]),
+                distance=_scaled(config["distance_mm"], 1e-3),
+                pitch=_scaled(config["pitch_deg"], np.pi / 180),
+                fill=_scaled(config["fill"], 1.0),
+                above=_scaled(config["above_mm"], 1e-3),
+                aside=_scaled(config["aside_mm"], 1e-3),
+                roll=np.radians(config["roll_deg"]),
+                focal=config["focal_percent"] / 100,
+                turn=np.radians(config["turn_deg"]),
+                sensors=dict(config["sensors"]),
+                border=int(config["border_px"]),
+                holes=int(config["holes"]),
+                hem_share=float(config["hem_share"]),
+                hem=config["hem_mm"] * 1e-3,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"the set-ups are not complete ({one_line(error)}); see "
+                             "configs/setup/real.yaml") from None
+
+    def as_dict(self) -> dict:
+        """All fields, in JSON's types."""
+        return {name: list(value) if isinstance(value, tuple) else value
+                for name, value in asdict(self).items()}
+
+    def capture(
+        self,
+        positions: np.ndarray,
+        faces: np.ndarray,
+        rng: np.random.Generator,
+        *,
+        nominal: Intrinsics | None = None,
+    ) -> SyntheticCapture:
+        """One capture of a drape with vertices (V, 3), m, and triangles (F, 3).
+
+        Args:
+            nominal: of the rig's camera at :data:`REFERENCE_DISTANCE`.
+        """
+        nominal = nominal or CameraRig.load().intrinsics
+        camera = self._camera(rng, nominal)
+        count = 1 + int(rng.choice(len(self.views), p=self.views))
+        turns = np.arange(count) * (2 * np.pi / count)
+        wrong = rng.normal(0.0, self.turn, count)
+        wrong[0] = 0.0
+        orientation = float(rng.uniform(0, 2 * np.pi))
+        intrinsics, poses = camera_tensors([camera])
+        views = render_batch(
+            torch.from_numpy(positions[None]), torch.from_numpy(faces[None].astype(np.int64)),
+            angles=torch.from_numpy((orientation + turns + wrong)[None]), intrinsics=intrinsics,
+            world_to_camera=poses, height=camera.height, width=camera.width)
+        name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
+        generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+        noisy = _sensors(name)(views, intrinsics, generator)[0].numpy()
+        self._cut_out(noisy, views[0].numpy(), camera, rng)
+        scale = 1 + self.focal * rng.standard_normal()
+        given = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
+        return SyntheticCapture(noisy, given, turns, orientation, name)
+
+    def _camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
+        distance = rng.uniform(*self.distance)
+        far = distance / REFERENCE_DISTANCE
+        pose = Pose(distance, rng.uniform(*self.pitch), far * rng.uniform(*self.above),
+                    far * rng.uniform(*self.aside), self.roll * rng.standard_normal())
+        focal = nominal.fx * far * rng.uniform(*self.fill)
+        return Camera(fx=focal, fy=focal, cx=nominal.cx, cy=nominal.cy, width=nominal.width,
+                      height=nominal.height, world_to_camera=pose.world_to_camera())
+
+    def _cut_out(
+        self, noisy: np.ndarray, views: np.ndarray, camera: Camera, rng: np.random.Generator
+    ) -> None:
+        """Remove, in place, what an imperfect cut-out takes off views (K, H, W)."""
+        border = int(rng.integers(self.border + 1))
+        lowest = None
+        if rng.random() < self.hem_share:
+            lowest = self.hem * rng.random()
+        for view, clean in zip(noisy, views, strict=True):
+            cloth = view > 0
+            if border:
+                view[cloth & ~ndimage.binary_erosion(cloth, iterations=border)] = 0.0
+            if lowest is not None and cloth.any():
+                up = camera.world_to_camera[:3, 2]
+                height = camera.back_project(clean) @ up
+                view[height < height[clean > 0].min() + lowest] = 0.0
+            rows, columns = np.nonzero(cloth)
+            for _ in range(int(rng.integers(self.holes + 1)) if len(rows) else 0):
+                middle = int(rng.integers(len(rows)))
+                top, left = rows[middle], columns[middle]
+                size = int(rng.integers(2, 7))
+                view[top : top + size, left : left + size] = 0.0
+
+
+def _scaled(limits: tuple[float, float], unit: float) -> tuple[float, float]:
+    low, high = limits
+    return low * unit, high * unit
+
+
+_LOADED: dict[str, SensorNoise] = {}
+
+
+def _sensors(name: str) -> SensorNoise:
+    """The sensor of this name, read once."""
+    if name not in _LOADED:
+        _LOADED[name] = load_sensor(name)
+    return _LOADED[name]

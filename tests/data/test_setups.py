@@ -1,0 +1,87 @@
+"""Synthetic captures: what a camera on a tripod sees of a drape."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cloths import skirt
+
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.configs import read_option
+from data.setups import Setups, SyntheticCapture
+from drapenet.registration import locate_camera
+from sim.scene import Rig
+
+REAL = Setups.load()
+CLEAN = replace(REAL, sensors={"none": 1.0}, border=0, holes=0, hem_share=0.0, turn=0.0, focal=0.0)
+
+
+@pytest.fixture(scope="module")
+def drape() -> SimpleNamespace:
+    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
+    return skirt(fabric, rig=Rig(), edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)
+
+
+def capture(setups: Setups, drape: SimpleNamespace, seed: int) -> SyntheticCapture:
+    return setups.capture(drape.positions, drape.faces, np.random.default_rng(seed))
+
+
+def test_a_capture_is_its_seed_s(drape: SimpleNamespace) -> None:
+    one, again, other = (capture(REAL, drape, seed) for seed in (1, 1, 2))
+    assert np.array_equal(one.views, again.views) and one.intrinsics == again.intrinsics
+    assert one.views.shape != other.views.shape or not np.array_equal(one.views, other.views)
+
+
+def test_cameras_stand_where_they_may_and_see_the_specimen(drape: SimpleNamespace) -> None:
+    nominal = CameraRig.load().nominal()
+    pitches, distances, cut = [], [], []
+    for seed in range(40):
+        found = capture(replace(CLEAN, views=(0, 0, 0, 1, 0, 0, 0, 0)), drape, seed)
+        cloth = found.views > 0
+        cut.append(cloth[:, [0, -1]].any() or cloth[:, :, [0, -1]].any())
+        assert cloth.any(axis=(1, 2)).all()
+        given = replace(nominal, fx=found.intrinsics.fx, fy=found.intrinsics.fy)
+        camera = locate_camera(found.views, given)
+        pitches.append(np.arcsin(-camera.world_to_camera[2, 2]))
+        distances.append(np.linalg.norm(camera.world_to_camera[:3, 3]))
+    for values, (low, high) in ((pitches, REAL.pitch), (distances, REAL.distance)):
+        margin = 0.05 * (high - low)
+        assert low - margin < min(values) < low + 6 * margin
+        assert high - 6 * margin < max(values) < high + margin
+    assert np.mean(cut) < 0.4  # the corners of a wide drape leave the picture
+
+
+def test_shares_are_those_asked_for(drape: SimpleNamespace) -> None:
+    small = replace(CLEAN, views=(0.5, 0.5, 0, 0, 0, 0, 0, 0))
+    counts = [len(capture(small, drape, seed).views) for seed in range(60)]
+    assert set(counts) == {1, 2} and 0.3 < np.mean(np.array(counts) == 1) < 0.7
+
+
+def test_a_cut_out_takes_cloth_away_and_adds_none(drape: SimpleNamespace) -> None:
+    spoilt = replace(CLEAN, border=2, holes=3, hem_share=1.0)
+    less = []
+    for seed in range(12):
+        # The same camera, as all that is drawn before the cut-out is the same.
+        whole, cut = (capture(setups, drape, seed).views for setups in (CLEAN, spoilt))
+        assert np.array_equal(cut[cut > 0], whole[cut > 0])
+        less.append((cut > 0).sum() / (whole > 0).sum())
+    assert 0.7 < min(less) < 0.97 and max(less) <= 1.0
+
+
+def test_a_longer_lens_is_given_with_its_error(drape: SimpleNamespace) -> None:
+    wrong = [capture(replace(CLEAN, focal=0.02), drape, seed).intrinsics.fx
+             / capture(CLEAN, drape, seed).intrinsics.fx for seed in range(60)]
+    assert np.std(wrong) == pytest.approx(0.02, rel=0.3)
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"pitch_deg": [50, 25]}, "pitch from"),
+    ({"views": [0.5] * 3}, "shares of views"),
+    ({"sensors": {"smooth": 0.4}}, "shares of sensors"),
+    ({"distance_mm": None}, "not complete"),
+])
+def test_set_ups_that_make_no_sense_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Setups.from_config(dict(read_option("setup", "real")) | changes)
