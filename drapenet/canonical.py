@@ -16,12 +16,13 @@ from data.cameras import Camera
 from sim.scene import Rig
 
 AZIMUTHS, ELEVATIONS = 128, 48
-LOWEST = np.radians(-62.0)
-"""Elevation of the lowest row; the highest ends at the plate's rim."""
+_UNDER = 0.9  # of the plate's radius, where cloth that hangs straight down is looked for
 _DEPTH = 0.6  # of the point that the drape is seen from below the plate, in overhangs
 _SHARE_FACING = 0.15  # least weight of a pixel, relative to one that faces the camera
+PIXEL = 1.73e-3
+"""m, what a pixel spans on the plate, seen by the rig's camera: weights count such pixels."""
 LARGEST_TURN_ERROR = np.radians(6.0)
-"""Of a quarter turn between two views: three deviations of what the network has been trained on."""
+"""rad, of the table in a view: two and a half deviations of what the network is trained on."""
 _SHORT = (-0.02, 0.01)  # m, by which the cloth from rim to hem may seem longer than it is
 _WRONG = 0.02  # m, beyond which such a length is no worse
 SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells over which gaps are filled, one after the other
@@ -47,7 +48,8 @@ class DrapeMap:
     Attributes:
         distance: (AZIMUTHS, ELEVATIONS) m, gaps filled from their neighbours. Azimuths run
             counter-clockwise from ``zero``, rows from the lowest up.
-        weight: (AZIMUTHS, ELEVATIONS) of the pixels in each direction; 0 in gaps.
+        weight: (AZIMUTHS, ELEVATIONS) of the pixels in each direction, as many as the reference
+            camera would have there; 0 in gaps.
         zero: direction of azimuth 0 in the first view, rad.
         turns: (K,) rad, how far the table had turned in each view.
         centre: (2,) m, of the plate in the camera's plate axes, as the views agree on it.
@@ -66,8 +68,13 @@ def centre_height(rig: Rig) -> float:
 
 
 def elevations(rig: Rig) -> np.ndarray:
-    """(ELEVATIONS + 1,) borders of the map's rows, rad."""
-    return np.linspace(LOWEST, np.arctan2(-centre_height(rig), rig.plate_radius), ELEVATIONS + 1)
+    """(ELEVATIONS + 1,) borders of the map's rows, rad: from the lowest that a hem can be to the
+    plate's rim.
+    """
+    depth = -centre_height(rig)
+    reach = rig.specimen_size / (2 if rig.specimen == "disc" else np.sqrt(2)) - rig.plate_radius
+    return np.linspace(np.arctan2(depth - reach, _UNDER * rig.plate_radius),
+                       np.arctan2(depth, rig.plate_radius), ELEVATIONS + 1)
 
 
 def drape_map(
@@ -95,17 +102,34 @@ def drape_map(
     if zero is None:
         zero = 0.0 if rig.specimen == "disc" else side_direction(
             *_fused(clouds, turns, rig), rig)
-    return DrapeMap(*_fused(clouds, turns + zero, rig), zero, turns, centre)
+    distance, weight = _fused(clouds, turns + zero, rig)
+    pixel = np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx
+    return DrapeMap(distance, weight * (pixel / PIXEL) ** 2, zero, turns, centre)
 
 
-def turn_doubts(turns: np.ndarray) -> list[str]:
-    """What to say, a line each, of turns (K,) of the table, rad, that are no K-ths of a turn."""
-    whole = 2 * np.pi / len(turns)
-    steps = np.diff(turns, append=turns[0] + 2 * np.pi)
-    return [f"the table turned by {np.degrees(step):.0f}° from view {k} to view "
-            f"{(k + 1) % len(turns)}, not by {np.degrees(whole):.0f}°: the estimate may be wrong; "
-            "take the views again" for k, step in enumerate(steps)
-            if not abs(step - whole) < LARGEST_TURN_ERROR]
+def drape_coefficient(found: DrapeMap, rig: Rig) -> float:
+    """Share of the overhanging cloth that is seen from above, as a capture shows it
+    (:func:`sim.measures.drape_coefficient`); NaN where less than half of the outline is seen.
+    """
+    borders = elevations(rig)
+    flat = found.distance * np.cos((borders[1:] + borders[:-1]) / 2)
+    radius = np.where(found.weight > 0, flat, 0.0).max(axis=1)
+    seen = np.flatnonzero(radius > 0)
+    if len(seen) < AZIMUTHS / 2:
+        return np.nan
+    # A pixel's centre lies half a pixel within the hem that it shows.
+    radius = np.interp(np.arange(AZIMUTHS), seen, radius[seen], period=AZIMUTHS) + PIXEL / 2
+    plate = np.pi * rig.plate_radius**2
+    area = np.pi * np.square(np.maximum(radius, rig.plate_radius)).mean()
+    return float((area - plate) / (rig.specimen_area - plate))
+
+
+def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
+    """What to say, a line each, of turns (K,) of the table, rad, unlike the ``nominal`` ones."""
+    return [f"the table had turned by {np.degrees(turn):.0f}° in view {k}, not by "
+            f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
+            for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
+            if not abs(turn - given) < LARGEST_TURN_ERROR]
 
 
 def square_turn(points: np.ndarray, rig: Rig) -> float:

@@ -17,23 +17,20 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
-from drapenet.convention import TARGET_NAMES
+from data.fabrics import THETA_NAMES
 
 if TYPE_CHECKING:
     import torch
 
-    from drapenet.model import DrapeNet
-    from drapenet.network_errors import NetworkErrors
-    from drapenet.preprocess import InputFormat
+    from data.setups import Setups
+    from drapenet.network import MapNet
     from drapenet.targets import TargetScale
 
 SCHEMA = "drapenet-checkpoint"
-SCHEMA_VERSION = 1
-BUNDLED = Path(__file__).parent / "weights" / "drapenet.safetensors"
+SCHEMA_VERSION = 2
 
-_HEADER_KEYS = {
-    "rig", "convention", "input", "model", "targets", "dataset", "weights", "validation", "config",
-}
+_HEADER_KEYS = {"rig", "model", "targets", "fabrics", "dataset", "weights", "validation", "config"}
+_TARGETS = {6, 8}
 
 
 @dataclass(frozen=True)
@@ -54,43 +51,25 @@ class Header:
         return self.content["rig"]
 
     @property
-    def form(self) -> InputFormat:
-        """Size and normalisation of the network's input."""
-        from drapenet.preprocess import InputFormat
-
-        try:
-            return InputFormat(**self.content["input"])
-        except TypeError as error:
-            raise InputError(f"{self.path}: the input is not described as expected ({error})"
-                             ) from None
-
-    @property
-    def datasets(self) -> list[dict]:
-        """The datasets trained on, latest first: sha256, counts and "generation" of each."""
-        dataset = self.content["dataset"]
-        latest = {key: value for key, value in dataset.items() if key != "earlier"}
-        return [latest, *dataset.get("earlier", [])]
-
-    @property
     def scale(self) -> TargetScale:
         """Standardisation of the targets."""
-        import torch
-
         from drapenet.targets import TargetScale
 
         targets = self.content["targets"]
-        return TargetScale(torch.tensor(targets["mean"]), torch.tensor(targets["std"]))
+        return TargetScale(np.array(targets["mean"]), np.array(targets["std"]))
+
+    def fabrics(self, what: str) -> np.ndarray:
+        """(6,) of theta over the fabrics trained on: their ``low`` and ``high``, between which 98 %
+        lie, or their standard ``deviation``.
+        """
+        return np.array(self.content["fabrics"][what])
 
     @property
-    def errors(self) -> NetworkErrors:
-        """How the network errs on cloth; where that was not measured, as on held-out drapes."""
-        from drapenet.network_errors import NetworkErrors
+    def setups(self) -> Setups:
+        """The set-ups of the captures trained on."""
+        from data.setups import Setups
 
-        content = self.content
-        if content.get("errors") is not None:
-            return NetworkErrors.from_dict(content["errors"])
-        rmse = [content["validation"]["rmse"][name] for name in content["targets"]["names"]]
-        return NetworkErrors.independent(np.array(rmse) * np.array(content["targets"]["std"]))
+        return Setups.from_config(self.content["config"]["setup"])
 
     @property
     def identity(self) -> dict[str, str]:
@@ -100,6 +79,15 @@ class Header:
             "sha256": self.content["weights"]["sha256"],
             "dataset_sha256": self.content["dataset"]["sha256"],
         }
+
+
+def bundled(rig: str) -> Path:
+    """The checkpoint that comes with the project for a rig; InputError where there is none."""
+    path = Path(__file__).parent / "weights" / f"{rig}.safetensors"
+    if not path.exists():
+        raise InputError(f"no network is bundled for the rig '{rig}'; train one (python train.py) "
+                         "and give checkpoint=FILE")
+    return path
 
 
 def read_header(path: str | Path) -> Header:
@@ -134,27 +122,26 @@ def _check_content(content: dict[str, Any], path: Path) -> None:
     missing = sorted(_HEADER_KEYS - content.keys())
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}; it is incomplete, copy it anew")
-    targets = content["targets"]
     try:
-        rows = [targets[key] for key in ("mean", "std", "low", "high")]
-        rows.append([content["validation"]["rmse"][name] for name in TARGET_NAMES])
-        sound = (targets["names"] == list(TARGET_NAMES)
-                 and all(len(row) == len(TARGET_NAMES) for row in rows)
-                 and all(math.isfinite(value) for row in rows for value in row)
-                 and min(targets["std"]) > 0
+        targets = [content["targets"][key] for key in ("mean", "std")]
+        fabrics = [content["fabrics"][key] for key in ("low", "high", "deviation")]
+        sound = (len(targets[0]) in _TARGETS
+                 and all(len(row) == len(targets[0]) for row in targets)
+                 and all(len(row) == len(THETA_NAMES) for row in fabrics)
+                 and all(math.isfinite(value) for row in (*targets, *fabrics) for value in row)
+                 and min(*targets[1], *fabrics[2]) > 0
+                 and content["model"]["targets"] == len(targets[0])
+                 and isinstance(content["dataset"]["generation"], dict)
                  and isinstance(content["weights"]["sha256"], str)
                  and isinstance(content["dataset"]["sha256"], str))
     except (KeyError, TypeError, ValueError):
         sound = False
     if not sound:
-        raise InputError(f"{path}: targets, weights or dataset are not described as expected")
-    try:
-        _ = Header(path, content).errors
-    except InputError as error:
-        raise InputError(f"{path}: errors are not described as expected: {error}") from None
+        raise InputError(f"{path}: targets, fabrics, weights or dataset are not described as "
+                         "expected; copy it anew")
 
 
-def load_model(header: Header) -> DrapeNet:
+def load_model(header: Header) -> MapNet:
     """The network of a checkpoint, in float32 on the CPU, ready to predict.
 
     Raises:
@@ -164,13 +151,13 @@ def load_model(header: Header) -> DrapeNet:
     from safetensors import SafetensorError
     from safetensors.torch import load
 
-    from drapenet.model import DrapeNet
+    from drapenet.network import MapNet
 
     data = header.path.read_bytes()
     if hashlib.sha256(data).hexdigest() != header.content["weights"]["sha256"]:
         raise InputError(f"{header.path} is not the file that its JSON describes; copy both anew")
     try:
-        model = DrapeNet(**header.content["model"])
+        model = MapNet(**header.content["model"])
         tensors = {name: value.to(torch.float32) if value.is_floating_point() else value
                    for name, value in load(data).items()}
         model.load_state_dict(tensors, strict=True)

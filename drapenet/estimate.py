@@ -1,143 +1,217 @@
-"""From a prediction to ``estimate.json``."""
+"""The estimate of one fabric: samples of its moduli, with names, circumstances and doubts.
 
-import math
-from dataclasses import dataclass
+All that people see is taken from the samples: medians, intervals, correlations, the band of the
+torque-curvature law. The network's answer and a refinement's are estimates alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from data.captures import Capture
-from data.fabrics import from_theta
+from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header
-from drapenet.convention import LINEAR, RATIO, STIFF_SOFT
-from drapenet.predict import Prediction, in_order
-from drapenet.table import error_table, moduli_table
-from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bias_limit
+from drapenet.convention import FIRST, SECOND, STIFF_SOFT, SWAPPED, WARP_WEFT
+from drapenet.predict import Draws
+from sim.material import (
+    MICRO,
+    NANO,
+    REFERENCE_DENSITY,
+    Fabric,
+    is_admissible,
+    torque,
+)
 
 SCHEMA = "drapenet-estimate"
-SCHEMA_VERSION = 1
-LEAST_CONFIDENCE = 0.2
-"""Confidence in the stiff axis below which warp and weft are not told apart."""
-
-NAMES = {"stiff/soft": STIFF_SOFT, "warp stiff": ("warp", "bias", "weft"),
-         "weft stiff": ("weft", "bias", "warp")}
+SCHEMA_VERSION = 2
+INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
+POOR = 0.7
+"""Standard deviation of a modulus, over its spread over fabrics, from which it is called poorly
+constrained."""
+CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
+LEAST_SURE = 0.8  # probability of the stiffer yarns' direction, below which it is in doubt
+MARK, DOUBTFUL_MARK = np.radians(10.0), np.radians(20.0)
+"""How far from a marked warp a sample's yarns may lie to count; where their median is doubted."""
+LEAST_AGREEING = 0.25  # share of samples that count however far they lie from the mark
+MOST_IMPOSSIBLE = 0.2  # share of the network's samples
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fabric's moduli with their circumstances.
+    """What is known of a fabric.
 
     Attributes:
-        fabric: moduli in the order stiff, bias, soft, at the fabric's density.
-        names: of the three directions: stiff, bias, soft, or warp, bias, weft in the order of
-            ``fabric``.
-        convention: ``stiff/soft`` or ``warp/weft``.
-        prediction: what the network said, its mean error on cloth not taken off; after a
-            refinement its targets and axis are what was found.
+        samples: (S, 6) theta at 300 g/m² (:mod:`data.fabrics`), in the order of ``names``.
+        names: of the three directions, warp, bias, weft or stiff, bias, soft.
+        axis: direction of the first yarns in the first view, rad in [0, pi).
+        certainty: probability that those are the first yarns, from 0.5 to 1.
+        density: kg/m², of the fabric.
+        spread: (6,) standard deviation of theta over fabrics.
         warnings: one line each.
     """
 
-    fabric: Fabric
+    samples: np.ndarray
     names: tuple[str, str, str]
-    convention: str
-    prediction: Prediction
-    warnings: tuple[str, ...]
+    axis: float
+    certainty: float
+    density: float
+    spread: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def convention(self) -> str:
+        """``warp/weft`` or ``stiff/soft``."""
+        return f"{self.names[0]}/{self.names[2]}"
+
+    @property
+    def theta(self) -> np.ndarray:
+        """(6,) medians; where no cloth has them, the sample nearest to them."""
+        middle = np.median(self.samples, axis=0)
+        if is_admissible(*from_theta(middle)):
+            return middle
+        away = (self.samples - middle) / self.spread
+        return self.samples[np.square(away).sum(axis=1).argmin()]
+
+    @property
+    def fabric(self) -> Fabric:
+        """The fabric of :attr:`theta` at its density, the first yarns in place of the warp."""
+        return fabric_from_theta(self.theta).at_density(self.density)
+
+    @property
+    def normal(self) -> GaussianPrior:
+        """The normal distribution with the samples' mean and covariance."""
+        return GaussianPrior(self.samples.mean(axis=0), np.cov(self.samples.T), fabrics=0)
+
+    @property
+    def constraint(self) -> np.ndarray:
+        """(6,) standard deviation of each entry of theta over its spread over fabrics."""
+        return self.samples.std(axis=0) / self.spread
+
+    def moduli(self, density: float) -> tuple[np.ndarray, np.ndarray]:
+        """alpha (S, 3) N·m and beta (S, 3) N·m² of a fabric of this ``density``, kg/m²."""
+        alpha, beta = from_theta(self.samples)
+        scale = density / REFERENCE_DENSITY
+        return alpha * scale, beta * scale
 
 
-def make_estimate(prediction: Prediction, *, capture: Capture, header: Header) -> Estimate:
-    """Name the directions, scale to the fabric's density, and say what is doubtful."""
-    warnings = [*capture.warnings, *_doubts(prediction, header)]
-    names, direction_doubts = _name_directions(prediction, capture.warp_direction)
-    alpha, beta = from_theta(belief(prediction, header).mean)
-    limit = bias_limit(alpha)
-    if alpha[1] <= limit * 1.001:
-        warnings.append("no plate is as soft along the bias as the predicted "
-                        f"{alpha[1] / MICRO:.3g} µN·m at 300 g/m²; the nearest possible value is "
-                        "given")
-        beta = beta * np.array([1, 1.01 * limit / alpha[1], 1])
-        alpha = np.array([alpha[0], 1.01 * limit, alpha[2]])
-    fabric = Fabric(alpha=alpha, beta=beta, density=REFERENCE_DENSITY).at_density(capture.density)
-    convention = "warp/weft" if "warp" in names else "stiff/soft"
-    return Estimate(fabric, names, convention, prediction, (*warnings, *direction_doubts))
+def make_estimate(draws: Draws, *, capture: Capture, header: Header) -> Estimate:
+    """Name the directions, and say what is doubtful."""
+    theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
+    names = STIFF_SOFT if capture.warp_direction is None else WARP_WEFT
+    spread = header.fabrics("deviation")
+    spread = (spread + spread[SWAPPED]) / 2  # the yarns are named otherwise than the dataset's
+    estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, spread,
+                        (*capture.warnings, *doubts))
+    low, high = (np.stack([edge, edge[SWAPPED]]) for edge in map(header.fabrics, ("low", "high")))
+    outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
+    lines = [f"{name} lies outside the fabrics of the training set: an extrapolation"
+             for name, out in zip(modulus_names(names), outside, strict=True) if out]
+    if draws.impossible > MOST_IMPOSSIBLE:
+        lines.append(f"{draws.impossible:.0%} of what agrees with the views are moduli that no "
+                     "plate can have, and were left out: check the specimen and the pictures")
+    return replace(estimate, warnings=(*estimate.warnings, *lines))
 
 
-def _doubts(prediction: Prediction, header: Header) -> list[str]:
-    """Where the estimate leaves the training data, or the view orders disagree."""
-    targets = header.content["targets"]
-    doubts = []
-    for part, what in ((LINEAR, "alpha"), (RATIO, "beta/alpha")):
-        values = prediction.targets[part]
-        outside = (values < targets["low"][part]) | (values > targets["high"][part])
-        if outside.any():
-            directions = ", ".join(np.array(STIFF_SOFT)[outside])
-            doubts.append(f"{what} ({directions}) lies outside the fabrics of the training set: "
-                          "an extrapolation")
-    errors = header.errors.deviation
-    if (prediction.spread[LINEAR] > errors[LINEAR]).any():
-        doubts.append("the view orders disagree more than the network's usual error: look for "
-                      "a wrong view order, a wrong turn, or noise")
-    return doubts
+def _ordered(
+    draws: Draws, warp: float | None
+) -> tuple[np.ndarray, float, float, list[str]]:
+    """Samples with one first yarn direction, that direction, rad, how certain it is, and doubts.
 
-
-def belief(prediction: Prediction, header: Header) -> GaussianPrior:
-    """What the network's word says of the theta of real cloth, its errors being what they are.
-
-    Their mean is taken off, and they go together (:attr:`.checkpoint.Header.errors`). Beyond the
-    fabrics trained on, the distance to them is added.
+    It is the marked warp, or else that of the stiffer yarns.
     """
-    targets, values = header.content["targets"], prediction.targets
-    beyond = np.maximum(np.maximum(targets["low"] - values, values - targets["high"]), 0.0)
-    errors = header.errors
-    return GaussianPrior(in_order(values - errors.mean_at(values)),
-                         errors.covariance + np.diag(beyond**2), fabrics=0)
-
-
-def _name_directions(
-    prediction: Prediction, warp_direction: float | None
-) -> tuple[tuple[str, str, str], list[str]]:
-    """Names of the directions in the order stiff, bias, soft, and doubts about them."""
-    certain = prediction.axis_confidence >= LEAST_CONFIDENCE
-    if not certain:
-        doubts = ["the direction of the stiff axis is not identifiable (confidence "
-                  f"{prediction.axis_confidence:.2f}): the fabric drapes alike along both yarns, "
-                  "or the views are not upright or not in their order"]
-        if warp_direction is not None:
-            doubts.append("warp and weft are not told apart although the warp is marked; "
-                          "the larger alpha is called stiff")
-        return NAMES["stiff/soft"], doubts
-    if warp_direction is None:
-        return NAMES["stiff/soft"], []
-    turned = (prediction.axis - warp_direction) % math.pi
-    angle = math.degrees(min(turned, math.pi - turned))
+    soft = draws.theta[:, FIRST] < draws.theta[:, SECOND]
+    stiff = draws.axis + soft * (np.pi / 2)
+    first = np.angle(np.exp(2j * stiff).mean()) / 2 if warp is None else warp
+    certainty = float((np.cos(2 * (stiff - first)) >= 0).mean()) if warp is None else 1.0
+    along = np.cos(2 * (draws.axis - first)) >= 0
+    theta = np.where(along[:, None], draws.theta, draws.theta[:, SWAPPED])
     doubts = []
-    if 30 < angle < 60:
-        doubts.append(f"the stiff axis lies {angle:.0f}° from the marked warp, between the yarns: "
-                      "check warp_direction_deg")
-    return NAMES["warp stiff" if angle <= 45 else "weft stiff"], doubts
+    if certainty < LEAST_SURE:
+        doubts.append("the direction of the stiffer yarns is uncertain (probability "
+                      f"{certainty:.2f}): the fabric drapes alike along both yarns")
+    # From the nearer yarns of each sample: of a square all alike, of a disc as it drapes.
+    gap = np.abs(np.angle(np.exp(4j * (draws.axis - first)))) / 4
+    if warp is not None:
+        if np.median(gap) > DOUBTFUL_MARK:
+            doubts.append(f"the marked warp lies {np.degrees(np.median(gap)):.0f}° from the yarns "
+                          "found in the views: check warp_direction_deg")
+        theta = theta[gap <= max(MARK, np.quantile(gap, LEAST_AGREEING))]
+    return theta, float(first), certainty, doubts
 
 
-def to_json(estimate: Estimate, *, capture: Capture, header: Header) -> dict[str, Any]:
-    """The content of ``estimate.json``; every key names its unit."""
-    prediction, names = estimate.prediction, estimate.names
+def modulus_names(names: Sequence[str]) -> list[str]:
+    """Names of theta's entries along the directions ``names``."""
+    return [f"{what} {name}" for what in ("alpha", "beta/alpha") for name in names]
+
+
+def quantiles(values: np.ndarray, level: float) -> list[float]:
+    """[low, high] of the central interval of ``values`` (S,)."""
+    return np.quantile(values, [(1 - level) / 2, (1 + level) / 2]).tolist()
+
+
+def to_json(
+    estimate: Estimate, *, capture: dict[str, Any], source: dict[str, Any]
+) -> dict[str, Any]:
+    """The content of ``estimate.json``; every key names its unit.
+
+    Args:
+        capture: what was captured: folder or file, density, rig.
+        source: what the estimate was made with, under its own keys.
+    """
+    names = estimate.names
+    poor = [name for name, share in zip(modulus_names(names), estimate.constraint, strict=True)
+            if share > POOR]
+    torques = {name: _law(estimate, k) for k, name in enumerate(names)}
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
         "convention": estimate.convention,
-        "capture": {
-            "folder": str(capture.path),
-            "density_g_m2": round(capture.density * 1e3, 6),
-            "rig": capture.rig,
+        "capture": capture,
+        "moduli": interval_table(estimate, estimate.density),
+        "moduli_at_300_g_m2": interval_table(estimate, REFERENCE_DENSITY),
+        "correlations": {
+            "of": [f"{'log ' if k < 3 else ''}{name}"
+                   for k, name in enumerate(modulus_names(names))],
+            "matrix": np.corrcoef(estimate.samples.T).round(3).tolist(),
         },
-        "moduli": moduli_table(names, estimate.fabric),
-        "moduli_at_300_g_m2": moduli_table(names, estimate.fabric.at_density(REFERENCE_DENSITY)),
-        "spread_over_view_orders": error_table(names, prediction.spread),
-        "typical_error": error_table(names, belief(prediction, header).deviation),
-        "stiff_axis": {
-            "direction_deg": math.degrees(prediction.axis),
+        "share_of_spread_over_fabrics": dict(zip(modulus_names(names),
+                                                 estimate.constraint.round(3).tolist(),
+                                                 strict=True)),
+        "poorly_constrained": poor,
+        "torque_mN": {"curvature_1_m": CURVATURES.tolist(), **torques},
+        f"{names[0]}_axis": {
+            "direction_deg": float(np.degrees(estimate.axis)),
             "meaning": "in the first view, 0 to the right, 90 away from the camera, modulo 180",
-            "confidence": prediction.axis_confidence,
+            "probability": round(estimate.certainty, 3),
         },
-        "checkpoint": header.identity,
+        **source,
         "warnings": list(estimate.warnings),
     }
+
+
+def interval_table(estimate: Estimate, density: float) -> dict[str, dict[str, Any]]:
+    """Medians and intervals of the moduli by direction, in the units that people see."""
+    alpha, beta = estimate.moduli(density)
+    units = {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO,
+             "beta_over_alpha_mm": 1e3 * beta / alpha}
+    return {name: {unit: {"median": float(np.median(values[:, k])),
+                          **{key: quantiles(values[:, k], level)
+                             for key, level in INTERVALS.items()}}
+                   for unit, values in units.items()}
+            for k, name in enumerate(estimate.names)}
+
+
+def torque_samples(estimate: Estimate, direction: int, curvature: np.ndarray) -> np.ndarray:
+    """(S, C) torque per width, N, of each sample at ``curvature`` (C,), 1/m."""
+    alpha, beta = (part[:, direction, None] for part in estimate.moduli(estimate.density))
+    return torque(curvature, alpha, beta)
+
+
+def _law(estimate: Estimate, direction: int) -> dict[str, Any]:
+    values = torque_samples(estimate, direction, CURVATURES) * 1e3
+    return {"median": np.median(values, axis=0).tolist(),
+            **{key: np.transpose([quantiles(column, level) for column in values.T]).tolist()
+               for key, level in INTERVALS.items()}}

@@ -1,20 +1,22 @@
-"""How good is a checkpoint on fabrics and drapes that nobody has seen?
+"""How good is a checkpoint on fabrics and drapes that nobody has seen, and do its intervals hold?
 
-    python -m drapenet.evaluate [checkpoint=FILE] [drapes=N] [data=DIR] [out=DIR]
+    python -m drapenet.evaluate [rig=NAME] [checkpoint=FILE] [drapes=N] [fabrics=TABLE.csv]
 
-Draws new fabrics from the prior, drapes and renders them (``outputs/evaluate/dataset``, which is
-completed if it exists), or takes the dataset ``data``, rendered now if it has no views. Adds the
-sensor's noise, asks the network about every capture, and writes ``evaluation.json``. Errors are
-those of its mean over the view orders, without and with its mean error on cloth subtracted as
-``infer.py`` does, in units of the training set's standard deviation, beside those of always
-predicting the training set's mean.
+Draws new fabrics from the prior, or from a table of measured ones, drapes them, makes captures, and
+asks the network as ``infer.py`` does. The matrix varies one thing at a time: mesh, sensor, pose,
+views, membrane, friction, softness. Drapes and maps of captures are kept in ``out``; an interrupted
+evaluation goes on. Errors are root mean squares over drapes and directions of the posterior's mean,
+in units of the training fabrics' standard deviation; their intervals are those of a bootstrap over
+fabrics.
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from common.ctrl_c import deferred
 
@@ -27,128 +29,207 @@ from common.cli import parse_overrides, run_command
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
 from data.configs import compose_config, read_config
-from data.fresh import open_views
+from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
+from data.nuisances import NuisanceConfig
 from data.options import Options, config_from_options
-from data.sensor import load_sensor
-from data.splits import SplitDataset, finished_manifest
-from drapenet.checkpoint import BUNDLED, Header, load_model, read_header
-from drapenet.metrics import regression_metrics
-from drapenet.predict import average_orders
-from drapenet.targets import direction_vectors, to_stiff_soft
+from data.prior.table import TablePrior
+from data.records import DatasetConfig
+from data.sampling import SOFT
+from drapenet.checkpoint import Header, bundled, load_model, read_header
+from drapenet.coverage import LEVELS, covered, ranks
+from drapenet.maps import WEIGHT_UNIT, Maps, make_maps
+from drapenet.network import MapNet, known_of
+from drapenet.predict import sample_targets
+from drapenet.targets import MODULI, targets_of
+from sim.scene import Rig
+
+_AT_ONCE = 64  # captures
+_RESAMPLES = 400  # of the bootstrap
+_FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
+_STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
+
+Rows = Callable[[Maps], np.ndarray]
+"""(N,) bool: which captures a cell looks at."""
 
 
-def evaluate(header: Header, drapes: SplitDataset) -> dict:
-    """Errors of a checkpoint on all converged drapes of a dataset, and of the mean's.
+@dataclass(frozen=True)
+class Cell:
+    """One entry of the matrix.
 
-    Raises:
-        InputError: the dataset is of another rig, or the one that the checkpoint was trained on.
+    Attributes:
+        drapes: which dataset it looks at, a key of :func:`datasets`.
+        setups: what replaces entries of the trained set-ups.
+        known: whether membrane and friction are given to the network.
+        rows: only some captures.
     """
-    require_unseen(header, drapes.manifest["config"])
-    model, form, scale = load_model(header), header.form, header.scale
-    outputs, targets, axes = [], [], []
-    for item in tqdm(drapes, desc="estimating", unit="capture"):
-        moduli, direction = average_orders(model, item["views"], form=form)
-        outputs.append(torch.cat([moduli.mean(dim=0), direction.mean(dim=0)]))
-        theta = torch.from_numpy(item["theta"])
-        targets.append(scale.encode(to_stiff_soft(theta)))
-        axes.append(direction_vectors(theta, torch.tensor(float(item["orientation"]))))
-    columns = [torch.stack(column) for column in (outputs, targets, axes)]
-    said = scale.decode(columns[0][:, :6])
-    mean_errors = np.array([header.errors.mean_at(one) for one in said.double().numpy()])
-    corrected = torch.cat([scale.encode(said - torch.from_numpy(mean_errors).to(said)),
-                           columns[0][:, 6:]], dim=1)
+
+    drapes: str = "as trained"
+    setups: dict[str, Any] = field(default_factory=dict)
+    known: bool = False
+    rows: Rows | None = None
+
+
+def _views(count: int) -> dict[str, Any]:
+    return {"views": tuple(float(k == count) for k in range(1, 9))}
+
+
+def _fixed(name: str, value: float) -> dict[str, Any]:
+    return {name: (value, value)}
+
+
+CELLS: dict[str, Cell] = {
+    "as trained": Cell(),
+    "without nuisances": Cell("none", {**_views(4), "sensors": {"smooth": 1.0}}, known=True),
+    "finer mesh": Cell("finer mesh"),
+    **{f"sensor {name}": Cell(setups={"sensors": {name: 1.0}})
+       for name in ("smooth", "paper", "tof")},
+    **{f"views {count}": Cell(setups=_views(count)) for count in (1, 2, 4, 8)},
+    **{f"pitch {degrees}°": Cell(setups=_fixed("pitch", np.radians(degrees)))
+       for degrees in (25, 50)},
+    **{f"distance {metres} m": Cell(setups=_fixed("distance", metres)) for metres in (0.4, 0.7)},
+    "membrane x 3": Cell("membrane x 3"),
+    "membrane / 3": Cell("membrane / 3"),
+    "friction above 150 µN": Cell(
+        rows=lambda maps: maps.nuisance("friction") > _STIFF_FRICTION),
+    "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
+}
+
+
+def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
+    """The drapes that the matrix needs, from those ``base`` that are like the ones trained on."""
+    real = base.sampling.nuisances
+    middle = float(np.sqrt(np.prod(real.membrane)))
+    few = replace(base, drapes=-(-base.drapes // FEWER))
+
+    def other(nuisances: NuisanceConfig) -> DatasetConfig:
+        return replace(few, sampling=replace(base.sampling, nuisances=nuisances))
+
     return {
-        "checkpoint": header.identity,
-        "dataset": {
-            "sha256": drapes.hash,
-            "fabrics": len(set(drapes.fabric.tolist())),
-            "drapes": drapes.drapes,
-            "not_converged": drapes.left_out.total(),
-        },
-        "network": regression_metrics(*columns),
-        "network_less_mean_error": regression_metrics(corrected, *columns[1:]),
-        "training_mean": regression_metrics(torch.zeros_like(columns[0]), *columns[1:]),
+        "as trained": base,
+        "none": other(NuisanceConfig()),
+        "finer mesh": replace(few, edge=_FINER),
+        **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
+           for sign, value in (("x", 3 * middle), ("/", middle / 3))},
     }
 
 
+FEWER = 5  # times as many captures are like those trained on as there are of any other kind
+
+
+@torch.no_grad()
+def judge(network: MapNet, header: Header, maps: Maps, *, known: bool) -> dict[str, Any]:
+    """Errors and coverage on captures of unseen fabrics.
+
+    Args:
+        network: of ``header``, in evaluation mode.
+        known: whether the network is given membrane and friction.
+    """
+    rig = Rig.from_name(header.rig)
+    truth = targets_of(maps.theta, maps.warp, disc=rig.specimen == "disc")
+    means, places = [], []
+    for rows in np.array_split(np.arange(len(maps)), -(-len(maps) // _AT_ONCE)):
+        given = [np.where(known, maps.nuisance(name)[rows], np.nan)
+                 for name in ("membrane", "friction")]
+        samples = sample_targets(
+            network, header, torch.from_numpy(maps.distance[rows]).float(),
+            torch.from_numpy(maps.weight[rows]) * WEIGHT_UNIT,
+            known_of(torch.from_numpy(maps.views[rows]), *map(torch.from_numpy, given)))
+        means.append(samples.mean(axis=0)[:, :MODULI])
+        places.append(ranks(samples, truth[rows])[:, :MODULI])
+    spread = header.scale.std[:MODULI]
+    errors = (np.concatenate(means) - truth[:, :MODULI]) / spread
+    places = np.concatenate(places)
+    return {
+        "log_alpha": _figure(errors[:, :3], maps.fabric),
+        "beta_over_alpha": _figure(errors[:, 3:], maps.fabric),
+        "prior": {"log_alpha": float(np.std(truth[:, :3] / spread[:3], axis=0).mean()),
+                  "beta_over_alpha": float(np.std(truth[:, 3:6] / spread[3:], axis=0).mean())},
+        "inside": {f"{level:.0%}": {"mean": float(share.mean()), "each": share.round(3).tolist()}
+                   for level, share in zip(LEVELS, covered(places), strict=True)},
+        "captures": len(maps), "drapes": len(np.unique(maps.index)),
+    }
+
+
+def _figure(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
+    """Root mean square of errors (N, 3), and its 95 % interval over fabrics (N,)."""
+    _, place = np.unique(fabric, return_inverse=True)
+    count = np.bincount(place)
+    squares = np.bincount(place, np.square(errors).mean(axis=1))
+    drawn = np.random.default_rng(0).integers(len(count), size=(_RESAMPLES, len(count)))
+    resampled = np.sqrt(squares[drawn].sum(axis=1) / count[drawn].sum(axis=1))
+    return {"rmse": float(np.sqrt(squares.sum() / count.sum())),
+            "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist()}
+
+
 def require_unseen(header: Header, generation: dict) -> None:
-    """Check that a dataset's configuration gives drapes of the rig, but not of the fabrics, that
-    a checkpoint was trained on.
+    """Check that a dataset's configuration gives none of the fabrics that a checkpoint has seen.
 
     Args:
         generation: :meth:`data.records.DatasetConfig.as_dict`.
 
     Raises:
-        InputError: it does not.
+        InputError: the datasets have one seed and prior.
     """
-    rig = generation["rig"]["name"]
-    if rig != header.rig:
-        raise InputError(f"the drapes are of the rig '{rig}', the checkpoint of '{header.rig}'")
+    training = header.content["dataset"]["generation"]
     # A fabric depends on the prior, the seed and its index only.
-    for training in (dataset["generation"] for dataset in header.datasets):
-        if (generation["prior"] == training["prior"]
-                and generation["sampling"]["seed"] == training["sampling"]["seed"]):
-            raise InputError("a training set has the same seed and prior, so that its fabrics "
-                             "are not unseen; choose another seed")
+    if (generation["prior"] == training["prior"]
+            and generation["sampling"]["seed"] == training["sampling"]["seed"]):
+        raise InputError("the training set has the same seed and prior, so that its fabrics are "
+                         "not unseen; choose another seed")
 
 
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/evaluate.yaml``."""
     config = parse_overrides(read_config("evaluate"), argv)
-    if config["orientations"] < 1:
-        raise InputError(f"orientations={config['orientations']} must be at least 1")
-    out, data = folder_named(config["out"]), config["data"]
+    header = read_header(config["checkpoint"] or bundled(config["rig"]))
+    out = folder_named(config["out"]) / header.rig
     require_folder(out)
-    header = read_header(config["checkpoint"] or BUNDLED)
-    noise = load_sensor(config["sensor"])  # before minutes of simulation
-    if data:
-        require_unseen(header, finished_manifest(data)["config"])
-    else:
-        data = out / "dataset"
-        make_dataset(header, data, config)
-    drapes = open_views(data, noise=noise,
-                        orientations_per_epoch=config["orientations"], seed=config["seed"])
-    result = evaluate(header, drapes)
-    replace_json(out / "evaluation.json", result)
-    print(format_result(result))
+    network = load_model(header)
+    base = make_config(header, config)
+    require_unseen(header, base.as_dict())
+    cells = CELLS
+    if config["fabrics"]:
+        base = replace(base, prior=TablePrior.fit(read_fabric_table(config["fabrics"]).theta),
+                       sampling=replace(base.sampling, soft_share=0.0))
+        cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
+        out = out / Path(config["fabrics"]).stem
+    results = {}
+    few = -(-base.drapes // (FEWER * base.drapes_per_shard))  # shards of other captures
+    for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
+        folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
+        generate_dataset(datasets(base)[cell.drapes], folder, workers=config["workers"])
+        maps = make_maps(folder, folder, rig=Rig.from_name(header.rig),
+                         setups=replace(header.setups, **cell.setups),
+                         captures=config["captures"], seed=config["seed"],
+                         workers=config["workers"], shards=few if cell.setups else None)
+        if cell.rows is not None:
+            maps = maps.chosen(cell.rows(maps))
+        if not len(maps):
+            continue
+        results[name] = judge(network, header, maps, known=cell.known)
+        tqdm.write(format_cell(name, results[name]))
+    replace_json(out / "evaluation.json", {"checkpoint": header.identity, "cells": results})
     print(f"written to {out / 'evaluation.json'}")
 
 
-def make_dataset(header: Header, root: Path, config: dict) -> None:
-    """Make or complete the dataset that the command line asks for; InputError if a fabric of it may
-    have been seen.
-    """
-    words = [f"{key}={config[key]}" for key in ("drapes", "seed", "edge_mm", "prior")]
-    words += ["dataset.starts_per_fabric=1",
-              f"dataset.orientations={config['orientations']}"]
-    options = compose_config("generate", words, schema=Options)
-    generation = config_from_options(options)
-    require_unseen(header, generation.as_dict())  # now, because making the drapes takes minutes
-    generate_dataset(generation, root, workers=config["workers"])
+def make_config(header: Header, config: dict[str, Any]) -> DatasetConfig:
+    """New drapes as those that a checkpoint was trained on were made."""
+    training = header.content["dataset"]["generation"]
+    words = [f"{key}={config[key]}" for key in ("drapes", "seed")]
+    words += [f"rig={header.rig}", "dataset=specimens", "nuisances=real",
+              f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
+              f"edge_mm={training['solver']['edge_mm']}"]
+    return config_from_options(compose_config("generate", words, schema=Options))
 
 
-def format_result(result: dict) -> str:
-    """The main figures as lines for a terminal."""
-    data, network, mean = result["dataset"], result["network"], result["training_mean"]
-    corrected = result["network_less_mean_error"]
-    lines = [f"{network['samples']} captures of {data['drapes']} drapes of {data['fabrics']} "
-             f"unseen fabrics ({data['not_converged']} drapes left out: not converged)",
-             f"{'standardised RMSE':28}{'network':>9}{'mean':>7}{'ratio':>7}"]
-    for key, name in (("rmse_log_alpha", "log alpha, all directions"),
-                      ("rmse_beta_over_alpha", "beta/alpha, all directions")):
-        lines.append(_line(name, network[key], mean[key]))
-    lines.append(_line("log alpha less mean error", corrected["rmse_log_alpha"],
-                       mean["rmse_log_alpha"]))
-    lines += [_line(name, value, mean["rmse"][name]) for name, value in network["rmse"].items()]
-    if network["axis_error_deg"] is not None:
-        error = network["axis_error_deg"]
-        lines.append(f"{'stiff axis, median error':28}{error:8.1f}° (45° by chance)")
-    return "\n".join(lines)
-
-
-def _line(name: str, network: float, mean: float) -> str:
-    return f"{name:28}{network:9.3f}{mean:7.3f}{network / mean:7.3f}"
+def format_cell(name: str, result: dict[str, Any]) -> str:
+    """One line for a terminal and for scripts."""
+    inside = result["inside"]
+    return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
+            f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, "
+            f"inside 68 %: {inside['68%']['mean']:.3f}, "
+            f"inside 90 %: {inside['90%']['mean']:.3f}, n {result['captures']}")
 
 
 def entry() -> NoReturn:

@@ -1,92 +1,90 @@
-"""Estimates from views: the network's mean over all equivalent view orders.
+"""From maps of captures to samples of the posterior, by the network.
 
-The views may start anywhere in the circle and may be mirrored (:mod:`data.view_order`); the
-network is asked about all eight orders. Their mean is better than one answer, and their spread
-is the least uncertainty that an estimate can claim.
+A drape turned by the symmetries of its specimen, or reflected, is as likely a drape of the same
+fabric. So the network is asked about eight such maps, and the posterior is the mixture of its eight
+answers: wider where they disagree.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from data.view_order import ORDERS, reorder_views, restore_axis
-from drapenet.losses import split_outputs
-from drapenet.preprocess import InputFormat, prepare
-from drapenet.targets import SOFT, STIFF, TargetScale, axis_angle, to_moduli
+from data.fabrics import from_theta
+from drapenet.canonical import DrapeMap
+from drapenet.checkpoint import Header
+from drapenet.maps import WEIGHT_UNIT, compressed
+from drapenet.network import MapNet, known_of
+from drapenet.targets import MODULI, Symmetry
+from sim.material import is_admissible
+
+DRAWS = 500
+"""Samples of each of the eight answers."""
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """What the network says about one capture, at 300 g/m².
+class Draws:
+    """Samples of one capture's posterior.
 
     Attributes:
-        targets: (6,) in their units, see :mod:`drapenet.convention`.
-        spread: (6,) standard deviation over the eight view orders, in the targets' units.
-        axis: direction of the stiff axis in the first view, rad in [0, pi).
-        axis_confidence: in [0, 1]. 0: no direction (nearly isotropic fabric, or the view orders
-            disagree); 1: a strongly anisotropic fabric and one answer.
+        theta: (S, 6) at 300 g/m²: of one of the two yarns, the bias, the other yarn.
+        axis: (S,) direction of the first of them in the first view, rad.
+        impossible: share of what the network said that no cloth can have, and that was left out.
     """
 
-    targets: np.ndarray
-    spread: np.ndarray
-    axis: float
-    axis_confidence: float
-
-    @property
-    def moduli(self) -> tuple[np.ndarray, np.ndarray]:
-        """alpha (3,) N·m and beta (3,) N·m², stiff, bias, soft."""
-        alpha, beta = to_moduli(torch.from_numpy(self.targets))
-        return alpha.numpy(), beta.numpy()
-
-
-def in_order(targets: np.ndarray) -> np.ndarray:
-    """targets (6,) whose stiff alpha is no smaller than the soft one.
-
-    Stiff is the larger by definition; equal moduli are the nearest that agree with it.
-    """
-    targets = targets.copy()
-    if targets[STIFF] < targets[SOFT]:
-        targets[[STIFF, SOFT]] = targets[[STIFF, SOFT]].mean()
-    return targets
+    theta: np.ndarray
+    axis: np.ndarray
+    impossible: float
 
 
 @torch.no_grad()
-def average_orders(
-    model: torch.nn.Module, views: np.ndarray, *, form: InputFormat
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Outputs of the network for all view orders of one capture, in the capture's own order.
+def sample_targets(
+    network: MapNet, header: Header, distance: torch.Tensor, weight: torch.Tensor,
+    known: torch.Tensor,
+) -> np.ndarray:
+    """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.targets`), in their units.
 
     Args:
-        model: in evaluation mode.
-        views: (4, H, W) z-depth, m, background 0.
-        form: the network's input.
-
-    Returns:
-        Standardised targets (8, 6) and stiff axes (8, 2), turned back to the first view.
+        network: of ``header``, in evaluation mode.
+        distance, weight, known: (N, ...) as the network takes them.
     """
-    orders = np.stack([reorder_views(views, first=first, mirror=mirror)
-                       for first, mirror in ORDERS])
-    device = next(model.parameters()).device
-    targets, axes = split_outputs(model(prepare(torch.from_numpy(orders), form=form).to(device)))
-    axes = axes.cpu()
-    angles = [restore_axis(angle, first=first, mirror=mirror)
-              for angle, (first, mirror) in zip(axis_angle(axes).tolist(), ORDERS, strict=True)]
-    doubled = 2 * torch.tensor(angles)
-    restored = torch.stack([doubled.cos(), doubled.sin()], dim=1) * axes.norm(dim=1, keepdim=True)
-    return targets.cpu(), restored
+    symmetry, many = Symmetry.all(), len(distance)
+    disc = len(header.scale.mean) > MODULI
+    drawn = []
+    for k in range(len(symmetry.cells)):
+        shown = Symmetry(symmetry.cells[k].expand(many), symmetry.mirror[k].expand(many))
+        mixture = network(shown.of_maps(distance), shown.of_maps(weight), known).cpu()
+        samples = mixture.sample(DRAWS, torch.Generator().manual_seed(k)).double()
+        targets = torch.from_numpy(header.scale.decode(samples.numpy()))
+        drawn += [shown.undone(part, disc=disc) for part in targets]
+    return torch.stack(drawn).numpy()
 
 
 def predict(
-    model: torch.nn.Module, views: np.ndarray, *, form: InputFormat, scale: TargetScale
-) -> Prediction:
-    """Estimate one capture; arguments as for :func:`average_orders`."""
-    targets, axes = average_orders(model, views, form=form)
-    axis = axes.mean(dim=0)
-    mean = scale.decode(targets.mean(dim=0)).double().numpy()
-    return Prediction(
-        targets=in_order(mean),
-        spread=(targets.std(dim=0, correction=0) * scale.std).double().numpy(),
-        axis=float(axis_angle(axis)),
-        axis_confidence=min(1.0, float(axis.norm())),
-    )
+    network: MapNet, header: Header, maps: Sequence[DrapeMap], *,
+    membrane: float | None = None, friction: float | None = None,
+) -> list[Draws]:
+    """The posterior of each capture.
+
+    Args:
+        network: of ``header``, in evaluation mode.
+        membrane: N/m along the yarns, friction: N·m per metre; where they are known.
+    """
+    distance, weight = map(torch.from_numpy, compressed(maps))
+    views = torch.tensor([len(one.turns) for one in maps])
+    given = [torch.full((len(maps),), np.nan if value is None else value)
+             for value in (membrane, friction)]
+    samples = sample_targets(network, header, distance.float(), weight * WEIGHT_UNIT,
+                             known_of(views, *given))
+    return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]
+
+
+def _draws(targets: np.ndarray, zero: float) -> Draws:
+    """Of targets (S, T), for a map that begins at ``zero``, rad."""
+    axis = np.full(len(targets), zero)
+    if targets.shape[1] > MODULI:
+        axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
+    possible = is_admissible(*from_theta(targets[:, :MODULI]))
+    kept = possible if possible.any() else ~possible
+    return Draws(targets[kept, :MODULI], axis[kept], float(1 - possible.mean()))

@@ -1,12 +1,15 @@
 """What can be read from a capture without a network: where the camera stood, and the folds."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from data.cameras import Camera, CameraRig
+from data.cameras import Camera
+from data.render import QUARTERS
+from data.setups import Setups
 from sim.scene import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
@@ -15,9 +18,8 @@ _SAMPLE = 6000  # points that the plate is looked for in
 _PITCHES = np.radians([25.0, 32.0, 38.0, 44.0, 50.0])
 """How far cameras may look down: the search for the plate begins with each."""
 FOLD_PROMINENCE = 3e-3  # m; smaller ripples of the radius are depth steps, not folds
-LARGEST_TILT, LARGEST_SHIFT = np.radians(5.0), 0.050
-"""rad and m, of the camera from its place on the rig: five standard deviations of set-ups; of sound
-captures at most 2.4° and 25 mm were found."""
+TILT, SHIFT = np.radians(2.0), 0.020
+"""rad and m, how far beyond the cameras trained with one may be found: the errors of finding it."""
 
 
 def locate_camera(
@@ -90,45 +92,48 @@ def _plate(
     return normal, centre, weight
 
 
-def camera_doubts(camera: Camera, rig: CameraRig) -> list[str]:
-    """What to say, a line each, of a ``camera`` that :func:`locate_camera` found elsewhere than on
-    ``rig``.
+def camera_doubts(camera: Camera, setups: Setups) -> list[str]:
+    """What to say, a line each, of a ``camera`` found elsewhere than in the ``setups`` that the
+    network was trained on.
     """
     up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
     distance = float(np.linalg.norm(centre))
+    low, high = np.degrees(setups.pitch)
+    near, far = setups.distance
     doubts = []
-    if not abs(pitch - rig.pose.pitch) < LARGEST_TILT:
-        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal, the "
-                      f"rig's camera stands at {np.degrees(rig.pose.pitch):.0f}°: check that the "
-                      "pictures are upright, their intrinsics, and the camera's place")
-    if not abs(distance - rig.pose.distance) < LARGEST_SHIFT:
-        doubts.append(f"the plate is {1e3 * distance:.0f} mm away, on this rig "
-                      f"{1e3 * rig.pose.distance:.0f} mm: check the depth unit, the intrinsics and "
-                      "the camera's place")
+    if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
+        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal, "
+                      f"cameras must stand at {low:.0f}° to {high:.0f}°: check that the pictures "
+                      "are upright, their intrinsics, and the camera's place")
+    if not near - SHIFT < distance < far + SHIFT:
+        doubts.append(f"the plate is {1e3 * distance:.0f} mm away, cameras must stand at "
+                      f"{1e3 * near:.0f} to {1e3 * far:.0f} mm: check the depth unit, the "
+                      "intrinsics and the camera's place")
     return doubts
 
 
 def radius_profile(
-    views: np.ndarray, camera: Camera, *, height: float, bins: int = 180
+    views: np.ndarray, camera: Camera, *, height: float, turns: Sequence[float] = QUARTERS,
+    bins: int = 180,
 ) -> np.ndarray:
     """Distance (bins,), m, of the cloth from the axis around the drape at a height below the plate.
 
     Each view contributes mostly what faces the camera. NaN where no view saw any cloth.
 
     Args:
-        views: (4, H, W) z-depth, m, background 0.
-        camera: of all four, see :func:`locate_camera`.
+        views: (K, H, W) z-depth, m, background 0.
+        camera: of all of them, see :func:`locate_camera`.
         height: m above the plate; a band of 16 mm around it counts.
+        turns: (K,) rad, how far the table had turned in each view.
     """
     total, weight = np.zeros(bins), np.zeros(bins)
-    for k, view in enumerate(views):
+    for turn, view in zip(turns, views, strict=True):
         points = camera.cloth_points(view)
         band = points[np.abs(points[:, 2] - height) < 0.008]
         azimuth = np.arctan2(band[:, 1], band[:, 0])
         facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera stands at -y
-        # The table has turned by k quarter turns since the first view.
-        bin_of = np.floor((azimuth - k * np.pi / 2) / (2 * np.pi) * bins).astype(int) % bins
+        bin_of = np.floor((azimuth - turn) / (2 * np.pi) * bins).astype(int) % bins
         np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
         np.add.at(weight, bin_of, facing)
     return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
@@ -148,7 +153,7 @@ def count_folds(profile: np.ndarray) -> int:
 
 
 def silhouette_overlap(first: np.ndarray, second: np.ndarray) -> float:
-    """Mean intersection over union of the cloth in views (4, H, W) and (4, H, W)."""
+    """Mean intersection over union of the cloth in views (K, H, W) and (K, H, W)."""
     a, b = first > 0, second > 0
     union = (a | b).sum(axis=(1, 2))
     return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))

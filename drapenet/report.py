@@ -2,19 +2,19 @@
 
 import io
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from drapenet.estimate import Estimate
+from drapenet.estimate import Estimate, interval_table, torque_samples
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
-from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
+from drapenet.table import with_interval
 
 LARGEST_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
-COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # stiff, bias, soft
+COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # first yarns, bias, other yarns
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
@@ -24,14 +24,13 @@ def draw_report(
     resimulation: Resimulation | None,
     *,
     title: str,
-    content: dict[str, Any],
+    warnings: Sequence[str],
 ) -> bytes:
     """The report as a PNG file.
 
     Args:
-        views: (4, H, W) captured z-depth, m.
+        views: (K, H, W) captured z-depth, m.
         resimulation: None if the estimate could not be draped.
-        content: of ``estimate.json``: typical errors, for the bands of the curves, and warnings.
     """
     figure = Figure(figsize=(13, 12.5), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
@@ -41,26 +40,26 @@ def draw_report(
     limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
     rows = ["captured", "simulated with the estimate",
             "captured (grey), simulated (line)"]
-    pictures = upper.subplots(len(rows), 4)
+    pictures = upper.subplots(len(rows), len(views), squeeze=False)
     for axes in pictures.flat:
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
     for axes, label in zip(pictures[:, 0], rows, strict=True):
         axes.set_ylabel(label)
-    for k in range(4):
+    for k in range(len(views)):
         captured, drape = views[window][k], simulated[window][k]
         pictures[0, k].set_title(f"view {k}")
         image = _depth(pictures[0, k], captured, limits)
         _depth(pictures[1, k], drape, limits)
         _silhouettes(pictures[2, k], captured, drape)
     upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
-    grid = lower.add_gridspec(1, 3, width_ratios=(2, 1.2, 1))
-    _torques(lower.add_subplot(grid[0]), estimate, content["typical_error"])
+    grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
+    _torques(lower.add_subplot(grid[0]), estimate)
     _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
     _figures(lower.add_subplot(grid[2]), estimate, resimulation)
     figure.suptitle(title, fontsize=14)
-    if content["warnings"]:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in content["warnings"]),
+    if warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in warnings),
                          x=0.01, ha="left", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
@@ -91,31 +90,21 @@ def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> Non
         axes.contour(simulated > 0, levels=[0.5], colors=[SIMULATED], linewidths=1.2)
 
 
-def _torques(
-    axes: Axes, estimate: Estimate, typical_error: dict[str, dict[str, float]]
-) -> None:
-    curvature = np.linspace(0, LARGEST_CURVATURE, 400)
-    fabric = estimate.fabric
-    for name, alpha, beta, colour in zip(
-        estimate.names, fabric.alpha, fabric.beta, COLOURS, strict=True
-    ):
-        error = typical_error[name]["alpha_percent"] / 100
-        curve = torque(curvature, alpha, beta) * 1e3
-        axes.plot(curvature, curve, color=colour, lw=2, label=name)
-        axes.fill_between(curvature, curve / (1 + error), curve * (1 + error), color=colour,
-                          alpha=0.12, lw=0)
-        parabola = (alpha * curvature + beta * curvature**2) * 1e3
-        left = (-beta * curvature > SOFTENING_LIMIT * alpha) & (parabola > 0)
-        axes.plot(curvature[left], parabola[left], color=colour, lw=1, ls=":")
+def _torques(axes: Axes, estimate: Estimate) -> None:
+    curvature = np.linspace(0, LARGEST_CURVATURE, 100)
+    for k, (name, colour) in enumerate(zip(estimate.names, COLOURS, strict=True)):
+        curves = torque_samples(estimate, k, curvature) * 1e3
+        axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, label=name)
+        axes.fill_between(curvature, *np.quantile(curves, [0.16, 0.84], axis=0), color=colour,
+                          alpha=0.15, lw=0)
     axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, LARGEST_CURVATURE),
              ylim=(0, None))
-    axes.set_title("torque of a bent strip; dotted: alpha κ + beta κ², where the law leaves it;\n"
-                   "shaded: typical error of alpha", fontsize=10)
+    axes.set_title("torque of a bent strip; shaded: 68 % interval", fontsize=10)
     axes.legend(frameon=False, loc="upper left")
 
 
 def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
-    """Radius profiles and the stiff axis; angles as in the first view, 0 to the right."""
+    """Radius profiles and the first yarns; angles as in the first view, 0 to the right."""
     axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
                    fontsize=10)
     axes.tick_params(labelsize=7)
@@ -129,20 +118,20 @@ def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | Non
             axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
                       label=f"{name}: {folds} folds")
         largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
-    angle, confidence = estimate.prediction.axis, estimate.prediction.axis_confidence
+    angle, certainty = estimate.axis, estimate.certainty
     axes.plot([angle, angle + math.pi], [largest, largest], color=COLOURS[0], lw=2.5,
-              alpha=0.15 + 0.85 * confidence,
-              label=f"{estimate.names[0]} axis (confidence {confidence:.2f})")
+              alpha=max(0.15, 2 * certainty - 1),
+              label=f"{estimate.names[0]} yarns (probability {certainty:.2f})")
     axes.set_ylim(0, largest)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
 
 
 def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
-    fabric = estimate.fabric
-    lines = [f"at {fabric.density * 1e3:g} g/m² ({estimate.convention})", "",
-             f"{'':6}{'alpha':>8}{'beta':>9}", f"{'':6}{'µN·m':>8}{'nN·m²':>9}"]
-    lines += [f"{name:6}{alpha / MICRO:8.2f}{beta / NANO:9.1f}" for name, alpha, beta in
-              zip(estimate.names, fabric.alpha, fabric.beta, strict=True)]
+    lines = [f"at {estimate.density * 1e3:g} g/m², median and 68 % interval"]
+    for name, moduli in interval_table(estimate, estimate.density).items():
+        for quantity, unit in (("alpha_uN_m", "µN·m"), ("beta_nN_m2", "nN·m²")):
+            middle, interval = with_interval(moduli[quantity])
+            lines.append(f"{name:5} {quantity.partition('_')[0]:5} {middle:>7} ({interval}) {unit}")
     lines.append("")
     if resimulation is None:
         lines.append("no simulated drape converged")
@@ -150,6 +139,6 @@ def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) 
         captured, simulated = resimulation.folds
         lines += [f"folds: {captured} captured,", f"       {simulated} simulated",
                   f"silhouettes overlap {resimulation.overlap:.0%}"]
-    axes.text(0, 0.95, "\n".join(lines), family="monospace", fontsize=10, va="top",
+    axes.text(0, 0.95, "\n".join(lines), family="monospace", fontsize=9, va="top",
               transform=axes.transAxes)
     axes.axis("off")

@@ -6,18 +6,20 @@ The mirror image of a drape is as good a drape of the same fabric, and costs not
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from data.cameras import Camera
-from data.render import DepthRenderer
+from data.render import QUARTERS, DepthRenderer
 from drapenet.registration import count_folds, radius_profile, silhouette_overlap
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
+FIT_WIDTH = 120  # pixels, of the pictures compared for it
 EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
 PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
 LEAST_OVERLAP = 0.7
@@ -31,7 +33,7 @@ class Resimulation:
     """A drape of the estimate beside the captured one.
 
     Attributes:
-        views: (4, H, W) of the simulated drape, z-depth, m.
+        views: (K, H, W) of the simulated drape, z-depth, m.
         profiles: radius profiles (bins,), m, captured and simulated.
         folds: captured and simulated.
         overlap: mean intersection over union of the silhouettes.
@@ -72,17 +74,20 @@ def resimulate(
     rig: Rig,
     edge: float,
     drapes: int,
+    turns: Sequence[float] = QUARTERS,
 ) -> Resimulation | None:
     """Drape ``fabric`` as a capture shows it; None if no drape converges.
 
     Args:
         fabric: stiff along warp.
-        views: (4, H, W) captured z-depth, m, as ``camera`` saw them.
+        views: (K, H, W) captured z-depth, m, as ``camera`` saw them.
         edge: m, at the rim of the specimen's mesh.
+        turns: (K,) rad, how far the table had turned in each view.
         drapes: how many to make, at most as many as there are :data:`STARTS`.
     """
-    small = camera.resized(camera.width // 2, camera.height // 2)
-    captured = views[:, ::2, ::2] > 0
+    step = max(1, round(camera.width / FIT_WIDTH))
+    captured = views[:, ::step, ::step] > 0
+    small = camera.resized(captured.shape[2], captured.shape[1])
     best, statuses = None, []
     for start, seed in STARTS[:drapes]:
         result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed)
@@ -91,14 +96,15 @@ def resimulate(
             continue
         for side in (1, -1):
             renderer = DepthRenderer(result.positions * [side, 1, 1], result.faces)
-            overlap, orientation = _fit_orientation(renderer, small, captured)
+            overlap, orientation = _fit_orientation(renderer, small, captured, turns)
             if best is None or overlap > best[0]:
                 best = overlap, renderer, orientation, side, result
     if best is None:
         return None
     _, renderer, orientation, side, result = best
-    simulated = renderer.views(camera, orientation)
-    profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT) for v in (views, simulated))
+    simulated = renderer.views(camera, orientation, turns)
+    profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT, turns=turns)
+                     for v in (views, simulated))
     return Resimulation(
         views=simulated,
         profiles=profiles,
@@ -113,12 +119,14 @@ def resimulate(
 
 
 def _fit_orientation(
-    renderer: DepthRenderer, camera: Camera, captured: np.ndarray
+    renderer: DepthRenderer, camera: Camera, captured: np.ndarray, turns: Sequence[float]
 ) -> tuple[float, float]:
-    """Largest overlap with silhouettes (4, H, W) and the orientation, rad, that gives it."""
-    # A quarter turn moves each view to the next, so only a quarter needs rendering.
-    steps = [renderer.views(camera, turn * 2 * math.pi / TURNS) for turn in range(TURNS // 4)]
-    overlaps = [silhouette_overlap(captured, np.roll(views, -quarter, axis=0))
-                for quarter in range(4) for views in steps]
+    """Largest overlap with silhouettes (K, H, W) and the orientation, rad, that gives it."""
+    step = 2 * math.pi / TURNS
+    # Rendered once each: a view of one orientation is another's, as many steps on.
+    views = [renderer.view(camera, turn * step) for turn in range(TURNS)]
+    after = np.rint(np.asarray(turns) / step).astype(int)
+    overlaps = [silhouette_overlap(captured, np.stack([views[k] for k in (turn + after) % TURNS]))
+                for turn in range(TURNS)]
     turn = int(np.argmax(overlaps))
-    return overlaps[turn], turn * 2 * math.pi / TURNS
+    return overlaps[turn], turn * step

@@ -1,89 +1,118 @@
-"""What the network predicts: moduli in the stiff/soft convention, and the stiff axis.
+"""What the network's posterior is over: the moduli along the specimen's own yarns.
 
-The six targets, named in :mod:`drapenet.convention`, are the log alphas and the beta/alphas of
-the stiff yarn direction, the bias and the soft yarn direction, standardised with the mean and
-standard deviation of the training set. Where the stiff axis points in the first view is a second
-output, see :func:`direction_vectors`.
+A square is cut along its yarns and its map begins at a side: its six targets are theta
+(:mod:`data.fabrics`) with the yarns along azimuth 0 in place of the warp. Nothing shows the yarns
+of a disc, whose map begins anywhere: its targets are theta with the stiffer yarns first, and the
+two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
+single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) lets the vector shrink to zero
+where both yarns are alike and the stiffer ones jump by a right angle.
 """
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from drapenet.convention import LINEAR, RATIO
-from sim.material import BIAS, WARP, WEFT
+from drapenet.canonical import AZIMUTHS
+from drapenet.convention import FIRST, SECOND, SWAPPED
 
-STIFF, SOFT = 0, 2  # among (stiff, bias, soft)
-
-_WARP_STIFF = [WARP, BIAS, WEFT, 3 + WARP, 3 + BIAS, 3 + WEFT]
-_WEFT_STIFF = [WEFT, BIAS, WARP, 3 + WEFT, 3 + BIAS, 3 + WARP]
+MODULI = 6  # the first targets; a disc has two more
 
 
-def warp_is_stiff(theta: torch.Tensor) -> torch.Tensor:
-    """(...,) bool: whether the warp is the stiffer yarn direction of theta (..., 6)."""
-    return theta[..., WARP] >= theta[..., WEFT]
-
-
-def to_stiff_soft(theta: torch.Tensor) -> torch.Tensor:
-    """Targets (..., 6) of parameters theta (..., 6) in warp, bias, weft order."""
-    return torch.where(
-        warp_is_stiff(theta)[..., None], theta[..., _WARP_STIFF], theta[..., _WEFT_STIFF]
-    )
-
-
-def direction_vectors(theta: torch.Tensor, psi: torch.Tensor) -> torch.Tensor:
-    """w (cos 2 psi_stiff, sin 2 psi_stiff), the stiff axis weighted by the anisotropy.
-
-    The doubled angle makes an axis (no sense of direction) single-valued. The weight
-    w = tanh |log(alpha_stiff/alpha_soft)| lets the vector shrink to zero where the two yarn
-    directions are alike: there the stiff axis jumps by 90°, which turns the vector around.
+def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray:
+    """Targets (N, 6), or (N, 8) of discs, in their units.
 
     Args:
-        theta: (..., 6) parameters in warp, bias, weft order.
-        psi: (...,) direction of the warp in the first view, rad.
-
-    Returns:
-        (..., 2), of length below 1.
+        theta: (N, 6).
+        warp: (N,) direction of the warp in the map, rad.
     """
-    # A quarter turn of the axis turns the doubled angle by half a turn, which is the sign that
-    # the anisotropy log(alpha_warp/alpha_weft) has anyway.
-    weight = torch.tanh(theta[..., WARP] - theta[..., WEFT])
-    return weight[..., None] * torch.stack([torch.cos(2 * psi), torch.sin(2 * psi)], dim=-1)
+    if not disc:
+        odd = np.rint(warp / (np.pi / 2)).astype(int) % 2 == 1
+        return np.where(odd[:, None], theta[:, SWAPPED], theta)
+    soft = theta[:, FIRST] < theta[:, SECOND]
+    sorted_theta = np.where(soft[:, None], theta[:, SWAPPED], theta)
+    psi = warp + soft * (np.pi / 2)
+    weight = np.tanh(np.abs(theta[:, FIRST] - theta[:, SECOND]))
+    return np.column_stack([sorted_theta, weight * np.cos(2 * psi), weight * np.sin(2 * psi)])
 
 
-def axis_angle(vectors: torch.Tensor) -> torch.Tensor:
-    """Direction (...,) in [0, pi), rad, of the axis of vectors (..., 2)."""
-    return torch.remainder(torch.atan2(vectors[..., 1], vectors[..., 0]) / 2, torch.pi)
+@dataclass(frozen=True)
+class Symmetry:
+    """Turns and reflections of maps, after which they show an equally likely capture.
+
+    Attributes:
+        cells: (N,) int, azimuths by which the map is turned on: quarter turns of a square's.
+        mirror: (N,) bool, reflected at azimuth 0 first.
+    """
+
+    cells: torch.Tensor
+    mirror: torch.Tensor
+
+    @classmethod
+    def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
+        """Random ones."""
+        cells = rng.integers(AZIMUTHS, size=count) if disc else (
+            rng.integers(4, size=count) * (AZIMUTHS // 4))
+        return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
+
+    @classmethod
+    def all(cls) -> "Symmetry":
+        """The eight of a square, which are also the ones that estimates are averaged over."""
+        cells = torch.arange(4).repeat(2) * (AZIMUTHS // 4)
+        return cls(cells, torch.arange(8) >= 4)
+
+    def of_maps(self, maps: torch.Tensor) -> torch.Tensor:
+        """Maps (N, AZIMUTHS, ELEVATIONS) turned."""
+        azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
+        azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
+        return maps[torch.arange(len(maps))[:, None], azimuth.to(maps.device)]
+
+    def of_targets(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
+        """Targets (N, T), of such maps."""
+        if not disc:
+            odd = (self.cells // (AZIMUTHS // 4)) % 2 == 1
+            return torch.where(odd[:, None], targets[:, SWAPPED], targets)
+        axis = torch.complex(targets[:, 6], torch.where(self.mirror, -1.0, 1.0) * targets[:, 7])
+        axis = axis * torch.exp(2j * self.cells * (2 * torch.pi / AZIMUTHS))
+        return torch.column_stack([targets[:, :MODULI], axis.real, axis.imag]).to(targets)
+
+    def undone(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
+        """The inverse of :meth:`of_targets`."""
+        if not disc:
+            return self.of_targets(targets, disc=False)
+        axis = torch.complex(targets[:, 6], targets[:, 7])
+        axis = axis * torch.exp(-2j * self.cells * (2 * torch.pi / AZIMUTHS))
+        return torch.column_stack([targets[:, :MODULI], axis.real,
+                                   torch.where(self.mirror, -1.0, 1.0) * axis.imag]).to(targets)
 
 
 @dataclass(frozen=True)
 class TargetScale:
-    """Standardisation of the six targets.
+    """Standardisation of the targets.
 
     Attributes:
-        mean, std: (6,) float32, in the targets' units.
+        mean, std: (T,) float64, in the targets' units.
     """
 
-    mean: torch.Tensor
-    std: torch.Tensor
+    mean: np.ndarray
+    std: np.ndarray
 
     @staticmethod
-    def fit(theta: torch.Tensor) -> "TargetScale":
-        """The scale of a training set's parameters theta (N, 6)."""
-        targets = to_stiff_soft(theta.to(torch.float64))
-        std = targets.std(dim=0, correction=0).clamp_min(1e-12)
-        return TargetScale(targets.mean(dim=0).float(), std.float())
+    def fit(targets: np.ndarray, *, disc: bool) -> "TargetScale":
+        """The scale of a training set's targets (N, T), which turns and reflections leave as it is:
+        both sides of squares have the same, and directions on discs no mean.
+        """
+        mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
+        if disc:
+            mean[MODULI:], std[MODULI:] = 0.0, std[MODULI:].mean()
+        else:
+            mean, std = (mean + mean[SWAPPED]) / 2, (std + std[SWAPPED]) / 2
+        return TargetScale(mean, std)
 
-    def encode(self, targets: torch.Tensor) -> torch.Tensor:
-        """Standardised targets (..., 6)."""
-        return (targets - self.mean.to(targets)) / self.std.to(targets)
+    def encode(self, targets: np.ndarray) -> np.ndarray:
+        """Standardised targets (..., T)."""
+        return (targets - self.mean) / self.std
 
-    def decode(self, standardised: torch.Tensor) -> torch.Tensor:
-        """Targets (..., 6) in their units."""
-        return standardised * self.std.to(standardised) + self.mean.to(standardised)
-
-
-def to_moduli(targets: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Moduli alpha (..., 3) N·m and beta (..., 3) N·m², stiff, bias, soft, at 300 g/m²."""
-    alpha = torch.exp(targets[..., LINEAR])
-    return alpha, alpha * targets[..., RATIO]
+    def decode(self, standardised: np.ndarray) -> np.ndarray:
+        """Targets (..., T) in their units."""
+        return standardised * self.std + self.mean

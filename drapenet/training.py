@@ -1,37 +1,35 @@
 """The parts of training that ``train.py`` puts together.
 
-Nothing random is drawn from a running generator: the order of an epoch, the noise and the view
-order of a drape are functions of (seed, epoch, index). So the state at the end of an epoch is
-the weights, Adam's moments and the number of epochs done, and a resumed run repeats exactly what
-an uninterrupted one would have done.
+Nothing random is drawn from a running generator: the order of an epoch and the turn in which a
+capture is shown are functions of (seed, epoch). So the state at the end of an epoch is the weights,
+the optimiser's moments and the number of epochs done, and a resumed run repeats exactly what an
+uninterrupted one would have done.
 """
 
-from dataclasses import asdict
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Dataset
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from common.errors import InputError
 from common.provenance import release
-from data.dataset import DrapeDataset
-from data.fresh import FreshDataset, open_views
-from data.sensor import sensor_from_config
-from data.splits import SplitDataset
-from data.view_order import ORDERS, reorder_axis, reorder_views
-from drapenet.checkpoint import read_header
-from drapenet.config import OptimConfig, TrainConfig
-from drapenet.convention import TARGET_NAMES, TARGET_UNITS
-from drapenet.metrics import regression_metrics
-from drapenet.preprocess import InputFormat, prepare
-from drapenet.targets import TargetScale, direction_vectors, to_stiff_soft
+from data.setups import Setups
+from data.splits import finished_manifest, split_by_fabric
+from drapenet.config import ModelConfig, TrainConfig
+from drapenet.coverage import LEVELS, covered, ranks
+from drapenet.maps import WEIGHT_UNIT, Maps, make_maps
+from drapenet.network import MapNet, known_of
+from drapenet.posterior import Mixture
+from drapenet.targets import MODULI, Symmetry, TargetScale, targets_of
 from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
 
-Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Views (N, 4, h, w), standardised targets (N, 6), stiff axes (N, 2)."""
-CPU = torch.device("cpu")
+_UNSEEN_AT_ONCE = 128
+_FEW = 1000  # captures that the mean distance is taken of
 
 
 def choose_device(config: TrainConfig) -> torch.device:
@@ -53,169 +51,141 @@ def choose_device(config: TrainConfig) -> torch.device:
     return torch.device(config.device)
 
 
-class PreparedViews(Dataset):
-    """A dataset's items as batches: prepared views (N, 4, h, w), theta (N, 6), warps' angles (N,),
-    turns (N, 4) of the table beyond its quarters.
+@dataclass(frozen=True)
+class Batch:
+    """Captures as the network sees them, and what it should say.
 
-    A DataLoader asks for a batch at once, and needs ``collate_fn=as_they_are``.
+    Attributes:
+        distance, weight: (N, AZIMUTHS, ELEVATIONS) float32, m and logarithm of 1 + weight.
+        known: (N, KNOWN), see :func:`drapenet.network.known_of`.
+        targets: (N, T) standardised.
     """
 
-    def __init__(self, drapes: SplitDataset, *, form: InputFormat) -> None:
-        self.drapes, self.form = drapes, form
-        # Other processes share neither a GPU nor what is ready in memory.
-        self.in_process = isinstance(drapes, FreshDataset) and drapes.device != CPU
+    distance: torch.Tensor
+    weight: torch.Tensor
+    known: torch.Tensor
+    targets: torch.Tensor
 
-    def __len__(self) -> int:
-        return len(self.drapes)
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose noise, orientations and view orders are drawn."""
-        self.drapes.set_epoch(epoch)
-
-    def __getitems__(self, items: list[int]) -> tuple[torch.Tensor, ...]:
-        batch = self.drapes.batch(items)
-        return (prepare(batch["views"], form=self.form), batch["theta"], batch["orientation"],
-                batch["turns"])
+    def through(self, network: MapNet) -> Mixture:
+        """The network's posterior, on its device."""
+        device = next(network.parameters()).device
+        return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
 
 
-class DrapeSet(PreparedViews):
-    """Drapes as the network and the loss want them: each batch is a :data:`Batch`."""
-
-    def __init__(self, drapes: SplitDataset, *, form: InputFormat, scale: TargetScale) -> None:
-        super().__init__(drapes, form=form)
-        self.scale = scale
-
-    def __getitems__(self, items: list[int]) -> Batch:
-        views, theta, psi, _ = super().__getitems__(items)
-        return self.labelled(views, theta, psi)
-
-    def labelled(self, views: torch.Tensor, theta: torch.Tensor, psi: torch.Tensor) -> Batch:
-        """Join prepared views (N, 4, h, w) with the labels of theta (N, 6) and the warps' angles.
-        """
-        targets = self.scale.encode(to_stiff_soft(theta))
-        return views, targets, direction_vectors(theta, psi)
-
-
-class CachedSet(DrapeSet):
-    """Drapes read, made noisy and shrunk once, and held in memory in half precision (0.1 mm).
-
-    Doing that anew for every epoch costs a processor about half as much as the network does. Each
-    item keeps one realisation of the noise here, and gets a new view order every epoch.
+class CaptureSet:
+    """Maps of captures with standardised targets.
 
     Args:
-        drapes: without augmentation.
-        augment: draw view orders, from (``seed``, epoch, item).
-        workers: processes that prepare.
+        maps: of captures of one rig.
+        scale: of the targets.
+        disc: whether specimens are discs.
     """
 
-    def __init__(self, drapes: SplitDataset, *, form: InputFormat, scale: TargetScale,
-                 augment: bool, seed: int, workers: int) -> None:
-        super().__init__(drapes, form=form, scale=scale)
-        self.augment, self.seed, self.epoch = augment, seed, 0
-        shape = (len(drapes), 4, form.height, form.width)
-        self.views = torch.empty(shape, dtype=torch.float16)
-        loader = DataLoader(PreparedViews(drapes, form=form), batch_size=16,
-                            num_workers=0 if self.in_process else workers, collate_fn=as_they_are)
-        labels, filled = [], 0
-        for views, *label in tqdm(loader, desc="preparing views", unit="batch", leave=False):
-            self.views[filled : filled + len(views)] = views
-            labels.append(label)
-            filled += len(views)
-        self.theta, self.psi, self.turns = (torch.cat(part) for part in zip(*labels, strict=True))
-        self.in_process = True
+    def __init__(self, maps: Maps, *, scale: TargetScale, disc: bool) -> None:
+        self.maps, self.disc = maps, disc
+        targets = scale.encode(targets_of(maps.theta, maps.warp, disc=disc))
+        self.targets = torch.from_numpy(targets).float()
 
-    def set_epoch(self, epoch: int) -> None:
-        self.epoch = epoch
+    def __len__(self) -> int:
+        return len(self.maps)
 
-    def __getitems__(self, items: list[int]) -> Batch:
-        views, psi = self.views[items], self.psi[items]
-        if self.augment:
-            for k, item in enumerate(items):
-                rng = np.random.default_rng([self.seed, self.epoch, item])
-                first, mirror = ORDERS[rng.integers(len(ORDERS))]
-                order = {"first": first, "mirror": mirror}
-                views[k] = torch.from_numpy(reorder_views(views[k].numpy(), **order))
-                # The view that becomes the first was off its quarter turn by this much.
-                angle = psi[k].item() + self.turns[item, first].item()
-                psi[k] = reorder_axis(angle, **order)
-        return self.labelled(views.float(), self.theta[items], psi)
+    def network(self, config: ModelConfig) -> dict:
+        """Arguments of :class:`drapenet.network.MapNet` for these captures."""
+        few = self.maps.distance[:: -(-len(self) // _FEW)].astype(np.float32)
+        return {**asdict(config), "targets": self.targets.shape[1],
+                "distance": round(float(few.mean()), 4), "spread": round(float(few.std()), 4)}
+
+    def batch(
+        self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
+    ) -> Batch:
+        """Some captures.
+
+        Args:
+            rows: (N,) int.
+            revealed: (N, 2) bool, whether the membrane and the friction are given as known.
+            symmetry: turns and reflections to show them in.
+        """
+        maps = self.maps
+        distance = torch.from_numpy(maps.distance[rows]).float()
+        weight = torch.from_numpy(maps.weight[rows]).float() * WEIGHT_UNIT
+        targets = self.targets[rows]
+        if symmetry is not None:
+            distance, weight = symmetry.of_maps(distance), symmetry.of_maps(weight)
+            targets = symmetry.of_targets(targets, disc=self.disc)
+        given = [np.where(revealed[:, k], maps.nuisance(name)[rows], np.nan)
+                 for k, name in enumerate(("membrane", "friction"))]
+        known = known_of(torch.from_numpy(maps.views[rows]), *map(torch.from_numpy, given))
+        return Batch(distance, weight, known, targets)
+
+    def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
+        """All captures once, each in a random turn, in batches of ``size``; a function of (seed,
+        epoch). The rest that fills no batch is left out.
+        """
+        rng = np.random.default_rng([seed, epoch])
+        order = rng.permutation(len(self))
+        for start in range(0, len(self) - size + 1, size):
+            revealed = rng.integers(2, size=(size, 2)) > 0
+            symmetry = Symmetry.draw(size, disc=self.disc, rng=rng)
+            yield self.batch(order[start : start + size], revealed=revealed, symmetry=symmetry)
 
 
-def as_they_are(batch: Batch) -> Batch:
-    """In place of a DataLoader's own collation, where a dataset makes whole batches."""
-    return batch
-
-
-def open_splits(
-    config: TrainConfig, *, device: torch.device = CPU
-) -> tuple[DrapeSet, DrapeSet, TargetScale]:
-    """Training and validation drapes of different fabrics, and the targets' scale.
-
-    The scale is that of the initial weights, or else of the training set. Fresh views are rendered
-    on ``device``.
+def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, TargetScale, dict]:
+    """Training and validation captures, of different fabrics, made where they are missing; the
+    targets' scale; the dataset's description.
 
     Raises:
-        InputError: see :class:`data.dataset.DrapeDataset`; or too few drapes for one batch.
+        InputError: no finished dataset, too few drapes, or set-ups that make no sense.
     """
+    manifest = finished_manifest(config.data)
+    rig = Rig.from_name(manifest["config"]["rig"]["name"])
+    disc = rig.specimen == "disc"
+    maps = make_maps(config.data, Path(config.maps), rig=rig,
+                     setups=Setups.from_config(config.setup), captures=config.captures,
+                     seed=config.seed, neighbours=config.neighbours, workers=config.workers)
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
-    options = {"fractions": shares, "noise": sensor_from_config(config.sensor),
-               "seed": config.seed}
-    many = {"orientations_per_epoch": config.orientations_per_epoch,
-            "fabrics": config.fabrics, "drapes_each": config.drapes_each,
-            "augment": config.views != "cached"}  # a cache has its own view orders
-    if config.views == "stored":
-        training = DrapeDataset(config.data, split="train", **many, **options)
-    else:
-        source = FreshDataset if config.views == "fresh" else open_views
-        training = source(config.data, split="train", device=device, **many, **options)
-    if len(training) < config.optim.batch_size:
-        raise InputError(f"{config.data} has {len(training)} training samples an epoch, less "
-                         f"than one batch of {config.optim.batch_size}; generate more drapes or "
-                         "lower optim.batch_size")
-    # Weights to go on from speak in the units they have learned.
-    scale = (read_header(config.initial).scale if config.initial
-             else TargetScale.fit(torch.from_numpy(training.theta)))
-    common = {"form": config.model.form, "scale": scale}
-    cached = {**common, "seed": config.seed, "workers": config.workers}
-    # Validation sees the same pictures every epoch, so they are always worth keeping.
-    validation = CachedSet(open_views(config.data, split="validation", device=device, **options),
-                           augment=False, **cached)
-    if config.views == "cached":
-        return CachedSet(training, augment=True, **cached), validation, scale
-    return DrapeSet(training, **common), validation, scale
-
-
-def training_batches(drapes: DrapeSet, *, epoch: int, config: TrainConfig) -> DataLoader:
-    """The batches of an epoch, in an order that depends on (seed, epoch) only.
-
-    The last, incomplete batch is left out: its statistics would disturb the normalisation.
-    """
-    drapes.set_epoch(epoch)
-    order = np.random.default_rng([config.seed, epoch]).permutation(len(drapes))
-    return DataLoader(
-        drapes,
-        batch_size=config.optim.batch_size,
-        sampler=order.tolist(),
-        drop_last=True,
-        num_workers=0 if drapes.in_process else config.workers,
-        collate_fn=as_they_are,
-    )
+    split = split_by_fabric(maps.fabric, fractions=shares)
+    unseen = maps.chosen((split == "validation") & ~maps.moved)
+    training = maps.chosen(split == "train")
+    if config.fabrics:
+        training = training.chosen(
+            np.isin(training.fabric, np.unique(training.fabric)[: config.fabrics]))
+    if len(training) < config.optim.batch_size or not len(unseen):
+        raise InputError(f"{config.data} has {len(training)} captures to train on and "
+                         f"{len(unseen)} to validate with; generate more drapes or lower "
+                         "optim.batch_size")
+    scale = TargetScale.fit(targets_of(training.theta, training.warp, disc=disc), disc=disc)
+    sets = (CaptureSet(maps, scale=scale, disc=disc) for maps in (training, unseen))
+    return *sets, scale, manifest
 
 
 @torch.no_grad()
-def validate(
-    model: torch.nn.Module, drapes: DrapeSet, *, device: torch.device, optim: OptimConfig
-) -> dict:
-    """:func:`drapenet.metrics.regression_metrics` of the network on ``drapes``.
+def validate(network: MapNet, captures: CaptureSet) -> dict:
+    """Figures of the network on ``captures``, nuisances unknown, each capture in one turn.
 
-    Their ``loss`` is the one that is minimised on the training drapes.
+    Returns:
+        ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
+        of the means, standardised; ``inside``: share of the true moduli in the intervals of each
+        level of :data:`drapenet.coverage.LEVELS`; ``samples``.
     """
-    model.eval()
-    rows = [(model(views.to(device)).cpu(), targets, axes)
-            for views, targets, axes in DataLoader(drapes, batch_size=128, collate_fn=as_they_are)]
-    columns = (torch.cat(column) for column in zip(*rows, strict=True))
-    return regression_metrics(*columns, direction_weight=optim.direction_weight,
-                              ratio_weight=optim.ratio_weight)
+    network.eval()
+    losses, errors, places = [], [], []
+    for rows in np.array_split(np.arange(len(captures)), -(-len(captures) // _UNSEEN_AT_ONCE)):
+        batch = captures.batch(rows, revealed=np.zeros((len(rows), 2), bool))
+        mixture = batch.through(network).cpu()
+        losses.append(-mixture.log_likelihood(batch.targets))
+        draws = mixture.sample(400, torch.Generator().manual_seed(0))
+        errors.append((draws.mean(dim=0) - batch.targets)[:, :MODULI])
+        places.append(ranks(draws.numpy(), batch.targets.numpy())[:, :MODULI])
+    squares = torch.cat(errors).double().square()
+    inside = covered(np.concatenate(places))
+    return {
+        "loss": torch.cat(losses).double().mean().item(),
+        "rmse_log_alpha": squares[:, :3].mean().sqrt().item(),
+        "rmse_beta_over_alpha": squares[:, 3:].mean().sqrt().item(),
+        "inside": {f"{level:.0%}": float(share) for level, share in
+                   zip(LEVELS, inside.mean(axis=1), strict=True)},
+        "samples": len(captures),
+    }
 
 
 def log_metrics(
@@ -225,46 +195,36 @@ def log_metrics(
     board.add_scalar("loss/train", train_loss, epoch)
     board.add_scalar("loss/validation", metrics["loss"], epoch)
     board.add_scalar("learning_rate", rate, epoch)
-    for name in ("rmse_log_alpha", "rmse_beta_over_alpha", "axis_error_deg"):
-        if metrics[name] is not None:
-            board.add_scalar(f"validation/{name}", metrics[name], epoch)
-    for name, value in metrics["rmse"].items():
-        board.add_scalar(f"validation_rmse/{name}", value, epoch)
-    bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.3f}, "
-                        f"validation {metrics['loss']:.3f}, "
+    for name in ("rmse_log_alpha", "rmse_beta_over_alpha"):
+        board.add_scalar(f"validation/{name}", metrics[name], epoch)
+    for level, share in metrics["inside"].items():
+        board.add_scalar(f"validation_inside/{level}", share, epoch)
+    bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.2f}, "
+                        f"validation {metrics['loss']:.2f}, "
                         f"log alpha {metrics['rmse_log_alpha']:.3f}, "
                         f"beta/alpha {metrics['rmse_beta_over_alpha']:.3f}")
 
 
 def describe(
-    config: TrainConfig, training: DrapeSet, scale: TargetScale, metrics: dict, epoch: int
+    config: TrainConfig, training: CaptureSet, scale: TargetScale, manifest: dict, metrics: dict,
+    epoch: int,
 ) -> dict:
     """The content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
-    drapes = training.drapes
-    targets = to_stiff_soft(torch.from_numpy(drapes.theta))
-    limits = torch.quantile(targets, torch.tensor([0.01, 0.99], dtype=targets.dtype), dim=0)
+    theta = training.maps.theta
+    low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     return {
-        "rig": drapes.manifest["config"]["rig"]["name"],
-        "convention": "stiff/soft",
+        "rig": manifest["config"]["rig"]["name"],
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
-        "model": {"backbone": config.model.backbone},
-        "input": config.model.form.as_dict(),
-        "targets": {
-            "names": list(TARGET_NAMES),
-            "units": list(TARGET_UNITS),
-            "mean": scale.mean.tolist(),
-            "std": scale.std.tolist(),
-            # What 98 % of the training fabrics lie between: beyond it, estimates are guesses.
-            "low": limits[0].tolist(),
-            "high": limits[1].tolist(),
-        },
+        "model": training.network(config.model),
+        "targets": {"mean": scale.mean.tolist(), "std": scale.std.tolist()},
+        # Of theta along the two yarns, which have one distribution here, and between them.
+        "fabrics": {"low": low.tolist(), "high": high.tolist(),
+                    "deviation": theta.std(axis=0).tolist()},
         "dataset": {
-            "sha256": drapes.hash,
-            "training_drapes": drapes.drapes,
-            "training_fabrics": len(set(drapes.fabric.tolist())),
-            "generation": drapes.manifest["config"],
-            # What the initial weights have seen: none of it counts as unseen.
-            "earlier": read_header(config.initial).datasets if config.initial else [],
+            "sha256": manifest["hash"],
+            "drapes": len(np.unique(training.maps.index)),
+            "fabrics": len(np.unique(training.maps.fabric)),
+            "generation": manifest["config"],
         },
         "validation": metrics,
         "epochs": epoch + 1,

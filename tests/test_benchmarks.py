@@ -1,32 +1,43 @@
 """What the benchmarks share: resumed work, and the search for a scan's modulus."""
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from cloths import skirt
 
 from benchmarks import (
     batched,
     common,
     default_mesh,
     information,
+    learning_curve,
     meshes,
     perturbed,
+    real_captures,
     refine_views,
     report,
+    stacked_views,
+    training,
 )
 from benchmarks.common import load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
+from data.cameras import CameraRig
+from data.render import DepthRenderer
+from drapenet.checkpoint import read_header, save_checkpoint
 from drapenet.comparison import compare
+from drapenet.network import MapNet
+from drapenet.targets import Symmetry
 from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions
-from sim.scene import Rig
+from sim.scene import DISC_RIG, Rig
 
 
 def count_calls(log: str, value: float) -> dict:
@@ -288,3 +299,151 @@ def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_
     assert perturbed.compare(plain, runs) == {
         "b": {"unperturbed": "passed", "perturbed": {"passed": 1, "failed": 2}},
         "c": {"unperturbed": "failed", "perturbed": {"failed": 2, "passed": 1}}}
+
+
+def seen(scan: str) -> real_captures.Specimen:
+    return real_captures.Specimen.of(scan)
+
+
+def test_scans_are_known_by_their_names():
+    assert seen("fabric_12_sample_3_capture_2") == real_captures.Specimen(12, 3, 2)
+    assert seen("fabric_21_sample_4") == real_captures.Specimen(21, 4, 1)
+    for wrong in ("fabric_1", "fabric_a_sample_1", "fabric_1_sample_1_capture_1b"):
+        with pytest.raises(InputError, match="must be named"):
+            seen(wrong)
+
+
+def test_alphas_of_captures_samples_and_fabrics_are_compared():
+    steps = np.log([1.0, 1.1, 2.0, 2.0, 8.0])
+    names = ("1_sample_1_capture_1", "1_sample_1_capture_2", "1_sample_2_capture_1",
+             "1_sample_2_capture_2", "2_sample_1")
+    log_alpha = {seen(f"fabric_{name}"): step + np.arange(3)
+                 for name, step in zip(names, steps, strict=True)}
+    found = real_captures.agreement(log_alpha)
+    assert found["captures"] == pytest.approx(
+        {"median": 1.05, "largest": 1.1, "pairs": 2})
+    first = np.sqrt(1.1)  # the first sample's mean
+    assert found["samples"] == pytest.approx(
+        {"median": 2 / first, "largest": 2 / first, "pairs": 1})
+    assert found["fabrics"]["median"] == pytest.approx(8 / np.sqrt(2 * first))
+    # Ratios of single directions that cancel are not agreement.
+    assert real_captures.ratio(np.zeros(3), np.log([2.0, 0.5, 1.0])) == pytest.approx(2 ** (2 / 3))
+
+
+def test_a_fabric_is_recognised_by_its_nearest_estimate():
+    places = {"1_sample_1_capture_1": 0.0, "1_sample_1_capture_2": 0.1, "1_sample_2": 2.0,
+              "2_sample_1": 1.2, "2_sample_2": 3.0, "3_sample_1_capture_1": 9.0,
+              "3_sample_1_capture_2": 9.1}
+    found = real_captures.recognition({seen(f"fabric_{name}"): np.array([place])
+                                       for name, place in places.items()})
+    assert found["any"]["right"] == 4 and found["any"]["of"] == 7
+    # Fabric 3 has one sample only: there is nothing to find.
+    assert found["other_sample"]["right"] == 0 and found["other_sample"]["of"] == 5
+    assert found["any"]["chance"] == pytest.approx((3 * 2 + 2 + 2) / 6)
+
+
+def test_drapes_of_an_estimate_are_compared_with_other_samples():
+    def figures(coefficient: float, folds: float) -> dict:
+        return {"coefficient": coefficient, "folds": folds, "amplitude_mm": 5.0}
+
+    scanned = {seen("fabric_1_sample_1_capture_1"): figures(50.0, 7),
+               seen("fabric_1_sample_1_capture_2"): figures(52.0, 7),
+               seen("fabric_1_sample_2"): figures(54.0, 8),
+               seen("fabric_2_sample_1"): figures(9.0, 9)}
+    drapes = {"1_1": [{"status": "converged", **figures(59.0, 6)}, {"status": "line_search"}],
+              "1_2": [{"status": "converged", **figures(47.0, 7)},
+                      {"status": "converged", **figures(49.0, 8)}], "2_1": []}
+    found = real_captures.prediction(scanned, drapes)
+    assert found["coefficient"] == pytest.approx(
+        {"off": 4.0, "mean_off": 4.0, "bias": 1.0, "scans": 3.0, "deviation": 0.5})
+    assert found["folds"]["off"] == pytest.approx((2 + 0.5) / 2)
+    assert found["count"] == {"pairs": 2, "drapes": 4, "converged": 3}
+    with pytest.raises(InputError, match="nothing is predicted"):
+        real_captures.prediction(scanned, {"1_1": [], "1_2": [], "2_1": []})
+
+
+@pytest.fixture(scope="module")
+def disc_checkpoint(untrained_checkpoint, tmp_path_factory):
+    content = read_header(untrained_checkpoint).content
+    model = content["model"] | {"targets": 8}
+    targets = {"mean": content["targets"]["mean"] + [0.0, 0.0],
+               "std": content["targets"]["std"] + [0.5, 0.5]}
+    path = tmp_path_factory.mktemp("disc") / "untrained.safetensors"
+    torch.manual_seed(0)
+    save_checkpoint(path, model=MapNet(**model), half=False, description=content | {
+        "rig": DISC_RIG.name, "model": model, "targets": targets})
+    return path
+
+
+def test_scans_are_estimated_and_their_estimates_draped(
+    tmp_path, untrained_checkpoint, disc_checkpoint, capsys
+):
+    (tmp_path / "scans").mkdir()
+    for fabric, sample in product((1, 2), (1, 2)):
+        cloth = Fabric(np.full(3, fabric * 20e-6))
+        scan = skirt(cloth, rig=DISC_RIG, edge=8e-3, start="", seed=sample, offset=(0.0, 0.0),
+                     laws=None)
+        np.savez(tmp_path / "scans" / f"fabric_{fabric}_sample_{sample}.npz",
+                 vertices=scan.positions, rest=scan.rest, faces=scan.faces)
+    out = tmp_path / "real.json"
+    words = [f"scans={tmp_path / 'scans'}", f"cases={tmp_path / 'cases'}", f"out={out}",
+             "captures=2", "drapes=1", "edge_mm=10", "nuisances=real", "refined="]
+    with pytest.raises(InputError, match="knows drapes on square"):
+        real_captures.main([*words, f"checkpoint={untrained_checkpoint}"])
+    real_captures.main([*words, f"checkpoint={disc_checkpoint}"])
+    text, found = capsys.readouterr().out, json.loads(out.read_text())
+    for line in ("median ratio of alpha between samples of a fabric: ", "nearest neighbour right: ",
+                 "drape coefficient of other samples off by: ", "fold count of other samples off"):
+        assert f"\n{line}" in text
+    assert "between captures of a sample" not in text  # of which there is one each
+    assert len(found["scans"]) == 4 and found["refine_scan"] is None
+    assert found["prediction"]["count"] == {"pairs": 4, "drapes": 4, "converged": 4}
+    assert out.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_stacked_views_are_turned_and_reflected_as_their_specimen():
+    specimen = make_specimen(Rig(), edge=0.015).mesh
+    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=0.015, start="", seed=0,
+                  offset=(0.0, 0.0), laws=None)
+    camera = CameraRig.load().nominal()
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+    def views(positions: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(DepthRenderer(positions, specimen.faces).views(camera, 0.3))
+
+    for quarters, mirror in product(range(4), (False, True)):
+        symmetry = Symmetry(torch.tensor([32 * quarters]), torch.tensor([mirror]))
+        found, = stacked_views.turned(views(cloth.positions)[None], symmetry)
+        spun = np.linalg.matrix_power(turn, quarters)
+        first = np.array([[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1]])
+        shown = cloth.positions @ first.T * ([-1, 1, 1] if mirror else 1) @ spun.T @ first
+        assert torch.isclose(found, views(shown), atol=1e-3).float().mean() > 0.99
+
+
+def test_stacked_views_are_means_of_cloth():
+    views = np.zeros((1, 6, 6), np.float32)
+    views[0, :3, :3], views[0, 0, 0] = 0.65, 0.0
+    views[0, 3, 3:] = 0.6
+    shrunk = stacked_views.shrunk(views)
+    np.testing.assert_allclose(shrunk, [[[1.0, 2.0], [2.0, 2.0]]], atol=1e-3)
+
+
+def test_networks_on_maps_and_on_stacked_views_are_compared(cloth_dataset, tmp_path, one_thread):
+    out = tmp_path / "training.json"
+    training.main([f"data={cloth_dataset}", "captures=1", "widths=4", "cpu_seconds=1,2", "batch=8",
+                   "workers=1", f"work={tmp_path / 'work'}", f"out={out}"])
+    rows = json.loads(out.read_text())["rows"]
+    assert [row["cpu_seconds"] for row in rows] == [1.0, 2.0] * 2
+    assert all(row["steps"] >= 1 and 0 < row["log_alpha"] < 5 for row in rows)
+
+
+def test_learning_curves_are_of_one_number_of_steps(cloth_dataset, tmp_path):
+    out = tmp_path / "curve.json"
+    words = [f"data={cloth_dataset}", "captures=1", "neighbours=false", "width=4", "steps=3",
+             "batch=8", "workers=1", f"work={tmp_path / 'work'}", f"out={out}"]
+    with pytest.raises(InputError, match="numbers from 8"):
+        learning_curve.main([*words, "fabrics=7,20"])
+    learning_curve.main([*words, "fabrics=8,20"])
+    rows = json.loads(out.read_text())["results"]
+    assert [row["fabrics"] for row in rows] == [8, 20]
+    assert out.with_suffix(".png").exists()

@@ -15,7 +15,7 @@ def test_imports_from_outside_the_repository(tmp_path):
         "import sim.drape, data.captures, drapenet.checkpoint, train, infer;"
         "from data.configs import CONFIG_DIR;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file();"
-        "assert drapenet.checkpoint.BUNDLED.is_file()"
+        "assert drapenet.checkpoint.bundled('square300_cylinder100').is_file()"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)

@@ -114,7 +114,7 @@ def refine_views(
         edge: m, at the rim of the specimen's mesh in the last round, before it :data:`COARSE` at
             least; seed: of its meshes, and of the other shapes.
         shape: initial state, one of :data:`SHAPES`; the others where no drape of it converges.
-        prior: what is known of theta beforehand, such as :func:`drapenet.estimate.belief`.
+        prior: what is known of theta beforehand, such as :attr:`drapenet.estimate.Estimate.normal`.
         weights: of the pixels; on coarser meshes they count less (:meth:`.DepthWeights.on_mesh`).
     """
     began = time.perf_counter()

@@ -10,6 +10,7 @@ from data.render import DepthRenderer
 from drapenet.canonical import (
     AZIMUTHS,
     NEARER,
+    drape_coefficient,
     drape_map,
     elevations,
     side_direction,
@@ -70,11 +71,13 @@ def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
 
 
 def test_a_table_that_turns_wrongly_is_doubted(renderer):
-    """Steps of 95, 79, 99 and 87 degrees."""
-    doubts = turn_doubts(mapped(renderer, seen_from(40, 0.5), 0.1).turns)
-    assert len(doubts) == 2
-    assert "from view 1 to view 2" in doubts[0] and "from view 2 to view 3" in doubts[1]
-    assert not turn_doubts(mapped(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4)).turns)
+    nominal = np.arange(4) * np.pi / 2
+    wrong = np.radians([0.0, 9.0, -1.0, 2.0])
+    found = mapped(renderer, seen_from(40, 0.5), 0.1, wrong=wrong)
+    doubt, = turn_doubts(found.turns, nominal)
+    assert "99° in view 1, not by 90°" in doubt
+    sound = mapped(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4))
+    assert not turn_doubts(sound.turns, nominal)
 
 
 @pytest.mark.parametrize("orientation", [0.0, 0.4, 1.2])
@@ -117,3 +120,25 @@ def test_distances_are_those_of_the_cloth(renderer):
     known = (drop > 0.01) & (drop < 0.08)
     gap = np.abs(found.distance - expected)[:, known]
     assert known.sum() > 15 and np.median(gap) < 3e-4 and np.quantile(gap, 0.95) < 1.5e-3
+
+
+@pytest.mark.parametrize("pitch", [30, 45])
+def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
+    """A cone's: known in closed form."""
+    angle = np.linspace(0, 2 * np.pi, 181)[:-1]
+    rings = np.linspace(0.0, 1.0, 41)
+    radius = 0.05 + 0.06 * rings
+    points = [[0.0, 0.0, 0.0]]
+    for r, share in zip(radius, rings, strict=True):
+        points += [[r * np.cos(a), r * np.sin(a), -0.05 * share] for a in angle]
+    count = len(angle)
+    faces = [[0, 1 + k, 1 + (k + 1) % count] for k in range(count)]
+    for ring in range(len(rings) - 1):
+        for k in range(count):
+            a, b = 1 + ring * count + k, 1 + ring * count + (k + 1) % count
+            faces += [[a, a + count, b], [b, a + count, b + count]]
+    cone = DepthRenderer(np.array(points), np.array(faces))
+    camera = seen_from(pitch, 0.5)
+    found = drape_map(cone.views(camera), camera, Rig(), zero=0.0)
+    expected = np.pi * (0.11**2 - 0.05**2) / (0.09 - np.pi * 0.05**2)
+    assert drape_coefficient(found, Rig()) == pytest.approx(expected, abs=0.008)

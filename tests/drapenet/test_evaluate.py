@@ -1,65 +1,55 @@
+"""The matrix of the evaluation, with an untrained network and cloth that costs nothing."""
+
 import json
 from pathlib import Path
 
+import cloths
 import numpy as np
 import pytest
-from blobs import write_dataset
 
 import drapenet.evaluate
 from common.errors import InputError
-from data.dataset import DrapeDataset
 from data.prior import load_prior, prior_content
-from drapenet.checkpoint import read_header
-from drapenet.evaluate import evaluate
-from drapenet.network_errors import NetworkErrors
+from data.setups import Setups
+from drapenet.checkpoint import load_model, read_header
+from drapenet.evaluate import CELLS, datasets, judge, make_config
+from drapenet.maps import make_maps
+from sim.scene import Rig
 
 
-def test_the_mean_scores_one_on_its_own_distribution(
-    untrained_checkpoint: Path, blob_dataset: Path
+def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is(
+    untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
 ) -> None:
+    maps = make_maps(cloth_dataset, tmp_path, rig=Rig(), setups=Setups.load(), captures=1, seed=1)
     header = read_header(untrained_checkpoint)
-    # Standardise as a network trained on blobs would.
-    targets = header.content["targets"]
-    changed = targets | {"mean": [-9.9, -10.4, -10.9, *[-0.003] * 3],
-                         "std": [0.76, 0.9, 0.76, *[0.002] * 3]}
-    header.content["targets"] = changed
-    result = evaluate(header, DrapeDataset(blob_dataset))
-    assert result["training_mean"]["rmse_log_alpha"] == pytest.approx(1, abs=0.15)
-    assert result["network"]["samples"] == result["dataset"]["drapes"] == 64
-    assert result["network"]["rmse_log_alpha"] != result["training_mean"]["rmse_log_alpha"]
+    result = judge(load_model(header), header, maps, known=False)
+    figure = result["log_alpha"]
+    assert figure["interval_95"][0] < figure["rmse"] < figure["interval_95"][1]
+    assert figure["rmse"] > 0.8 * result["prior"]["log_alpha"]
+    assert result["inside"]["50%"]["mean"] < result["inside"]["90%"]["mean"]
+    assert (result["captures"], result["drapes"]) == (40, 40)
 
 
-def test_the_mean_error_is_subtracted(untrained_checkpoint: Path, tmp_path: Path) -> None:
+def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> None:
     header = read_header(untrained_checkpoint)
-    drapes = DrapeDataset(write_dataset(tmp_path / "dataset", drapes=6, seed=5))
-    shift = np.array([0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3])
-    squares = []
-    for sign in (1, 0, -1):
-        errors = NetworkErrors(sign * shift, np.zeros(6), 0.0, np.diag(shift**2), 9)
-        header.content["errors"] = errors.as_dict()
-        rmse = evaluate(header, drapes)["network_less_mean_error"]["rmse"]
-        squares.append(np.square(list(rmse.values())))
-    scaled = shift / header.content["targets"]["std"]
-    assert squares[0] + squares[2] - 2 * squares[1] == pytest.approx(2 * scaled**2, rel=1e-3)
+    base = make_config(header, {"drapes": 50, "seed": 5})
+    made = datasets(base)
+    assert {cell.drapes for cell in CELLS.values()} == set(made)
+    assert made["as trained"] is base and made["none"].drapes == 10
+    assert made["membrane x 3"].sampling.nuisances.membrane == pytest.approx(
+        [3 * np.sqrt(1e5)] * 2)
+    assert made["finer mesh"].edge < base.edge
+    for cell in CELLS.values():  # all are possible
+        assert set(cell.setups) <= set(header.setups.as_dict())
 
 
-def test_training_fabrics_are_not_unseen(untrained_checkpoint: Path, tmp_path: Path) -> None:
-    header = read_header(untrained_checkpoint)
-    write_dataset(tmp_path / "dataset", drapes=4, seed=999)  # the checkpoint's own seed
-    with pytest.raises(InputError, match="not unseen"):
-        evaluate(header, DrapeDataset(tmp_path / "dataset"))
-
-
-@pytest.mark.parametrize("seen", ["latest", "earlier"])
-def test_what_cannot_be_judged_is_refused_before_it_is_made(
-    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: str
+def test_seen_fabrics_are_refused_before_they_are_made(
+    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copy = tmp_path / "copy.json"
     content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
-    prior = prior_content(load_prior("vae"))
-    generations = [{"sampling": {"seed": seed}, "prior": prior} for seed in (5, 6)]
-    latest, earlier = generations if seen == "latest" else reversed(generations)
-    content["dataset"] |= {"generation": latest, "earlier": [{"generation": earlier}]}
+    content["dataset"]["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
+                                         "prior": prior_content(load_prior("vae"))}
     copy.write_text(json.dumps(content))
     copy.with_suffix(".safetensors").write_bytes(untrained_checkpoint.read_bytes())
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
@@ -67,35 +57,29 @@ def test_what_cannot_be_judged_is_refused_before_it_is_made(
         drapenet.evaluate.main([f"checkpoint={copy}", f"out={tmp_path}", "seed=5"])
 
 
-def test_the_command_makes_its_data_and_writes_the_figures(
+@pytest.mark.parametrize("table", [False, True])
+def test_the_command_prints_a_line_a_cell(
     untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    capsys: pytest.CaptureFixture, table: bool,
 ) -> None:
-    asked = []
-
     def make(config: object, out: Path, *, workers: int) -> None:
-        asked.append((config.drapes, config.sampling.seed, config.sampling.starts_per_fabric))
-        write_dataset(out, drapes=6, seed=config.sampling.seed)
+        if not out.exists():
+            cloths.write_dataset(out, drapes=6, seed=config.sampling.seed)
 
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", make)
-    drapenet.evaluate.main([f"checkpoint={untrained_checkpoint}", f"out={tmp_path}", "drapes=6",
-                            "seed=5", "orientations=2"])
-    assert asked == [(6, 5, 1)]
-    result = json.loads((tmp_path / "evaluation.json").read_text())
-    assert result["network"]["samples"] == 12
-    assert result["dataset"]["sha256"] == f"{5:064x}"
-    assert f"{result['network']['rmse_log_alpha']:.3f}" in capsys.readouterr().out
-
-
-def test_a_dataset_without_views_is_rendered(
-    untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
-) -> None:
-    drapenet.evaluate.main([f"checkpoint={untrained_checkpoint}", f"data={cloth_dataset}",
-                            f"out={tmp_path / 'out'}", "orientations=2"])
-    result = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert result["network"]["samples"] == 80
-    assert result["dataset"]["sha256"] == f"{8:064x}"
-    with pytest.raises(InputError, match="orientations=0"):
-        drapenet.evaluate.main([f"data={cloth_dataset}", "orientations=0"])
-    with pytest.raises(InputError, match="out= needs the name of a folder"):
-        drapenet.evaluate.main([f"data={cloth_dataset}", "out="])
+    monkeypatch.setattr(drapenet.evaluate, "CELLS", {
+        name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
+    words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=6", "seed=5"]
+    if table:
+        header = ("density[kg.m-2],linear warp[SI*1e9],linear weft[SI*1e9],linear diag[SI*1e9],"
+                  "nonlinear warp[SI*1e12],nonlinear weft[SI*1e12],nonlinear diag[SI*1e12]")
+        (tmp_path / "table.csv").write_text(f"{header}\n0.3,30000,20000,25000,-60000,-4e4,-5e4\n")
+        words.append(f"fabrics={tmp_path / 'table.csv'}")
+    drapenet.evaluate.main(words)
+    lines = capsys.readouterr().out.splitlines()
+    names = ["as trained", "without nuisances", *([] if table else ["views 8"])]
+    for name in names:
+        line, = (line for line in lines if line.startswith(f"{name}: log alpha "))
+        assert line.endswith(", n 12") and "inside 68 %: " in line
+    place = tmp_path / "out" / Rig().name / ("table" if table else "")
+    assert set(json.loads((place / "evaluation.json").read_text())["cells"]) == set(names)

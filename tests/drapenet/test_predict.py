@@ -1,85 +1,56 @@
-import math
+"""Predictions do not depend on how the capture was turned."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from blobs import blob_views
 
-from data.view_order import ORDERS, reorder_axis, reorder_views
-from drapenet.model import DrapeNet
-from drapenet.predict import predict
-from drapenet.preprocess import InputFormat
-from drapenet.targets import TargetScale
-
-FORM = InputFormat(width=80, height=60)
-SCALE = TargetScale(torch.tensor([-10.0, -10.6, -11, -0.003, -0.003, -0.003]),
-                    torch.tensor([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3]))
-THETA = np.array([-10.0, -10.5, -11.0, -0.002, -0.002, -0.002])
+from data.fabrics import from_theta
+from drapenet.canonical import AZIMUTHS, ELEVATIONS, DrapeMap
+from drapenet.checkpoint import load_model, read_header
+from drapenet.predict import DRAWS, predict
+from sim.material import is_admissible
 
 
 @pytest.fixture(scope="module")
-def model() -> DrapeNet:
-    torch.manual_seed(2)
-    return DrapeNet().eval()
+def drape_map_of_a_capture() -> DrapeMap:
+    azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    distance = 0.08 + 0.01 * np.cos(2 * azimuth) + 0.004 * np.sin(5 * azimuth)
+    distance = distance[:, None] * np.linspace(0.9, 1.1, ELEVATIONS)
+    return DrapeMap(distance, np.ones_like(distance), 0.3, np.arange(4) * np.pi / 2, np.zeros(2))
 
 
-class Protractor(torch.nn.Module):
-    """Reads the stiff axis of a blob from the widths of its views, as a perfect network would."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.unused = torch.nn.Parameter(torch.zeros(1))
-
-    def forward(self, views: torch.Tensor) -> torch.Tensor:
-        cloth = (views < 2).float()
-        width = cloth.sum(dim=2).amax(dim=1).flatten(1).sum(dim=1)
-        columns = torch.arange(views.shape[-1]) - (views.shape[-1] - 1) / 2
-        wide = (cloth * columns.abs()).sum(dim=(2, 3)) / cloth.sum(dim=(2, 3))
-        cosine = (wide[:, 0] - wide[:, 1] + wide[:, 2] - wide[:, 3]) / 4
-        slope = ((views * cloth * columns).sum(dim=(2, 3)) / cloth.sum(dim=(2, 3)))
-        sine = (slope[:, 0] - slope[:, 1] + slope[:, 2] - slope[:, 3]) / 4
-        outputs = torch.zeros(len(views), 8)
-        outputs[:, 0] = width / 1000
-        # Scales that make both components 0.76 at most for the blob of this test.
-        outputs[:, 6], outputs[:, 7] = cosine / COSINE, sine / SINE
-        return outputs
+def test_samples_are_possible_fabrics_in_the_first_view_s_axes(
+    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap, one_thread: None
+) -> None:
+    header = read_header(untrained_checkpoint)
+    draws, = predict(load_model(header), header, [drape_map_of_a_capture])
+    assert is_admissible(*from_theta(draws.theta)).all()
+    assert len(draws.theta) == len(draws.axis) == round(8 * DRAWS * (1 - draws.impossible))
+    assert (draws.axis == 0.3).all()
 
 
-def response(psi: float) -> torch.Tensor:
-    from drapenet.preprocess import prepare
-
-    views = prepare(torch.from_numpy(blob_views(THETA, psi)), form=FORM)
-    return Protractor()(views[None])[0, 6:]
-
-
-COSINE = SINE = 1.0
-COSINE, SINE = response(0.0)[0].item() / 0.76, response(math.pi / 4)[1].item() / 0.76
-
-
-@pytest.mark.parametrize("psi", [0.1, 0.8, 1.5, 2.2, 3.0])
-def test_a_perfect_reading_survives_the_averaging(psi: float) -> None:
-    prediction = predict(Protractor(), blob_views(THETA, psi), form=FORM, scale=SCALE)
-    error = (prediction.axis - psi + math.pi / 2) % math.pi - math.pi / 2
-    assert abs(error) < 0.12
-    assert 0.5 < prediction.axis_confidence < 0.95
-    assert prediction.spread[1:].max() < 1e-6  # all view orders gave the same answer
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_quarter_turn_of_the_map_exchanges_the_yarns(
+    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap, quarters: int, one_thread: None
+) -> None:
+    header = read_header(untrained_checkpoint)
+    network, one = load_model(header), drape_map_of_a_capture
+    turned = DrapeMap(np.roll(one.distance, quarters * AZIMUTHS // 4, axis=0), one.weight,
+                      one.zero - quarters * np.pi / 2, one.turns, one.centre)
+    first, second = (draws.theta for draws in predict(network, header, [one, turned]))
+    order = [2, 1, 0, 5, 4, 3] if quarters % 2 else list(range(6))
+    deviation = first.std(axis=0)
+    # Other samples of the same eight answers.
+    assert ((second[:, order].mean(axis=0) - first.mean(axis=0)) / deviation) == pytest.approx(
+        np.zeros(6), abs=0.1)
 
 
-@pytest.mark.parametrize(("first", "mirror"), ORDERS)
-def test_equivalent_captures_have_one_estimate(model: DrapeNet, first: int, mirror: bool) -> None:
-    views = np.random.default_rng(0).uniform(0.4, 0.6, (4, 60, 80)).astype(np.float32)
-    views[:, :, :20] = 0
-    own = predict(model, views, form=FORM, scale=SCALE)
-    other = predict(model, reorder_views(views, first=first, mirror=mirror), form=FORM, scale=SCALE)
-    np.testing.assert_allclose(other.targets, own.targets, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(other.spread, own.spread, rtol=1e-2, atol=1e-6)
-    assert other.axis_confidence == pytest.approx(own.axis_confidence, abs=1e-4)
-    expected = reorder_axis(own.axis, first=first, mirror=mirror)
-    assert math.sin(other.axis - expected) == pytest.approx(0, abs=1e-2)
-
-
-def test_stiff_is_never_softer_than_soft(model: DrapeNet) -> None:
-    reversed_scale = TargetScale(SCALE.mean[[2, 1, 0, 3, 4, 5]], SCALE.std * 1e-3)
-    prediction = predict(model, blob_views(THETA, 0.3), form=FORM, scale=reversed_scale)
-    alpha, _ = prediction.moduli
-    assert alpha[0] == alpha[2] == pytest.approx(math.exp(-10.5), rel=0.01)
+def test_what_is_known_changes_the_answer(
+    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap
+) -> None:
+    header = read_header(untrained_checkpoint)
+    network = load_model(header)
+    unknown, = predict(network, header, [drape_map_of_a_capture])
+    known, = predict(network, header, [drape_map_of_a_capture], membrane=1000.0, friction=0.0)
+    assert abs(known.theta.mean(axis=0) - unknown.theta.mean(axis=0)).max() > 1e-6

@@ -1,70 +1,77 @@
-import math
+"""Targets, their symmetries, and what the network does with them."""
 
+import numpy as np
 import pytest
 import torch
 
-from data.view_order import ORDERS, reorder_axis
-from drapenet.convention import TARGET_NAMES
-from drapenet.targets import (
-    TargetScale,
-    axis_angle,
-    direction_vectors,
-    to_moduli,
-    to_stiff_soft,
-)
+from drapenet.canonical import AZIMUTHS, ELEVATIONS
+from drapenet.convention import SWAPPED
+from drapenet.network import KNOWN, MapNet, known_of
+from drapenet.targets import Symmetry, TargetScale, targets_of
 
-WARP_STIFF = torch.tensor([-9.0, -10.0, -11.0, -0.001, -0.002, -0.003])
-WEFT_STIFF = torch.tensor([-11.0, -10.0, -9.0, -0.003, -0.002, -0.001])
+THETA = np.array([[-10.0, -10.5, -11.0, -1e-3, -2e-3, -3e-3]])
 
 
-def test_a_quarter_turn_of_the_specimen_changes_no_target() -> None:
-    assert torch.equal(to_stiff_soft(WARP_STIFF), WARP_STIFF)
-    assert torch.equal(to_stiff_soft(WEFT_STIFF), WARP_STIFF)
-    both = torch.stack([WEFT_STIFF, WARP_STIFF])
-    assert torch.equal(to_stiff_soft(both), torch.stack([WARP_STIFF, WARP_STIFF]))
-    first = direction_vectors(WARP_STIFF, torch.tensor(0.3))
-    second = direction_vectors(WEFT_STIFF, torch.tensor(0.3 + math.pi / 2))
-    assert torch.allclose(first, second, atol=1e-6)
+@pytest.mark.parametrize("quarters", range(-2, 5))
+def test_the_yarns_along_azimuth_0_come_first(quarters: int) -> None:
+    warp = np.array([quarters * np.pi / 2 + 0.3])
+    expected = THETA[:, SWAPPED] if quarters % 2 else THETA
+    assert np.array_equal(targets_of(THETA, warp, disc=False), expected)
 
 
-def test_the_vector_points_along_the_stiff_axis() -> None:
-    assert axis_angle(direction_vectors(WARP_STIFF, torch.tensor(0.3))).item() == pytest.approx(0.3)
-    angle = axis_angle(direction_vectors(WEFT_STIFF, torch.tensor(0.3))).item()
-    assert angle == pytest.approx(0.3 + math.pi / 2)
+@pytest.mark.parametrize(("theta", "stiff"), [(THETA, 0.4), (THETA[:, SWAPPED], 0.4 + np.pi / 2)])
+def test_targets_of_a_disc_are_sorted_and_have_a_direction(theta: np.ndarray, stiff: float) -> None:
+    targets = targets_of(theta, np.array([0.4]), disc=True)
+    assert targets[:, :6] == pytest.approx(THETA)
+    weight = np.tanh(1.0)
+    assert targets[0, 6:] == pytest.approx([weight * np.cos(2 * stiff), weight * np.sin(2 * stiff)])
 
 
-def test_the_vector_shrinks_with_the_anisotropy_and_has_no_jump() -> None:
-    theta = WARP_STIFF.repeat(101, 1)
-    theta[:, 2] = torch.linspace(-9.5, -8.5, 101)  # the stiffer yarn changes in the middle
-    vectors = direction_vectors(theta, torch.tensor(0.3))
-    steps = (vectors[1:] - vectors[:-1]).norm(dim=1)
-    assert steps.max() < 0.011  # 0.01 in log alpha moves it by no more
-    assert vectors[50].norm() < 1e-6
-    assert torch.allclose(vectors.norm(dim=1), torch.tanh((theta[:, 0] - theta[:, 2]).abs()))
+@pytest.mark.parametrize("disc", [False, True])
+def test_a_turned_map_is_that_of_a_turned_specimen(disc: bool) -> None:
+    """A bump stands for the warp: it must go where the targets say."""
+    symmetry = Symmetry.draw(40, disc=disc, rng=np.random.default_rng(2))
+    warp_cell = 10
+    warp = (warp_cell + 0.5) * 2 * np.pi / AZIMUTHS
+    maps = torch.zeros(40, AZIMUTHS, ELEVATIONS)
+    maps[:, warp_cell] = 1.0
+    moved = symmetry.of_maps(maps)[:, :, 0].argmax(dim=1)
+    turned = (moved.numpy() + 0.5) * 2 * np.pi / AZIMUTHS
+    before = torch.from_numpy(targets_of(THETA.repeat(40, 0), np.full(40, warp), disc=disc))
+    after = targets_of(THETA.repeat(40, 0), turned, disc=disc)
+    assert symmetry.of_targets(before, disc=disc).numpy() == pytest.approx(after, abs=1e-6)
+    assert symmetry.undone(torch.from_numpy(after), disc=disc).numpy() == pytest.approx(
+        before.numpy(), abs=1e-6)
 
 
-@pytest.mark.parametrize(("first", "mirror"), ORDERS)
-def test_the_vector_follows_the_view_order(first: int, mirror: bool) -> None:
-    psi = reorder_axis(0.3, first=first, mirror=mirror)
-    x, y = direction_vectors(WARP_STIFF, torch.tensor(0.3)).tolist()
-    turned = [x * (-1) ** first, y * (-1) ** first * (-1 if mirror else 1)]
-    assert direction_vectors(WARP_STIFF, torch.tensor(psi)).tolist() == pytest.approx(
-        turned, abs=1e-6)
+def test_the_scale_of_a_square_does_not_know_warp_from_weft() -> None:
+    targets = np.random.default_rng(0).normal(size=(50, 6)) * np.arange(1, 7)
+    scale = TargetScale.fit(targets, disc=False)
+    assert np.array_equal(scale.mean, scale.mean[SWAPPED])
+    assert np.array_equal(scale.std, scale.std[SWAPPED])
+    assert scale.decode(scale.encode(targets)) == pytest.approx(targets)
 
 
-def test_standardised_training_set_has_mean_zero_and_deviation_one() -> None:
-    theta = torch.randn(500, 6, generator=torch.Generator().manual_seed(1))
-    theta = theta * torch.tensor([1, 1, 1, 1e-3, 1e-3, 1e-3]) + WARP_STIFF
-    scale = TargetScale.fit(theta)
-    encoded = scale.encode(to_stiff_soft(theta))
-    assert encoded.mean(dim=0).abs().max() < 1e-4
-    assert (encoded.std(dim=0, correction=0) - 1).abs().max() < 1e-4
-    assert torch.allclose(scale.decode(encoded), to_stiff_soft(theta), rtol=1e-5, atol=1e-7)
+def test_the_scale_of_a_disc_turns_with_it() -> None:
+    targets = np.random.default_rng(0).normal(size=(50, 8)) + 0.3
+    scale = TargetScale.fit(targets, disc=True)
+    assert scale.mean[6:].tolist() == [0.0, 0.0] and scale.std[6] == scale.std[7]
 
 
-def test_moduli_have_si_units() -> None:
-    targets = torch.tensor([math.log(20e-6)] * 3 + [-2.5e-3] * 3, dtype=torch.float64)
-    alpha, beta = to_moduli(targets)
-    assert alpha.tolist() == pytest.approx([20e-6] * 3)
-    assert beta.tolist() == pytest.approx([-50e-9] * 3)
-    assert TARGET_NAMES[0] == "log_alpha_stiff" and TARGET_NAMES[5] == "beta_over_alpha_soft"
+def test_the_network_closes_around_the_axis() -> None:
+    """A map turned by a quarter gives the features turned, so averages over it stay."""
+    torch.manual_seed(0)
+    network = MapNet(width=4).eval()
+    maps = torch.randn(1, AZIMUTHS, ELEVATIONS)
+    stages = torch.nn.Sequential(network.stem, network.stages)
+    channels = maps.transpose(1, 2)[:, None].expand(-1, 4, -1, -1)
+    first = stages(channels)
+    second = stages(channels.roll(AZIMUTHS // 4, dims=3))
+    assert torch.allclose(first.roll(first.shape[3] // 4, dims=3), second, atol=1e-5)
+
+
+def test_what_is_not_known_has_a_flag() -> None:
+    known = known_of(torch.tensor([4, 8]), torch.tensor([316.0, np.nan]),
+                     torch.tensor([np.nan, 2e-4]))
+    assert known.shape == (2, KNOWN)
+    assert known.tolist() == pytest.approx(np.array([[0, 1, 0, 0, 0], [1, 0, 0, 1, 1]]), abs=1e-6)

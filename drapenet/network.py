@@ -1,0 +1,107 @@
+"""ResNet-18 on maps of drapes, which close around the axis."""
+
+import torch
+import torchvision
+from torch.nn.functional import pad
+
+from drapenet.canonical import AZIMUTHS
+from drapenet.posterior import Mixture, outputs_of
+
+CHANNELS = 4
+"""Distance, weight, and two that say where azimuth 0 is: cos and sin of twice the azimuth."""
+KNOWN = 5
+"""Numbers beside the map, see :func:`known_of`."""
+_HARMONICS = (2, 4)  # of the azimuth, in which features are averaged beside their mean
+_MEMBRANE, _FRICTION = 316.0, 1e-4  # N/m, N·m per metre: usual ones
+
+
+def known_of(
+    views: torch.Tensor, membrane: torch.Tensor, friction: torch.Tensor
+) -> torch.Tensor:
+    """(N, KNOWN) float32: what the network is given beside the map.
+
+    Args:
+        views: (N,) how many the map was made of.
+        membrane: (N,) N/m along the yarns, NaN where it is not known.
+        friction: (N,) of bending, N·m per metre, NaN where it is not known.
+    """
+    def flagged(value: torch.Tensor) -> list[torch.Tensor]:
+        given = torch.isfinite(value)
+        return [given.float(), torch.where(given, value, 0.0).float()]
+
+    return torch.stack([views.float() / 4 - 1, *flagged(torch.log(membrane / _MEMBRANE)),
+                        *flagged(friction / _FRICTION - 1)], dim=1)
+
+
+class AroundConv(torch.nn.Conv2d):
+    """A convolution of maps (N, C, elevations, azimuths) that go on beyond the last azimuth."""
+
+    def forward(self, maps: torch.Tensor) -> torch.Tensor:
+        rows, columns = self.kernel_size[0] // 2, self.kernel_size[1] // 2
+        maps = pad(pad(maps, (columns, columns, 0, 0), mode="circular"), (0, 0, rows, rows))
+        return torch.nn.functional.conv2d(maps, self.weight, self.bias, self.stride)
+
+
+class MapNet(torch.nn.Module):
+    """Maps (N, AZIMUTHS, ELEVATIONS) of distances and weights, and what is known, to a mixture.
+
+    Args:
+        width: features of the first stage; 64 as in ResNet-18.
+        components: of the mixture.
+        targets: that it is over, see :mod:`drapenet.targets`.
+        distance, spread: m, mean and standard deviation of the distances trained on.
+    """
+
+    def __init__(
+        self, *, width: int = 64, components: int = 2, targets: int = 6, distance: float = 0.1,
+        spread: float = 0.02,
+    ) -> None:
+        super().__init__()
+        self.distance, self.spread = distance, spread
+        block = torchvision.models.resnet.BasicBlock
+        network = torchvision.models.ResNet(block, [2, 2, 2, 2])
+        widths = [width, 2 * width, 4 * width, 8 * width]
+        network.inplanes = width
+        self.stem = torch.nn.Sequential(
+            torch.nn.Conv2d(CHANNELS, width, 3, stride=2, padding=1, bias=False),
+            torch.nn.BatchNorm2d(width), torch.nn.ReLU(inplace=True))
+        self.stages = torch.nn.Sequential(*(
+            network._make_layer(block, planes, 2, stride=1 if k == 0 else 2)
+            for k, planes in enumerate(widths)))
+        _close(self)
+        self.shape = {"components": components, "targets": targets}
+        features = widths[-1] * (1 + 2 * len(_HARMONICS)) + KNOWN
+        self.head = torch.nn.Sequential(
+            torch.nn.Linear(features, 256), torch.nn.ReLU(inplace=True),
+            torch.nn.Linear(256, outputs_of(**self.shape)))
+
+    def forward(
+        self, distance: torch.Tensor, weight: torch.Tensor, known: torch.Tensor
+    ) -> Mixture:
+        """Distance (N, AZIMUTHS, ELEVATIONS), m; weight, the logarithm of 1 + the map's; known."""
+        azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
+        where = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth)])
+        where = where[None, :, None, :].expand(len(distance), 2, distance.shape[2], AZIMUTHS)
+        maps = torch.stack([(distance.transpose(1, 2) - self.distance) / self.spread,
+                            weight.transpose(1, 2).clamp(max=4.0) - 1.0], dim=1)
+        found = self.stages(self.stem(torch.cat([maps, where.to(maps)], dim=1)))
+        around = found.mean(dim=2)
+        angle = (torch.arange(around.shape[2]) + 0.5) * (2 * torch.pi / around.shape[2])
+        waves = [torch.ones_like(angle)]
+        for harmonic in _HARMONICS:
+            waves += [torch.cos(harmonic * angle), torch.sin(harmonic * angle)]
+        pooled = around @ torch.stack(waves, dim=1).to(around) / around.shape[2]
+        return Mixture.of_outputs(self.head(torch.cat([pooled.flatten(1), known], dim=1)),
+                                  **self.shape)
+
+
+def _close(module: torch.nn.Module) -> None:
+    """Make all convolutions within ``module`` such that close around the axis."""
+    for name, child in module.named_children():
+        if isinstance(child, torch.nn.Conv2d) and child.kernel_size[0] > 1:
+            around = AroundConv(child.in_channels, child.out_channels, child.kernel_size,
+                                stride=child.stride, bias=child.bias is not None)
+            around.load_state_dict(child.state_dict())
+            setattr(module, name, around)
+        else:
+            _close(child)

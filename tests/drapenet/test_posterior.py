@@ -1,0 +1,47 @@
+"""The mixture against scipy, and its samples against its density."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import multivariate_normal
+
+from drapenet.coverage import LEVELS, covered, ranks
+from drapenet.posterior import Mixture, outputs_of
+
+
+@pytest.fixture
+def mixture() -> Mixture:
+    generator = torch.Generator().manual_seed(3)
+    outputs = torch.randn(2, outputs_of(components=3, targets=4), generator=generator)
+    return Mixture.of_outputs(outputs.double(), components=3, targets=4)
+
+
+def test_the_likelihood_is_that_of_the_gaussians(mixture: Mixture) -> None:
+    at = torch.full((2, 4), 0.3, dtype=torch.float64)
+    found = mixture.log_likelihood(at)
+    for n in range(2):
+        shares = mixture.logits[n].softmax(dim=0).numpy()
+        densities = []
+        for mean, factor in zip(mixture.means[n], mixture.factors[n], strict=True):
+            covariance = np.linalg.inv((factor @ factor.T).numpy())
+            densities.append(multivariate_normal(mean.numpy(), covariance).pdf(at[n].numpy()))
+        assert found[n].item() == pytest.approx(np.log(shares @ densities), abs=1e-9)
+
+
+def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture: Mixture) -> None:
+    draws = mixture.sample(40_000, torch.Generator().manual_seed(0)).numpy()
+    for n in range(2):
+        shares = mixture.logits[n].softmax(dim=0).numpy()
+        means = mixture.means[n].numpy()
+        mean = shares @ means
+        inverse = [np.linalg.inv((f @ f.T).numpy()) for f in mixture.factors[n]]
+        covariance = sum(share * (c + np.outer(m - mean, m - mean))
+                         for share, c, m in zip(shares, inverse, means, strict=True))
+        deviation = np.sqrt(np.diag(covariance))
+        assert draws[:, n].mean(axis=0) == pytest.approx(mean, abs=0.03 * deviation.max())
+        assert np.cov(draws[:, n].T) / np.outer(deviation, deviation) == pytest.approx(
+            covariance / np.outer(deviation, deviation), abs=0.05)
+    truth = mixture.sample(500, torch.Generator().manual_seed(1)).numpy()[:, 0]
+    places = ranks(draws[:4000, :1], truth)
+    assert covered(places).mean(axis=1) == pytest.approx(LEVELS, abs=0.04)
+    assert covered(0.5 + (places - 0.5) / 2)[1].mean() > 0.95  # intervals twice too wide
