@@ -33,7 +33,7 @@ from benchmarks.common import (
 from common.cli import run_command
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior
-from data.sampling import STARTS, SamplingConfig, plan_drape
+from data.sampling import SamplingConfig, plan_drape
 from sim.drape import drape
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 
@@ -50,6 +50,7 @@ DEFAULTS = {
     "cases": "outputs/validation/convergence",
     "out": str(REPORTS / "convergence.json"),
 }
+STARTS = SamplingConfig().starts
 
 
 def one_drape(index: int, seed: int, edge_mm: float) -> dict:

@@ -1,36 +1,35 @@
-"""What a drape can tell: ``python -m benchmarks.information [fabrics=40] [workers=2]``.
+"""How well a drape determines its fabric at best: ``python -m benchmarks.information [key=value]``.
 
-The Cramér-Rao bound of the six moduli of prior fabrics, from four depth views (240 × 180 pixels,
-the nominal camera) with 1 mm of noise and one independent pixel in a hundred; see
-:mod:`drapenet.information`. Orientation and offset of the specimen are unknown; the table also
-says what the camera's pose costs when it is unknown too, and what each modulus would have if the
-others were known. Beside the bounds stands what refinement and the network reach, where their
-report is there (docs/validation/refine_views.json).
+The posterior bound of the six moduli (:mod:`drapenet.information`) of fabrics of the prior ``vae``,
+each draped twice: as a specimen with nuisances of configs/nuisances/real.yaml, and without any.
+Four depth views of 240 × 180 pixels are taken by the nominal camera. Unknown in every row are the
+specimen's turn and offset on the plate and the camera's pose. A row is the root mean square, over
+fabrics and the three directions, of the least standard deviation of an estimate that knows how
+moduli and nuisances spread.
+
+Depths are off by 1 mm, standard deviation, and one pixel in a hundred counts as an independent
+measurement. The local errors of ``sensor=smooth`` are 1.0 mm, and alike so far that one pixel in
+twenty is independent; the rest is a margin for its errors of whole pictures, which have no columns.
 
 Keys (``key=value``):
 
     fabrics       drawn from the prior
-    seed          of the fabrics and their orientations
+    seed          of the fabrics, the specimens and their orientations
     edge_mm       edges of the mesh at the plate's rim
     noise_mm      standard deviation of a depth
     pixels        for one independent measurement
-    workers       processes, one thread each
-    cases         folder of finished fabrics; an interrupted run goes on from there
-    refine_views  report of benchmarks.refine_views
     out           the report, JSON; a picture of the same name beside it
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from tqdm import tqdm
 
 from benchmarks.common import (
-    ESTIMATOR,
     REPORTS,
     parse_settings,
-    run_cases,
     table,
     tick_short_scales,
     write_figure,
@@ -38,193 +37,153 @@ from benchmarks.common import (
 )
 from common.cli import run_command
 from data.cameras import CameraRig
+from data.configs import compose_config
 from data.fabrics import THETA_NAMES, fabric_from_theta
-from data.prior import load_prior, sample_admissible
-from data.sampling import Stream, stream
-from drapenet.information import (
-    CAMERA,
-    SPECIMEN,
-    bounds,
-    bounds_alone,
-    combinations,
-    depth_information,
-)
+from data.nuisances import NAMES, Nuisances
+from data.options import Options, config_from_options
+from data.prior import load_prior
+from data.sampling import SamplingConfig, Stream, plan_drape, stream
+from data.setups import Setups
+from drapenet.information import CAMERA, SETUP, SPECIMEN, bounds, depth_information, deviations
 from sim.drape import drape
-from sim.measures import fold_count
+from sim.scene import Rig
 
-PERCENT, MM = 100.0, 1e3
-UNITS = np.repeat([PERCENT, MM], 3)  # of the bounds of log alpha and beta/alpha
-LABELS = tuple(f"{what} {d}" for what in ("α", "β/α") for d in ("warp", "bias", "weft"))
-TOLD, UNTOLD = 0.2, 1.0  # of the spread over fabrics: told by a drape; not told at all
-
+MM = 1e3
+MODULI = {"log_alpha": slice(0, 3), "beta_over_alpha": slice(3, 6)}
+WITHOUT, KNOWN, ALL = "no nuisances", "all nuisances known", "all nuisances unknown"
+DRAWN = (WITHOUT, KNOWN, ALL)
+MEASURED = ("membrane", "friction")
+"""Nuisances that a user may have measured."""
 DEFAULTS = {
-    "fabrics": 40,
+    "fabrics": 60,
     "seed": 6,
-    "edge_mm": 3.5,
+    "edge_mm": 3.0,
     "noise_mm": 1.0,
     "pixels": 100.0,
-    "workers": 1,
-    "cases": "outputs/validation/information",
-    "refine_views": str(REPORTS / "refine_views.json"),
     "out": str(REPORTS / "information.json"),
 }
 
 
+def sampling(seed: int) -> SamplingConfig:
+    """How fabrics and specimens are drawn: as in a dataset, but for soft fabrics as they are."""
+    words = ["dataset=specimens", "dataset.soft_share=0", "nuisances=real", f"seed={seed}"]
+    return config_from_options(compose_config("generate", words, schema=Options)).sampling
+
+
+def unknowns(config: SamplingConfig) -> dict[str, dict[str, float]]:
+    """What is unknown in each row of the table of drapes with nuisances, and its deviations."""
+    pose = dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf)
+    pose |= dict.fromkeys(SPECIMEN[1:], config.drift)
+    own, setup = deviations(config.nuisances), Setups.load()
+    table_and_focal = dict(zip(SETUP, (*[setup.turn] * 3, setup.focal), strict=True))
+    rest = {name: own[name] for name in NAMES if name not in MEASURED}
+    return {
+        KNOWN: pose,
+        **{name: pose | {name: own[name]} for name in NAMES},
+        f"all but {' and '.join(MEASURED)}": pose | rest,
+        ALL: pose | own,
+        f"{ALL}, turntable and focal length too": pose | own | table_and_focal,
+    }
+
+
 def one_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pixels: float) -> dict:
-    """Fisher's information on fabric ``index``."""
-    rng = stream(seed, Stream.FABRIC, index)
-    theta, _ = sample_admissible(load_prior("gaussian"), rng)
-    fabric = fabric_from_theta(theta)
-    orientation = 2 * np.pi * float(stream(seed, Stream.VIEWS, index).random())
-    result = drape(fabric, edge=1e-3 * edge_mm, seed=index)
-    found = depth_information(result, CameraRig.load().nominal(), orientation=orientation,
-                              noise=noise_mm / MM, pixels_per_measurement=pixels)
-    return {
-        "theta": theta.tolist(),
-        "orientation_degrees": float(np.degrees(orientation)),
-        "status": result.status.value,
-        "message": result.message if found.ok else found.message,
-        "folds": fold_count(result.positions, result.rest, result.rig),
-        "pixels": found.pixels,
-        "covariances": {
-            name: found.covariance(unknown).tolist() if found.ok else None
-            for name, unknown in (("known", ()), ("specimen", SPECIMEN),
-                                  ("camera", (*SPECIMEN, *CAMERA)))
-        },
-    }
+    """Bounds of fabric ``index``, (6,) by row; None where a drape has no derivatives."""
+    config, prior = sampling(seed), load_prior("gaussian").covariance
+    plan = plan_drape(index, config=config, prior=load_prior("vae"))
+    fabric, rows = fabric_from_theta(plan.theta), unknowns(config)
+    turn = 2 * np.pi * float(stream(seed, Stream.VIEWS, index).random())
+    case = {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
+            "bounds": {}, "messages": []}
+    for nuisances, own in ((Nuisances(), {WITHOUT: rows[KNOWN]}), (plan.nuisances, rows)):
+        result = drape(fabric, rig=nuisances.rig(Rig()), edge=1e-3 * edge_mm, start=plan.start,
+                       seed=plan.seed, offset=tuple(plan.offset), laws=nuisances.laws)
+        found = depth_information(result, CameraRig.load().nominal(), nuisances=nuisances,
+                                  orientation=turn, noise=noise_mm / MM,
+                                  pixels_per_measurement=pixels)
+        if not found.ok:
+            case["messages"].append(found.message)
+        case["bounds"] |= {
+            name: bounds(found.posterior(prior, unknown)).tolist() if found.ok else None
+            for name, unknown in own.items()}
+    return case
 
 
-def figures(case: dict, spread: np.ndarray) -> dict:
-    """Bounds of one fabric in percent and mm; of combinations in the fabrics' spread."""
-    covariance = np.array(case["covariances"]["specimen"])
-    deviations, weights = combinations(covariance, spread)
-    return {
-        "alpha_uN_m": (1e6 * np.exp(case["theta"][:3])).tolist(),
-        "beta_over_alpha_mm": (MM * np.array(case["theta"][3:])).tolist(),
-        "folds": case["folds"],
-        "bound": (UNITS * bounds(covariance)).tolist(),
-        "bound_alone": (UNITS * bounds_alone(covariance)).tolist(),
-        **{f"bound_{name}": (UNITS * bounds(np.array(case["covariances"][name]))).tolist()
-           for name in ("known", "camera")},
-        "combinations": {"of_the_spread": deviations.tolist(), "weights": weights.tolist()},
-        "told": int((deviations < TOLD).sum()),
-        "untold": int((deviations > UNTOLD).sum()),
-    }
+def summarise(cases: list[dict], spread: np.ndarray) -> dict[str, dict[str, float]]:
+    """Root mean squares over fabrics and directions, by row.
 
+    Args:
+        spread: (6,) standard deviations of theta over fabrics, the unit of "standardised" ones.
+    """
+    def rms(values: np.ndarray) -> dict[str, float]:
+        return {name: float(np.sqrt((values[:, part] ** 2).mean()))
+                for name, part in MODULI.items()}
 
-def summarise(rows: list[dict]) -> dict:
-    """Quantiles over the fabrics."""
     summary = {}
-    for name in ("bound", "bound_alone", "bound_known", "bound_camera"):
-        low, median, high = np.quantile([row[name] for row in rows], [0.1, 0.5, 0.9], axis=0)
-        summary[name] = {"tenth": low.tolist(), "median": median.tolist(), "ninetieth":
-                         high.tolist()}
-    deviations = np.array([row["combinations"]["of_the_spread"] for row in rows])
-    summary["combinations_of_the_spread"] = np.median(deviations, axis=0).tolist()
-    summary["told"] = np.bincount([row["told"] for row in rows], minlength=7).tolist()
-    summary["untold"] = np.bincount([row["untold"] for row in rows], minlength=7).tolist()
-    # Of the least known combination, the share of each modulus.
-    last = np.array([row["combinations"]["weights"][-1] for row in rows])
-    summary["least_known_shares"] = np.median(last**2, axis=0).tolist()
+    for row in cases[0]["bounds"]:
+        found = np.array([case["bounds"][row] for case in cases])
+        summary[row] = rms(found) | {
+            f"standardised_{name}": value for name, value in rms(found / spread).items()}
     return summary
 
 
 def main(argv: list[str]) -> None:
     """Find the bounds, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
-    keys = ("seed", "edge_mm", "noise_mm", "pixels")
-    settings = {key: config[key] for key in keys}
-    label = "_".join(f"{settings[key]:g}" for key in keys)
-    cases = {f"fabric_{k}_{label}": {"index": k, **settings} for k in range(config["fabrics"])}
-    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"],
-                      sources=ESTIMATOR)
+    settings = {key: config[key] for key in ("seed", "edge_mm", "noise_mm", "pixels")}
+    cases = [one_fabric(k, **settings) for k in tqdm(range(config["fabrics"]), unit="fabric")]
     spread = load_prior("gaussian").deviation
-    good = [case for case in found.values() if case["covariances"]["specimen"] is not None]
-    rows = [figures(case, spread) for case in good]
-    out = Path(config["out"])
+    failed = [message for case in cases for message in case.pop("messages")]
+    good = [case for case in cases if None not in case["bounds"].values()]
     report = {
         "settings": {"fabrics": config["fabrics"], **settings},
         "parameters": THETA_NAMES,
-        "units": ["%"] * 3 + ["mm"] * 3,
-        "spread": (UNITS * spread).tolist(),
-        "limits_of_the_spread": {"told": TOLD, "untold": UNTOLD},
-        "without_derivatives": [case["message"] for case in found.values()
-                                if case["covariances"]["specimen"] is None],
+        "nuisances": NAMES,
+        "spread": spread.tolist(),
+        "without_derivatives": failed,
+        "rms": summarise(good, spread) if good else {},
+        "fabrics": [case | {"bounds": {row: case["bounds"][row] for row in DRAWN}}
+                    for case in good],
     }
-    if rows:
-        report["summary"] = summarise(rows)
-        report["reached"] = reached(Path(config["refine_views"]))
+    write_report(Path(config["out"]), report)
+    if good:
         show(report)
-    report["fabrics"] = rows
-    write_report(out, report)
-    if rows:
-        draw(report, out.with_suffix(".png"))
-
-
-def reached(path: Path) -> dict[str, list[float]]:
-    """What refinement and the network reach, by method: (6,) spreads in percent and mm.
-
-    The report's entry "spread": typical errors of log alpha and, in m, of beta/alpha.
-    """
-    try:
-        spreads = json.loads(path.read_text(encoding="utf-8"))["spread"]
-        return {name: (UNITS * np.array(values)).tolist() for name, values in spreads.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
+        draw(report, Path(config["out"]).with_suffix(".png"))
+    if failed:
+        print("without derivatives:", "; ".join(failed))
 
 
 def show(report: dict) -> None:
-    """Print the table."""
-    summary = report["summary"]
-
-    def row(title: str, values: list[float]) -> list[str]:
-        return [title, *(f"{v:.2g} {unit}" for v, unit in zip(values, report["units"],
-                                                              strict=True))]
-
-    print(table(["", *LABELS], [
-        row("bound, median fabric", summary["bound"]["median"]),
-        row("tenth percentile", summary["bound"]["tenth"]),
-        row("ninetieth percentile", summary["bound"]["ninetieth"]),
-        row("other moduli known", summary["bound_alone"]["median"]),
-        row("orientation, offset known", summary["bound_known"]["median"]),
-        row("camera unknown too", summary["bound_camera"]["median"]),
-        *(row(name, values) for name, values in report["reached"].items()),
-        row("spread over fabrics", report["spread"]),
-    ]))
-    values = ", ".join(f"{v:.2g}" for v in summary["combinations_of_the_spread"])
-    print(f"combinations, best known first, in the spread over fabrics (medians): {values}")
-    for name, limit in (("told", f"below {TOLD:g}"), ("untold", f"above {UNTOLD:g}")):
-        counts = ", ".join(f"{k}: {n}" for k, n in enumerate(summary[name]) if n)
-        print(f"combinations {limit} of the spread: fabrics with {counts}")
-    if report["without_derivatives"]:
-        print("without derivatives:", "; ".join(report["without_derivatives"]))
+    """Print the table, and the two bounds that estimators are compared with."""
+    print(table(
+        ["unknown beside moduli and pose", "log alpha", "beta/alpha, mm",
+         "log alpha, of the spread", "beta/alpha, of the spread"],
+        [[name, row["log_alpha"], MM * row["beta_over_alpha"],
+          row["standardised_log_alpha"], row["standardised_beta_over_alpha"]]
+         for name, row in report["rms"].items()]))
+    for name in (WITHOUT, ALL):
+        row = report["rms"][name]
+        print(f"posterior bound: log alpha {row['standardised_log_alpha']:.3f}, beta/alpha "
+              f"{row['standardised_beta_over_alpha']:.3f} of the spread over fabrics ({name})")
 
 
 def draw(report: dict, path: Path) -> None:
-    """Picture of a report, as it is or as read: bounds by stiffness, combinations' deviations."""
-    rows = report["fabrics"]
-    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
-    stiffness, shrinkage, spectrum = figure.subplots(1, 3)
-    mean = np.array([np.exp(np.log(row["alpha_uN_m"]).mean()) for row in rows])
-    bound = np.array([row["bound"] for row in rows])
-    for axis, part, unit, name in ((stiffness, slice(0, 3), "%", "α"),
-                                   (shrinkage, slice(3, 6), "mm", "β/α")):
-        for k, mark in zip(range(part.start, part.stop), "o^s", strict=True):
-            axis.loglog(mean, bound[:, k], mark, ms=3, label=LABELS[k])
-            axis.axhline(report["spread"][k], color=f"C{k % 3}", lw=0.8, ls="--")
-            for style, values in zip(("-", ":"), report["reached"].values(), strict=False):
-                axis.axhline(values[k], color=f"C{k % 3}", lw=0.8, ls=style)
+    """Picture of a report, as it is or as read: bounds of each fabric by its stiffness."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    theta = np.array([case["theta"] for case in report["fabrics"]])
+    stiffness = 1e6 * np.exp(theta[:, :3].mean(axis=1))
+    spread = np.array(report["spread"])
+    for axis, (name, part) in zip(figure.subplots(1, 2), MODULI.items(), strict=True):
+        for row, mark in zip(DRAWN, "o^s", strict=True):
+            values = np.array([case["bounds"][row] for case in report["fabrics"]])[:, part]
+            axis.loglog(stiffness, np.sqrt(((values / spread[part]) ** 2).mean(axis=1)), mark,
+                        ms=3, label=row)
+        axis.axhline(1.0, color="0.5", lw=0.8, ls="--")
+        axis.set_ylim(0.02, 1.5)
         tick_short_scales(axis.xaxis, axis.yaxis)
         axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
-        axis.set_title(f"least standard deviation of {name}, {unit}", fontsize=9)
+        axis.set_title(f"bound of {'log α' if name == 'log_alpha' else 'β/α'}, "
+                       "of the spread over fabrics", fontsize=9)
         axis.legend(fontsize=7, frameon=False)
-    deviations = np.array([row["combinations"]["of_the_spread"] for row in rows])
-    spectrum.semilogy(np.arange(1, 7), deviations.T, color="0.7", lw=0.6)
-    spectrum.semilogy(np.arange(1, 7), np.median(deviations, axis=0), "ko-", ms=4)
-    for limit in (TOLD, UNTOLD):
-        spectrum.axhline(limit, color="C3", lw=0.8, ls="--")
-    spectrum.set_xlabel("combination, best known first", fontsize=8)
-    spectrum.set_title("its deviation, of the spread over fabrics", fontsize=9)
     write_figure(path, figure)
 
 

@@ -1,36 +1,31 @@
-"""Should the next dataset buy fabrics or starts? ``python -m benchmarks.learning_curve``.
+"""What more fabrics are worth: ``python -m benchmarks.learning_curve [key=value ...]``.
 
-Trains the network on parts of two datasets: on more and more fabrics with one drape each, and on
-one number of fabrics with more and more drapes each. Every training takes the same steps, from
-random weights and as many views an epoch: of fewer drapes, each is shown in more orientations. All
-are judged on the same captures of other fabrics. Finished trainings are not repeated, an
-interrupted one is gone on with.
+Trains the network on the captures of more and more fabrics of one dataset, from random weights and
+for as many steps each, and judges all as :mod:`drapenet.evaluate` does on captures of the same
+other fabrics, none of them a moved neighbour. Finished trainings are not repeated.
 
 Keys (``key=value``):
 
-    data      dataset of one drape a fabric
-    fabrics   numbers of its fabrics to train on
-    several   dataset of several drapes a fabric; empty: leave that curve out
-    starts    numbers of drapes of each fabric
-    unseen    dataset of other fabrics, with stored views or without
-    views     sets of four views an epoch
-    epochs    of each training
-    seeds     trainings of each size, with seeds 0, 1, ...
-    workers   trainings at a time, each in a process of one thread
-    work      folder of the trainings and their results
-    out       the report, JSON; the picture lies beside it
+    data        dataset of drapes
+    fabrics     numbers of its fabrics to train on
+    captures    of each drape
+    neighbours  whether all but the first are of a neighbour of its fabric
+    steps       of each training
+    width       of the network
+    batch       captures a step
+    seeds       trainings of each size, with seeds 0, 1, ...
+    workers     processes that make captures, and trainings at a time, one thread each
+    work        folder of captures and results
+    out         the report, JSON; the picture lies beside it
 """
 
-import os
 from pathlib import Path
-
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as train.py does, before torch is loaded
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from omegaconf import OmegaConf
 
-import train
 from benchmarks.common import (
     ESTIMATOR,
     REPORTS,
@@ -40,114 +35,85 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.fitting import fit
 from common.cli import run_command
 from common.errors import InputError
-from data.fresh import open_views
-from data.sensor import load_sensor
-from data.splits import SplitDataset, finished_manifest
-from drapenet.checkpoint import read_header
-from drapenet.convention import LINEAR, RATIO, TARGET_NAMES
-from drapenet.evaluate import evaluate
-from drapenet.targets import to_stiff_soft
+from data.configs import compose_config
+from drapenet.checkpoint import Header
+from drapenet.config import TrainConfig
+from drapenet.evaluate import judge
+from drapenet.network import MapNet
+from drapenet.training import CaptureSet, open_captures
 
-DEFAULTS = {
-    "data": "outputs/dataset",
-    "fabrics": [225, 450, 900, 1800],
-    "several": "outputs/dataset_starts",
-    "starts": [1, 2, 4, 8],
-    "unseen": "outputs/evaluate/dataset",
-    "views": 14400,
-    "epochs": 4,
-    "seeds": 1,
-    "workers": 2,
-    "work": "outputs/learning_curve",
-    "out": str(REPORTS / "learning_curve.json"),
-}
-HELD_OUT = 0.12  # of the fabrics, for the choice of the epoch
+HELD_OUT = 0.12  # of the fabrics
+DEFAULTS = {"data": "outputs/dataset", "fabrics": [250, 500, 1000, 2000], "captures": 6,
+            "neighbours": True, "steps": 3000, "width": 32, "batch": 64, "seeds": 1, "workers": 2,
+            "work": "outputs/learning_curve", "out": str(REPORTS / "learning_curve.json")}
+KEYS = ("data", "captures", "neighbours", "work", "steps", "width", "batch")  # of one training
 
 
-def plan(config: dict) -> list[dict]:
-    """The trainings: dataset, number of fabrics, drapes of each, seed."""
-    sizes = [{"curve": "fabrics", "data": config["data"], "fabrics": count, "drapes_each": 1}
-             for count in config["fabrics"]]
-    if config["several"]:
-        several = finished_manifest(config["several"])
-        # Few enough that the held-out share, which is chosen at random, leaves as many.
-        count = int(several["fabrics"] * (1 - HELD_OUT) * 0.95)
-        sizes += [{"curve": "starts", "data": config["several"], "fabrics": count,
-                   "drapes_each": each} for each in config["starts"]]
-    return [size | {"seed": seed} for size in sizes for seed in range(config["seeds"])]
+def settings(config: dict, workers: int = 1) -> TrainConfig:
+    """Of a training on all fabrics."""
+    words = [f"{key}={config[key]}" for key in ("data", "captures", "neighbours")]
+    words += [f"out={config['work']}", f"workers={workers}", f"model.width={config['width']}",
+              f"optim.batch_size={config['batch']}", f"validation_fraction={HELD_OUT}"]
+    return OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
 
 
-def learn(
-    *, curve: str, data: str, fabrics: int, drapes_each: int, seed: int, out: str, unseen: str,
-    views: int, epochs: int, hashes: list[str],
-) -> dict:
-    """Train on a part of a dataset; the errors on unseen fabrics, in their standard deviations.
-
-    ``hashes`` say what the folders ``data`` and ``unseen`` hold.
-    """
-    drapes = fabrics * drapes_each
-    train.main([
-        "experiment=cpu_small", f"data={data}", f"out={out}", f"seed={seed}",
-        f"fabrics={fabrics}", f"drapes_each={drapes_each}", "views=cached",
-        f"orientations_per_epoch={max(1, views // drapes)}", f"epochs={epochs}",
-        f"validation_fraction={HELD_OUT}", "threads=1",
-    ])
-    others = open_unseen(unseen)
-    header = read_header(Path(out) / "drapenet")
-    spread = to_stiff_soft(torch.from_numpy(others.theta)).std(dim=0).numpy()
-    rmse = evaluate(header, others)["network"]["rmse"]
-    share = np.array([rmse[name] for name in TARGET_NAMES]) * header.scale.std.numpy() / spread
-    return {"curve": curve, "fabrics": fabrics, "drapes_each": drapes_each, "seed": seed,
-            "drapes": drapes, "hashes": hashes} | {
-        name: float(np.sqrt(np.mean(share[part] ** 2)))
-        for name, part in (("log_alpha", LINEAR), ("beta_over_alpha", RATIO))}
+def learn(*, config: dict, fabrics: int, seed: int, dataset: str) -> dict:
+    """Train on so many fabrics; the errors on unseen ones. ``dataset`` says what ``data`` holds."""
+    training, unseen, scale, manifest = open_captures(options := settings(config))
+    maps = training.maps
+    few = maps.chosen(np.isin(maps.fabric, np.unique(maps.fabric)[:fabrics]))
+    # One scale, that of all fabrics, for errors to compare.
+    captures = CaptureSet(few, scale=scale, disc=training.disc)
+    torch.manual_seed(seed)
+    network = MapNet(**training.network(options.model))
+    fit(network, captures, share=lambda step: step / config["steps"], batch=config["batch"],
+        seed=seed)
+    header = Header(Path(), {"rig": manifest["config"]["rig"]["name"], "targets": {
+        "mean": scale.mean.tolist(), "std": scale.std.tolist()}})
+    return {"fabrics": fabrics, "seed": seed, "captures": len(few), "dataset": dataset,
+            **judge(network, header, unseen.maps, known=False)}
 
 
-def open_unseen(folder: str) -> SplitDataset:
-    """Two captures of each drape of a dataset."""
-    return open_views(folder, noise=load_sensor("smooth"), orientations_per_epoch=2)
-
-
-def picture(results: list[dict], out: Path) -> None:
-    """Error against the number of drapes, both curves."""
+def picture(rows: list[dict], out: Path) -> None:
+    """Errors against the number of fabrics, with their intervals."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for curve, label in (("fabrics", "more fabrics, one drape each"),
-                         ("starts", "more drapes of the same fabrics")):
-        points = [(row["drapes"], row["log_alpha"]) for row in results if row["curve"] == curve]
-        if points:
-            axes.semilogx(*np.array(points).T, "o-", label=label)
-    axes.set_xlabel("drapes")
-    axes.set_ylabel("error of log α on unseen fabrics, in their deviations")
-    axes.legend()
+    axis = figure.subplots()
+    for key, label in (("log_alpha", "log α"), ("beta_over_alpha", "β/α")):
+        middle = np.array([row[key]["rmse"] for row in rows])
+        low, high = np.transpose([row[key]["interval_95"] for row in rows])
+        axis.errorbar([row["fabrics"] for row in rows], middle, [middle - low, high - middle],
+                      fmt="o-" if len({row["seed"] for row in rows}) == 1 else "o", label=label)
+    axis.set(xscale="log", xlabel="fabrics trained on",
+             ylabel="error on unseen fabrics, in their deviations")
+    axis.legend()
     write_figure(out, figure)
 
 
 def main(argv: list[str]) -> None:
     """Train, print the table, and write the report."""
     config = parse_settings(DEFAULTS, argv)
-    for key in ("views", "epochs", "seeds", "workers"):
-        if config[key] < 1:
-            raise InputError(f"{key}={config[key]} must be at least 1")
-    open_unseen(config["unseen"])  # to be told of mistakes before the first training
-    work, cases = Path(config["work"]), {}
-    for case in plan(config):
-        name = "{curve}_{fabrics}x{drapes_each}_{seed}".format(**case)
-        hashes = [finished_manifest(folder)["hash"] for folder in (case["data"], config["unseen"])]
-        cases[name] = case | {key: config[key] for key in ("unseen", "views", "epochs")} | {
-            "hashes": hashes,
-            "out": str(work / name)}
-    results = list(run_cases(learn, cases, folder=work, workers=config["workers"],
-                             sources=ESTIMATOR).values())
-    print(table(
-        ("fabrics", "drapes of each", "seed", "log alpha", "beta/alpha"),
-        [(row["fabrics"], row["drapes_each"], row["seed"], f"{row['log_alpha']:.3f}",
-          f"{row['beta_over_alpha']:.3f}") for row in results]))
+    if min(config[key] for key in ("steps", "seeds", "workers")) < 1:
+        raise InputError("steps, seeds and workers must be at least 1")
+    training, _, _, manifest = open_captures(settings(config, config["workers"]))
+    least = -(-config["batch"] // config["captures"])
+    most = len(np.unique(training.maps.fabric))
+    if not least <= min(config["fabrics"]) <= max(config["fabrics"]) <= most:
+        raise InputError(f"fabrics=...: give numbers from {least}, which fill a batch, to {most}, "
+                         "which are not held out")
+    common = {"config": {key: config[key] for key in KEYS}, "dataset": manifest["hash"]}
+    cases = {f"fabrics_{count}_{seed}": {**common, "fabrics": count, "seed": seed}
+             for count in config["fabrics"] for seed in range(config["seeds"])}
+    rows = list(run_cases(learn, cases, folder=Path(config["work"]), workers=config["workers"],
+                          sources=ESTIMATOR).values())
+    print(table(("fabrics", "seed", "log alpha", "beta/alpha"),
+                [(row["fabrics"], row["seed"], f"{row['log_alpha']['rmse']:.3f}",
+                  f"{row['beta_over_alpha']['rmse']:.3f}") for row in rows]))
     out = Path(config["out"])
-    write_report(out, {"settings": config, "results": results})
-    picture(results, out.with_suffix(".png"))
+    write_report(out, {"settings": config, "results": rows})
+    picture(rows, out.with_suffix(".png"))
 
 
 if __name__ == "__main__":

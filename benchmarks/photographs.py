@@ -1,12 +1,19 @@
-"""Drapes seen by a camera beside its nominal place, with a sensor's noise, as a capture is."""
+"""Drapes as a capture shows them, seen by a camera beside its nominal place with a sensor's noise;
+and what the network makes of a capture."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data.cameras import Camera, CameraRig
+from data.cameras import Camera, CameraRig, Intrinsics
+from data.captures import Capture, whole_turns
+from drapenet.checkpoint import Header, load_model
+from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
 
 if TYPE_CHECKING:
+    from drapenet.estimate import Estimate
     from sim.drape import DrapeResult
 
 
@@ -29,3 +36,25 @@ def photographed(
     intrinsics, _ = camera_tensors([camera])
     generator = torch.Generator().manual_seed(seed)
     return load_sensor(sensor)(views, intrinsics[0], generator).numpy()
+
+
+def estimated(
+    views: np.ndarray, intrinsics: Intrinsics, header: Header, *, friction: float | None = None
+) -> "Estimate":
+    """What the network of ``header`` says of a capture, as ``infer.py`` does, of 300 g/m².
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0; the table turned by whole K-ths of a turn.
+        intrinsics: of these pictures.
+        friction: N·m per metre, where the network is given it.
+    """
+    from drapenet.canonical import drape_map
+    from drapenet.estimate import make_estimate
+    from drapenet.maps import located_camera
+    from drapenet.predict import predict
+
+    rig, turns = Rig.from_name(header.rig), whole_turns(len(views))
+    found = drape_map(views, located_camera(views, intrinsics, rig), rig, turns=turns)
+    draws, = predict(load_model(header), header, [found], friction=friction)
+    capture = Capture(views, intrinsics, turns, REFERENCE_DENSITY, None, rig.name, Path(), ())
+    return make_estimate(draws, capture=capture, header=header)

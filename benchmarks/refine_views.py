@@ -2,8 +2,8 @@
 
 Four noisy depth views of a known fabric, from a camera beside its nominal place, of a drape
 on a finer mesh and, it may be, in other folds than those of the fabric first estimated. The network
-estimates, its mean error on cloth taken off as by ``infer.py``; the refinement starts from there;
-and both are compared with the truth, and with the prior's mean. The direction of the warp is known
+estimates; the refinement starts from there, its posterior a measurement as for ``infer.py``; and
+both are compared with the truth, and with the prior's mean. The direction of the warp is known
 to a degree. Beside the errors stands the Cramér-Rao bound of the same fabrics, seen by the same
 cameras (:mod:`drapenet.information`; 1 mm of noise, one independent pixel in a hundred, the
 camera's pose unknown).
@@ -39,15 +39,17 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
-from benchmarks.photographs import photographed, place
+from benchmarks.photographs import estimated, photographed, place
 from benchmarks.recovery import errors, known_drape
 from common.cli import run_command
-from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
+from data.cameras import DEFAULT_RIG, CameraRig
+from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
+from drapenet.checkpoint import bundled, read_header
 from drapenet.comparison import same_folds
+from drapenet.convention import SWAPPED
 from sim.drape import drape
-from sim.material import bias_limit, is_admissible
 from sim.measures import fold_outline
 from sim.scene import Rig
 
@@ -71,38 +73,30 @@ def views_case(
     *, number: int, edge_mm: float, truth_mm: float, sensor: str, seed: int, other_folds: bool
 ) -> dict:
     """The network and the refinement on one capture; with ``other_folds``, on such a one only."""
-    from data.cameras import CameraRig
-    from drapenet.checkpoint import BUNDLED, load_model, read_header
-    from drapenet.estimate import belief
-    from drapenet.predict import predict
+    from drapenet.maps import located_camera
     from drapenet.refine.views import refine_views
-    from drapenet.registration import locate_camera
 
     known, shape = known_drape(seed, number, truth_mm)
     rng = np.random.default_rng([seed, number, 2])
     camera, turn = place(rng)
     views = photographed(shape, camera, turn, sensor=sensor, seed=number)
 
-    header = read_header(BUNDLED)
-    found = predict(load_model(header), views, form=header.form, scale=header.scale)
-    turned = (found.axis - turn) % np.pi
-    order = [0, 1, 2] if min(turned, np.pi - turned) <= np.pi / 4 else [2, 1, 0]
-    order += [3 + k for k in order]
-    said = belief(found, header)
-    network = said.mean[order]
-    if not is_admissible(*from_theta(network)):
-        network[1] = np.log(1.01 * bias_limit(np.exp(network[:3])))
+    intrinsics = CameraRig.load().intrinsics
+    found = estimated(views, intrinsics, read_header(bundled(DEFAULT_RIG)))
+    # Its stiffer yarns are the truth's warp or weft, whichever lie nearer.
+    along = np.cos(2 * (found.axis - turn)) >= 0
+    order = list(range(6)) if along else SWAPPED
+    network, normal = found.theta[order], found.normal
     mean = load_prior("gaussian").mean
-    first = drape(fabric_from_theta(network if is_admissible(*from_theta(network)) else mean),
-                  edge=1e-3 * edge_mm, seed=number)
+    first = drape(fabric_from_theta(network), edge=1e-3 * edge_mm, seed=number)
     outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
     folded_otherwise = not same_folds(*outlines)
     if other_folds and not folded_otherwise:
         return {"other_folds": False}
     refined = refine_views(
-        views, locate_camera(views, CameraRig.load().nominal()), network,
+        views, located_camera(views, intrinsics, Rig()), network,
         turns=[turn + math.radians(rng.normal(0, 1))], edge=1e-3 * edge_mm, seed=number + 1,
-        prior=GaussianPrior(said.mean[order], said.covariance[np.ix_(order, order)], fabrics=0))
+        prior=GaussianPrior(normal.mean[order], normal.covariance[np.ix_(order, order)], fabrics=0))
     theta = network if refined is None else refined.best.theta
     result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
               for name, values in (("refined", theta), ("network", network), ("prior", mean))}
