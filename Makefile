@@ -50,16 +50,20 @@ sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)
 
-dataset: $(STAMP)  ## simulate a dataset of 2048 drapes, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET) dataset=fresh drapes=2048 seed=10
+dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
+	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3328 seed=23 edge_mm=3
+	$(BIN)/python -m data.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
+	  rig=disc300_support180 'dataset.starts=[ring,sine,ring,fold]'
 
-train: $(STAMP)  ## go on training the bundled weights on this dataset, resumes when interrupted
-	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train/more
-	$(BIN)/python train.py experiment=cpu_small_more data=$(DATASET) out=outputs/train/last \
-	  initial=outputs/train/more/drapenet.safetensors seed=1 epochs=7
+train: $(STAMP)  ## train the networks of both testers on them, 2 hours, resumes when interrupted
+	$(BIN)/python train.py data=$(DATASET)/square300_cylinder100 out=outputs/train/square300_cylinder100 \
+	  epochs=8
+	$(BIN)/python train.py data=$(DATASET)/disc300_support180 out=outputs/train/disc300_support180 \
+	  epochs=10
 
-evaluate: $(STAMP)  ## error of the bundled weights on fabrics they have never seen
-	$(BIN)/python -m drapenet.evaluate
+evaluate: $(STAMP)  ## errors and coverage of the bundled networks on fabrics they have never seen
+	$(BIN)/python -m drapenet.evaluate rig=square300_cylinder100
+	$(BIN)/python -m drapenet.evaluate rig=disc300_support180
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m benchmarks.speed
