@@ -20,7 +20,7 @@ from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from data.captures import Capture, read_capture
 from data.configs import read_config
-from drapenet.checkpoint import Header, bundled, load_model, read_header
+from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.output import require_output, write_estimate, write_report
 from drapenet.table import format_table
 
@@ -38,18 +38,15 @@ def infer(
     """
     # Imported here because torch takes seconds, and a bad capture should be refused at once.
     with deferred():
-        from drapenet.canonical import drape_coefficient, drape_map, turn_doubts
-        from drapenet.estimate import make_estimate, to_json
-        from drapenet.maps import located_camera
-        from drapenet.predict import predict
+        from drapenet.canonical import drape_coefficient, turn_doubts
+        from drapenet.estimate import to_json
+        from drapenet.inference import infer_capture
         from drapenet.registration import camera_doubts
         from sim.scene import Rig
 
     rig = Rig.from_name(header.rig)
-    camera = located_camera(capture.views, capture.intrinsics, rig)
-    found = drape_map(capture.views, camera, rig, turns=capture.turns)
-    draws, = predict(load_model(header), header, [found], **(known or {}))
-    estimate = make_estimate(draws, capture=capture, header=header)
+    inferred = infer_capture(capture, header, **(known or {}))
+    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
     content: dict[str, Any] = {}
     doubts = [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns)]
     drape, picture = None, None

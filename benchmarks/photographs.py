@@ -8,9 +8,8 @@ import numpy as np
 
 from data.cameras import Camera, CameraRig, Intrinsics
 from data.captures import Capture, whole_turns
-from drapenet.checkpoint import Header, load_model
+from drapenet.checkpoint import Header
 from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
 
 if TYPE_CHECKING:
     from drapenet.estimate import Estimate
@@ -48,13 +47,8 @@ def estimated(
         intrinsics: of these pictures.
         friction: N·m per metre, where the network is given it.
     """
-    from drapenet.canonical import drape_map
-    from drapenet.estimate import make_estimate
-    from drapenet.maps import located_camera
-    from drapenet.predict import predict
+    from drapenet.inference import infer_capture
 
-    rig, turns = Rig.from_name(header.rig), whole_turns(len(views))
-    found = drape_map(views, located_camera(views, intrinsics, rig), rig, turns=turns)
-    draws, = predict(load_model(header), header, [found], friction=friction)
-    capture = Capture(views, intrinsics, turns, REFERENCE_DENSITY, None, rig.name, Path(), ())
-    return make_estimate(draws, capture=capture, header=header)
+    capture = Capture(views, intrinsics, whole_turns(len(views)), REFERENCE_DENSITY, None,
+                      header.rig, Path(), ())
+    return infer_capture(capture, header, friction=friction).estimate
