@@ -228,6 +228,6 @@ def describe(
         },
         "validation": metrics,
         "epochs": epoch + 1,
-        "config": asdict(config),
+        "config": config.defining(),
         "versions": {"project": release(), "torch": torch.__version__},
     }
