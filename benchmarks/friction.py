@@ -28,6 +28,7 @@ from benchmarks.common import (
     parse_settings,
     run_cases,
     table,
+    tick_short_scales,
     write_figure,
     write_report,
 )
@@ -164,6 +165,7 @@ def draw(cases: dict[str, dict], friction: list[float], path: Path) -> None:
         axis.axhline(1.0, color="k", lw=0.8)
         axis.set(xscale="log", yscale="log", title=title, xlabel="friction over α, 1/m")
     figure.axes[0].set_ylabel("α with friction over α without")
+    tick_short_scales(figure.axes[0].yaxis)
     figure.axes[0].legend(frameon=False, fontsize=8)
     write_figure(path, figure)
 

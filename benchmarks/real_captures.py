@@ -112,7 +112,7 @@ class Specimen:
 
 
 def captured(path: str, checkpoint: str, captures: int, seed: int, identity: dict) -> dict:
-    """What the network says of ``captures`` renderings of the scan ``path``.
+    """The network's samples from ``captures`` renderings of the scan ``path``.
 
     ``identity`` says what the files of ``checkpoint`` hold.
     """
