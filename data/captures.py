@@ -96,6 +96,16 @@ def _read(path: Path) -> Capture:
     )
 
 
+def captures_in(path: Path) -> list[Path]:
+    """The captures that ``path`` names: itself, or those in a folder of captures, by name."""
+    marks = ("capture.yaml", "density.txt")
+    if not path.is_dir() or any((path / mark).exists() for mark in marks):
+        return [path]
+    inside = sorted(folder for folder in path.iterdir()
+                    if any((folder / mark).is_file() for mark in marks))
+    return inside or [path]
+
+
 def write_capture(
     path: str | Path,
     *,

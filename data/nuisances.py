@@ -67,6 +67,8 @@ class Nuisances:
 
 NAMES = tuple(field.name for field in fields(Nuisances))
 """Components of :attr:`Nuisances.vector`."""
+LOGARITHMIC = ("membrane", "shear")
+"""Those whose logarithm has a distribution, and derivatives."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,23 @@ class NuisanceConfig:
             curl_warp=self.curl * normal[0], curl_weft=self.curl * normal[1],
             size=self.size * normal[2], plate=self.plate * normal[3], cut=self.cut * normal[4],
         )
+
+    @property
+    def means(self) -> dict[str, float]:
+        """Means by :data:`NAMES`; of the logarithms of those of :data:`LOGARITHMIC`."""
+        middle = {"membrane": math.log(math.prod(self.membrane)) / 2,
+                  "shear": math.log(math.prod(self.shear)) / 2, "friction": self.friction / 2}
+        return dict.fromkeys(NAMES, 0.0) | middle
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviations, likewise; uniform distributions count with theirs."""
+        (softest, stiffest), (least, most) = self.membrane, self.shear
+        return {"membrane": math.log(stiffest / softest) / (2 * _PERCENTILE),
+                "shear": math.log(most / least) / math.sqrt(12),
+                "friction": self.friction / math.sqrt(12),
+                "curl_warp": self.curl, "curl_weft": self.curl,
+                "size": self.size, "plate": self.plate, "cut": self.cut}
 
     def as_dict(self) -> dict:
         """All fields, in JSON's types."""

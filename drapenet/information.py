@@ -12,31 +12,28 @@ left out: their pixels are few.
 The bound is that of the drape's own fold configuration and of a law that is true.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from data.cameras import Camera
 from data.fabrics import THETA_NAMES
-from data.nuisances import NAMES, NuisanceConfig, Nuisances
-from data.render import render_views
-from drapenet.refine.depth import FOCAL, POSE, TABLE, DepthViews, DepthWeights
+from data.nuisances import NAMES, Nuisances
+from data.render import QUARTERS, render_views
+from drapenet.refine.cloth import law_moves
+from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from sim.drape import DrapeResult
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.parameters import forces
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_plate, moves_with_size
 
 SPECIMEN = ("turn", "offset_warp", "offset_weft")
 """How the specimen lies: rad about the vertical, and m of its centre from the plate's axis."""
 CAMERA = tuple(name for name in POSE if name != "turn")
 """How the camera stands: rad and m."""
-SETUP = (*TABLE, FOCAL)
+SETUP = (*table_names(len(QUARTERS)), FOCAL)
 """What the table turned beyond quarter turns, rad, and the logarithm of the focal length."""
-LOGARITHMIC = ("membrane", "shear")
-"""Those of :data:`data.nuisances.NAMES` whose columns are by their logarithm."""
-_STEPS = {"membrane": 1e-3, "shear": 1e-3, "friction": 1e-5, "curl_warp": 0.1, "curl_weft": 0.1}
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class Information:
 
     def covariance(self, unknown: Iterable[str] = SPECIMEN) -> np.ndarray:
         """(6, 6) least covariance of theta with the parameters ``unknown`` free, others known."""
-        return self._theta_block(np.zeros((6, 6)), dict.fromkeys(unknown, np.inf))
+        return joint_covariance([self], np.zeros((6, 6)), own=dict.fromkeys(unknown, np.inf))
 
     def posterior(self, prior: np.ndarray, unknown: Mapping[str, float]) -> np.ndarray:
         """(6, 6) the same for an estimate that knows how fabrics and nuisances spread.
@@ -69,67 +66,46 @@ class Information:
             unknown: standard deviations, above 0, of the parameters that are not known, in the
                 units of :attr:`names`; infinity where nothing is known of one.
         """
-        return self._theta_block(np.linalg.inv(prior), unknown)
+        return joint_covariance([self], np.linalg.inv(prior), own=unknown)
 
-    def _theta_block(self, precision: np.ndarray, unknown: Mapping[str, float]) -> np.ndarray:
-        chosen = [self.names.index(name) for name in (*THETA_NAMES, *unknown)]
-        total = self.fisher[np.ix_(chosen, chosen)]
-        if not np.isfinite(total).all():
-            return np.full((6, 6), np.nan)
-        total[:6, :6] += precision
-        total[6:, 6:] += np.diag([deviation**-2.0 for deviation in unknown.values()])
-        scale = 1 / np.sqrt(np.diag(total))
-        return (scale[:, None] * np.linalg.inv(scale[:, None] * total * scale) * scale)[:6, :6]
+
+def joint_covariance(
+    captures: Sequence[Information], precision: np.ndarray, *, own: Mapping[str, float],
+    shared: Mapping[str, float] | None = None,
+) -> np.ndarray:
+    """(6 + S, 6 + S) least covariance of theta and of what else captures of one fabric share.
+
+    NaN where a drape has no derivatives.
+
+    Args:
+        precision: (6, 6) of theta beforehand.
+        own: standard deviations of what differs from capture to capture; shared: of the S
+            parameters that belong to the fabric; infinity where nothing is known of one.
+    """
+    shared = shared or {}
+    total = np.zeros((6 + len(shared),) * 2)
+    total[:6, :6] = precision
+    total[6:, 6:] = np.diag([deviation**-2.0 for deviation in shared.values()])
+    for one in captures:
+        kept, left = ([one.names.index(name) for name in names]
+                      for names in ((*THETA_NAMES, *shared), own))
+        if not np.isfinite(one.fisher).all():
+            return np.full(total.shape, np.nan)
+        between = one.fisher[np.ix_(kept, left)]
+        within = one.fisher[np.ix_(left, left)] + np.diag([d**-2.0 for d in own.values()])
+        total += one.fisher[np.ix_(kept, kept)] - between @ _inverse(within) @ between.T
+    return _inverse(total)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric positive definite matrix whose rows have different units."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    return scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
 
 
 def bounds(covariance: np.ndarray) -> np.ndarray:
     """(6,) standard deviations of log alpha and beta/alpha (m) of a covariance (6, 6)."""
     return np.sqrt(np.diag(covariance))
-
-
-def deviations(spread: NuisanceConfig) -> dict[str, float]:
-    """Standard deviations of the nuisances, by :data:`data.nuisances.NAMES`.
-
-    Of the logarithms of membrane and shear. Uniform distributions count with theirs.
-    """
-    (softest, stiffest), (least, most) = spread.membrane, spread.shear
-    return {
-        "membrane": np.log(stiffest / softest) / (2 * 1.96),  # between percentiles 2.5 and 97.5
-        "shear": np.log(most / least) / np.sqrt(12),
-        "friction": spread.friction / np.sqrt(12),
-        "curl_warp": spread.curl,
-        "curl_weft": spread.curl,
-        "size": spread.size,
-        "plate": spread.plate,
-        "cut": spread.cut,
-    }
-
-
-def law_moves(tangent: Tangent, nuisances: Nuisances) -> dict[str, np.ndarray]:
-    """(V, 3) how a drape moves with each nuisance of its cloth's energies, by name.
-
-    Per unit of log membrane and log shear, N of friction, 1/m of curl. Forces are linear in the
-    parameters themselves, so that differences at one state are derivatives, for any step.
-    """
-    cloth, size = tangent.cloth, tangent.cloth.potential.unknowns
-    mesh, active = cloth.scene.mesh, cloth.scene.active
-
-    def forces_with(name: str, value: float) -> np.ndarray:
-        laws = replace(nuisances, **{name: value}).laws
-        energies = [laws.membrane.energy(mesh, active),
-                    laws.bending_law(mesh, active, fabric=cloth.fabric)]
-        return forces(energies, tangent.q, size)
-
-    moves = {}
-    for name, step in _STEPS.items():
-        value = getattr(nuisances, name)
-        # A shear of exactly 1 is another law. Friction below 0 is none.
-        low, high = ((value * (1 - step), value * (1 + step)) if name in LOGARITHMIC
-                     else (value, value + step))
-        push = (forces_with(name, high) - forces_with(name, low)) / (high - low)
-        push *= value if name in LOGARITHMIC else 1.0
-        moves[name] = -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)
-    return moves
 
 
 def depth_information(

@@ -102,20 +102,24 @@ def resimulate(
     if best is None:
         return None
     _, renderer, orientation, side, result = best
-    simulated = renderer.views(camera, orientation, turns)
+    # The camera looks along y: mirrored in x, a drape that is turned back looks the same.
+    return beside(views, renderer.views(camera, orientation, turns), camera, turns=turns,
+                  drape=result, turn=side * orientation, statuses=statuses)
+
+
+def beside(
+    views: np.ndarray, simulated: np.ndarray, camera: Camera, *, turns: Sequence[float],
+    drape: DrapeResult, turn: float, statuses: Sequence[str],
+) -> Resimulation:
+    """A drape whose views (K, H, W) are ``simulated`` beside the captured ``views``; other
+    arguments as for :class:`Resimulation`.
+    """
     profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT, turns=turns)
                      for v in (views, simulated))
     return Resimulation(
-        views=simulated,
-        profiles=profiles,
-        folds=(count_folds(profiles[0]), count_folds(profiles[1])),
-        overlap=silhouette_overlap(views, simulated),
-        statuses=tuple(statuses),
-        drape=result,
-        camera=camera,
-        # The camera looks along y: mirrored in x, a drape that is turned back looks the same.
-        turn=side * orientation,
-    )
+        views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
+        overlap=silhouette_overlap(views, simulated), statuses=tuple(statuses), drape=drape,
+        camera=camera, turn=turn)
 
 
 def _fit_orientation(

@@ -38,9 +38,9 @@ def format_table(content: dict[str, Any]) -> str:
         lines.append("poorly constrained (± share of the spread over fabrics): "
                      + ", ".join(f"{name} {shares[name]:.0%}" for name in poor))
     if refined := content.get("refined"):
-        before = ", ".join(f"{name} {change['alpha_before_uN_m']:.2f} "
-                           f"({change['alpha_percent']:+.0f}%)"
-                           for name, change in refined["change"].items())
+        before = ", ".join(
+            f"{name} {with_interval(moduli['alpha_uN_m'])[0]}"
+            for name, moduli in refined["before"].items())
         lines.append(f"alpha before refinement: {before}")
         first = refined["misfit_before"]
         lines.append(f"misfit {'-' if first is None else format(first, '.0f')} before, "
@@ -51,4 +51,6 @@ def format_table(content: dict[str, Any]) -> str:
                  f"{axis['probability']:.2f})")
     if coefficient := content["capture"].get("drape_coefficient_percent"):
         lines.append(f"drape coefficient {coefficient:.1f} %, as captured")
+    if captures := content.get("captures"):
+        lines.insert(0, f"joint estimate of {len(captures)} captures")
     return "\n".join(lines + [f"warning: {line}" for line in content["warnings"]])

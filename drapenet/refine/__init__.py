@@ -1,6 +1,4 @@
-"""Refinement: moduli corrected until the simulated drape is like the captured one.
+"""Refinement: the specimen that a capture shows, found by simulation.
 
-``problem`` puts together theta, the simulator and an ``objective``; ``optimisers`` work on it.
-Objectives: ``registered`` (vertex positions), ``depth`` (four views), ``scan`` (distance to a cloud
-of points, border and outline), ``descriptor`` (the spectrum of the folds, whatever their phase).
+``refined`` starts from an estimate; ``search`` runs :mod:`.problem` on meshes and springs.
 """

@@ -141,26 +141,21 @@ def pulled(
 ) -> Equilibrium:
     """``state`` under springs, whose ends are sought again for each of ``pulls``."""
     for pull in pulls:
-        springs = nearest_springs(scene, state.positions, points, normals, pull=pull, reach=REACH)
+        near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
+        springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))
         found = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs], options=OPTIONS)
         state = found.state
     return found
 
 
-def nearest_springs(
-    scene: Scene,
-    positions: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    *,
-    pull: float,
-    reach: float,
-) -> Springs:
-    """Springs from the free vertices at positions (V, 3), m, to the nearest points.
+def nearest_points(
+    scene: Scene, positions: np.ndarray, points: np.ndarray, normals: np.ndarray, *, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The free vertices near a captured surface, (N,), and the captured point of each, (N,).
 
     Args:
-        points, normals: (N, 3) m and (N, 3) of the captured surface.
-        pull: force at a distance of 1 mm, over the cloth's weight at the reference density.
+        positions: (V, 3) m, of the vertices.
+        points, normals: (M, 3) m and (M, 3) of the surface.
         reach: m, from which distance on a vertex is left alone.
     """
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
@@ -168,8 +163,7 @@ def nearest_springs(
     own = vertex_normals(positions, scene.mesh.faces)[free]
     distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
     near = distance < reach
-    return Springs(free[near], points[nearest[near]], normals[nearest[near]],
-                   spring_stiffness(scene, free[near], pull))
+    return free[near], nearest[near]
 
 
 def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
@@ -178,7 +172,7 @@ def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Spring
     Along the surface vertices are free: there their places are known least.
 
     Args:
-        positions: (V, 3) m, of the surface. pull: as for :func:`nearest_springs`.
+        positions: (V, 3) m, of the surface. pull: as for :func:`spring_stiffness`.
     """
     free = np.flatnonzero(~scene.held)
     return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
@@ -186,6 +180,10 @@ def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Spring
 
 
 def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
-    """Stiffness (N,), N/m, of springs at ``vertices`` (N,); ``pull`` as for nearest_springs."""
+    """Stiffness (N,), N/m, of springs at ``vertices`` (N,).
+
+    Args:
+        pull: force at a distance of 1 mm, over the cloth's weight at the reference density.
+    """
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
     return pull / 1e-3 * weight

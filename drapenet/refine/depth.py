@@ -1,4 +1,4 @@
-"""Objective: four depth views, compared pixel by pixel with the simulated drape.
+"""Objective: depth views, compared pixel by pixel with the simulated drape.
 
 Where both see cloth, the residual is the difference in z-depth, and its derivative that of the
 plane of the triangle that the pixel's ray hits: moved by v there, a plane of normal n lies
@@ -13,6 +13,7 @@ Both kinds are normalised to a fixed number of independent measurements, so that
 nothing by showing less cloth, and the value is a negative log likelihood.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,15 +27,18 @@ from scipy.ndimage import (
 )
 
 from data.cameras import Camera
-from data.render import VIEWS, import_open3d
+from data.render import QUARTERS, import_open3d
 from drapenet.refine.objective import Linearised, huber
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
-TABLE = ("table_1", "table_2", "table_3")
-FOCAL = "log_focal"
-_SCALES = dict(zip((*POSE, *TABLE, FOCAL),
-                   (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.03, 0.03, 0.03, 0.01), strict=True))
+FOCAL, BORDER = "log_focal", "border"
+"""Logarithm of the focal length over the camera's; px that the cut-out takes off the cloth."""
+_SCALES = dict(zip((*POSE, FOCAL, BORDER), (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.01, 0.5),
+                   strict=True))
 """Sensible changes, rad and m; of the focal length, relative."""
+TABLE_SCALE = 0.03  # rad
+TABLE_DEVIATION = np.radians(2.5)  # the deviations are those of configs/setup/real.yaml
+FOCAL_DEVIATION, BORDER_DEVIATION = 0.01, 1.0
 EDGE = 1.75e-3
 """m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
 
@@ -50,11 +54,8 @@ class DepthWeights:
         stride: of the depth pixels compared, in rows and columns.
         jump: m, depths further apart within 3 x 3 pixels are a jump.
         patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
-            :data:`EDGE` at the rim. Noise of neighbours is alike, and what a mesh does to folds
-            even more so: errors of the moduli by the mesh, on views without noise
-            (benchmarks.refine_bias), and those of noise with one independent pixel in 100 are
-            together as with one in some 700 where a mesh moves alpha by 14 % and 170 where it does
-            by 6 %.
+            :data:`EDGE` at the rim: noise of neighbours is alike, and what a mesh does to folds
+            even more so. With this value intervals hold (``python -m benchmarks.refine_views``).
     """
 
     sigma: float = 1e-3
@@ -63,7 +64,7 @@ class DepthWeights:
     border_limit: float = 4.0
     stride: int = 2
     jump: float = 12e-3
-    patch: float = 14.0
+    patch: float = 18.0
 
     def on_mesh(self, edge: float) -> "DepthWeights":
         """The weights for cloth on a mesh with edges of ``edge``, m, at the rim.
@@ -100,20 +101,25 @@ class _Hits:
     depth: np.ndarray
 
 
+def table_names(views: int) -> tuple[str, ...]:
+    """Names of the table's deviations in all views but the first."""
+    return tuple(f"table_{k}" for k in range(1, views))
+
+
 class DepthViews:
-    """Four captured views against a mesh.
+    """Captured views against a mesh.
 
     The specimen lies in the world turned by ``turn`` (rad, the warp's direction in the first
-    view), and by a quarter turn more in each view, plus the table's deviation ``table_k`` where
-    that is free. The world is tilted about its x and y axes and shifted to where ``camera`` sees
-    it: the camera's pose is known only so well.
+    view), and by ``turns`` in each view, plus the table's deviation ``table_k`` where that is free.
+    The world is tilted about its x and y axes and shifted to where ``camera`` sees it: the camera's
+    pose is known only so well.
 
     Args:
-        views: (4, H, W) z-depth, m, background 0.
+        views: (K, H, W) z-depth, m, background 0.
         camera: of all of them.
         faces: (F, 3) of the mesh.
+        turns: (K,) rad, how far the table had turned in each view.
         turn: first value of the nuisance.
-        table: whether the turntable's angles are free; focal: whether the focal length is.
         weights: how much the pixels count.
     """
 
@@ -123,15 +129,17 @@ class DepthViews:
         camera: Camera,
         faces: np.ndarray,
         *,
+        turns: Sequence[float] = QUARTERS,
         turn: float = 0.0,
-        table: bool = True,
-        focal: bool = True,
         weights: DepthWeights | None = None,
     ) -> None:
         self.camera, self.weights = camera, weights or DepthWeights()
-        self.nuisances = (*POSE, *(TABLE if table else ()), *([FOCAL] if focal else []))
+        self._turns = np.asarray(turns, dtype=np.float64)
+        self.nuisances = (*POSE, *table_names(len(views)), FOCAL, BORDER)
         self.start = np.array([turn, *[0.0] * (len(self.nuisances) - 1)])
-        self.scale = np.array([_SCALES[name] for name in self.nuisances])
+        self.scale = np.array([_SCALES.get(name, TABLE_SCALE) for name in self.nuisances])
+        known = dict.fromkeys(POSE, np.inf) | {FOCAL: FOCAL_DEVIATION, BORDER: BORDER_DEVIATION}
+        self.deviation = np.array([known.get(name, TABLE_DEVIATION) for name in self.nuisances])
         self._faces = faces
         self._open3d = import_open3d()
         self._nominal_rays = camera.directions()
@@ -150,10 +158,10 @@ class DepthViews:
         return self._evaluate(positions, nuisance, derivatives=True)
 
     def render(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Views (4, H, W) z-depth, m, of the drape as it is compared."""
+        """Views (K, H, W) z-depth, m, of the drape as it is compared."""
         scene = self._scene(positions)
         views = []
-        for k in range(VIEWS):
+        for k in range(len(self._views)):
             rotation, shift, _ = self._pose(k, nuisance)
             directions = self._directions(nuisance)
             face, _ = self._cast(scene, directions, rotation, shift)
@@ -181,7 +189,7 @@ class DepthViews:
     ) -> Linearised:
         scene, own = self._scene(positions), self.weights
         directions = self._directions(nuisance)
-        depths, borders = [], []
+        depths, borders, by_border = [], [], []
         for k, view in enumerate(self._views):
             rotation, shift, changes = self._pose(k, nuisance)
             face, depth = self._cast(scene, directions, rotation, shift)
@@ -196,12 +204,14 @@ class DepthViews:
             rows, columns = np.nonzero(_border(face >= 0))
             rays = directions[rows, columns]
             hits = self._hits(positions, face[rows, columns], rays, rotation, shift)
-            difference, slope = huber(view.distance[rows, columns] / own.border_sigma,
+            distance = view.distance[rows, columns] - self._value(BORDER, nuisance)
+            difference, slope = huber(distance / own.border_sigma,
                                       own.border_limit / own.border_sigma)
             gradient = self._picture_gradient(view.slope[:, rows, columns], rays, hits,
                                               self._zoom(nuisance))
             borders.append((difference, slope[:, None] / own.border_sigma * gradient @ rotation,
                             hits, rotation, changes))
+            by_border.append(-slope / own.border_sigma)
         parts = []
         for group, number in ((depths, self._measurements[0]), (borders, self._measurements[1])):
             found = sum(len(part[0]) for part in group)
@@ -223,6 +233,8 @@ class DepthViews:
             np.stack([((part[2].point @ turn.T + shift) * (part[1] @ part[3].T)).sum(1)
                       for turn, shift in part[4]], axis=1)
             for part in parts])
+        last = np.concatenate(by_border)
+        by_nuisance[len(residuals) - len(last):, self.nuisances.index(BORDER)] = factor * last
         return Linearised(residuals, along, by_nuisance, sum(self._measurements))
 
     def _scene(self, positions: np.ndarray) -> object:
@@ -238,7 +250,10 @@ class DepthViews:
 
     def _zoom(self, nuisance: np.ndarray) -> float:
         """Focal length over the camera's."""
-        return float(np.exp(dict(zip(self.nuisances, nuisance, strict=True)).get(FOCAL, 0.0)))
+        return float(np.exp(self._value(FOCAL, nuisance)))
+
+    def _value(self, name: str, nuisance: np.ndarray) -> float:
+        return float(nuisance[self.nuisances.index(name)])
 
     def _cast(
         self, scene: object, directions: np.ndarray, rotation: np.ndarray, shift: np.ndarray
@@ -292,7 +307,7 @@ class DepthViews:
         values = dict(zip(self.nuisances, nuisance, strict=True))
         table = f"table_{k}"
         turn, turn_slope = _rotation(
-            2, values["turn"] + k * np.pi / 2 + values.get(table, 0.0))
+            2, values["turn"] + self._turns[k] + values.get(table, 0.0))
         about_x, x_slope = _rotation(0, values["tilt_x"])
         about_y, y_slope = _rotation(1, values["tilt_y"])
         outer, place = np.split(self.camera.world_to_camera[:3], [3], axis=1)

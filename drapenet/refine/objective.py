@@ -3,14 +3,14 @@
 An objective compares a simulated drape, given by its vertex positions, with something captured.
 It knows nothing of moduli; it may have parameters of its own, the nuisances: how the specimen is
 turned, where the camera stands. Its value is half the sum of squared residuals, always: an
-objective that has to survive outliers hands out residuals that are bent already (:func:`huber`,
-:func:`saturate`), so that every optimiser sees plain least squares.
+objective that has to survive outliers hands out residuals that are bent already (:func:`huber`), so
+that every optimiser sees plain least squares.
 
 The number of residuals may change from call to call (pixels that see cloth), their scale must
 not: values of different calls are compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -51,15 +51,17 @@ class Objective(Protocol):
     """A comparison of a simulated drape with a captured one.
 
     Attributes:
-        nuisances: names of its own K parameters; those of one name are shared between objectives
-            (:class:`Sum`).
+        nuisances: names of its own K parameters.
         start: (K,) their first values, SI.
         scale: (K,) by how much each may sensibly change in a step.
+        deviation: (K,) how far each is known to lie from its first value, standard deviations;
+            infinite where nothing is known.
     """
 
     nuisances: tuple[str, ...]
     start: np.ndarray
     scale: np.ndarray
+    deviation: np.ndarray
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """Residuals (N,) of vertices at positions (V, 3), m, and own parameters (K,)."""
@@ -83,62 +85,6 @@ def huber(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
     bent = np.sqrt(np.where(far, 2 * limit * size - limit**2, 1.0))
     return (np.where(far, np.sign(residuals) * bent, residuals),
             np.where(far, limit / bent, 1.0))
-
-
-def saturate(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals that never exceed ``limit``, and their derivatives, both (N,).
-
-    r / sqrt(1 + (r/limit)²), whose square is the function of Geman and McClure.
-    """
-    root = np.sqrt(1 + (residuals / limit) ** 2)
-    return residuals / root, root**-3
-
-
-class Sum:
-    """Several objectives at once; nuisances of the same name are one parameter.
-
-    Args:
-        parts: the objectives.
-        weights: their values' weights; 1 unless given.
-    """
-
-    def __init__(self, parts: Sequence[Objective], weights: Sequence[float] | None = None) -> None:
-        self.parts = tuple(parts)
-        self._roots = [w**0.5 for w in weights or [1.0] * len(self.parts)]
-        first: dict[str, tuple[float, float]] = {}
-        for part in self.parts:
-            for name, start, scale in zip(part.nuisances, part.start, part.scale, strict=True):
-                first.setdefault(name, (float(start), float(scale)))
-        self.nuisances = tuple(first)
-        self.start = np.array([start for start, _ in first.values()])
-        self.scale = np.array([scale for _, scale in first.values()])
-        self._own = [[self.nuisances.index(name) for name in part.nuisances]
-                     for part in self.parts]
-
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (N,) of all parts."""
-        return np.concatenate([
-            root * part.residuals(positions, nuisance[own])
-            for part, root, own in zip(self.parts, self._roots, self._own, strict=True)])
-
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
-        parts = [Linearised(*part.linearised(positions, nuisance[own]))
-                 for part, own in zip(self.parts, self._own, strict=True)]
-
-        def along(moves: np.ndarray) -> np.ndarray:
-            return np.concatenate([root * part.along(moves)
-                                   for part, root in zip(parts, self._roots, strict=True)])
-
-        columns = []
-        for part, root, own in zip(parts, self._roots, self._own, strict=True):
-            block = np.zeros((len(part.residuals), len(self.nuisances)))
-            block[:, own] = root * part.by_nuisance
-            columns.append(block)
-        return Linearised(
-            np.concatenate([root * part.residuals
-                            for part, root in zip(parts, self._roots, strict=True)]),
-            along, np.concatenate(columns), sum(part.count for part in parts))
 
 
 def fit_nuisances(
@@ -171,5 +117,5 @@ class _FixedShape:
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scale = self._objective.scale
-        found = Linearised(*self._objective.linearised(self._positions, x * scale))
+        found = self._objective.linearised(self._positions, x * scale)
         return found.residuals, found.by_nuisance * scale

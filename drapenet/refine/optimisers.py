@@ -1,12 +1,10 @@
-"""Optimisers for few unknowns whose every evaluation is a simulation, behind one interface.
+"""Least squares of few unknowns, every evaluation a simulation.
 
-    outcome = minimise(problem, method="lm", limits=Limits(evaluations=25))
+    outcome = minimise(problem, limits=Limits(evaluations=25))
 
-``lm`` (Levenberg-Marquardt) and ``gauss_newton`` use the residuals and their derivatives,
-``lbfgs`` the gradient only, ``cmaes`` and ``one_plus_one`` values only; the latter three are there
-to be compared with. All keep within bounds, take a failed simulation for a rejected step, return
-the best point ever evaluated, so never one worse than the start, and hand it back when they are
-interrupted.
+Levenberg-Marquardt, or another :data:`Method` to compare it with. All keep within bounds, take a
+failed simulation for a rejected step, return the best point ever evaluated, so never one worse
+than the start, and hand it back when they are interrupted.
 """
 
 import math
@@ -14,17 +12,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.optimize import minimize as scipy_minimise
 
 from common.ctrl_c import require_interruption
-
-SIGMA = 0.3  # first deviation of the evolution strategies, in the problem's units
-_FAILED = 1e30  # stands for an infinite value where a method needs a number
 
 
 class LeastSquares(Protocol):
@@ -113,23 +106,22 @@ Report = Callable[[Point, int], None]
 def minimise(
     problem: LeastSquares,
     *,
-    method: str = "lm",
+    method: "Method | None" = None,
     limits: Limits | None = None,
     report: Report | None = None,
-    seed: int = 0,
 ) -> Outcome:
-    """Minimise ``problem`` by a method of :data:`METHODS`.
+    """Minimise ``problem``.
 
     Args:
+        method: Levenberg-Marquardt unless given.
         report: for a progress bar.
-        seed: of the evolution strategies.
     """
-    run = _Run(problem, limits or Limits(), report, seed)
+    run = Run(problem, limits or Limits(), report)
     try:
         status, message = Status.FAILED, "the start cannot be simulated"
         if math.isfinite(run.value(np.clip(problem.start, problem.low, problem.high))):
-            status, message = METHODS[method](run)
-    except _Done as done:
+            status, message = (method or levenberg_marquardt)(run)
+    except Done as done:
         status, message = done.args
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
@@ -138,17 +130,21 @@ def minimise(
     return Outcome(best.x, best.value, run.evaluations, run.iterations, status, message, run.trace)
 
 
-class _Done(Exception):  # noqa: N818 (ends a method from within a library's loop)
+Method = Callable[["Run"], tuple[Status, str]]
+"""From the start, which has been evaluated, to how it ended; evaluates by :meth:`Run.value`."""
+
+
+class Done(Exception):  # noqa: N818 (ends a method from within a library's loop)
     """Raised with a status and a message when a limit is reached."""
 
 
-class _Run:
+class Run:
     """One optimisation: counts, keeps the best, and stops at the limits."""
 
     def __init__(
-        self, problem: LeastSquares, limits: Limits, report: Report | None, seed: int
+        self, problem: LeastSquares, limits: Limits, report: Report | None
     ) -> None:
-        self.problem, self.limits, self.seed = problem, limits, seed
+        self.problem, self.limits = problem, limits
         self.evaluations = self.iterations = 0
         self.trace: list[Point] = []
         self._report = report
@@ -157,7 +153,7 @@ class _Run:
     def value(self, x: np.ndarray) -> float:
         """The problem's value, counted."""
         if self.evaluations >= self.limits.evaluations:
-            raise _Done(Status.EXHAUSTED, f"{self.evaluations} simulations, as many as allowed")
+            raise Done(Status.EXHAUSTED, f"{self.evaluations} simulations, as many as allowed")
         value = float(self.problem.value(x))
         value = value if math.isfinite(value) else math.inf
         self.evaluations += 1
@@ -167,7 +163,7 @@ class _Run:
         if self._report and self.trace:
             self._report(self.trace[-1], self.evaluations)
         if value <= self.limits.target:
-            raise _Done(Status.CONVERGED, "the value is as small as asked for")
+            raise Done(Status.CONVERGED, "the value is as small as asked for")
         return value
 
     @property
@@ -176,7 +172,7 @@ class _Run:
         return self.trace[-1]
 
 
-def _levenberg_marquardt(run: _Run, damped: bool) -> tuple[Status, str]:
+def levenberg_marquardt(run: Run, *, damped: bool = True) -> tuple[Status, str]:
     """Gauss-Newton within a region of trust; unknowns at a bound that want to leave it stay.
 
     Damped, the step is the best one of the linearised problem no longer than the radius, and what
@@ -243,67 +239,3 @@ def _step_within(
     low = math.log(values[0]) - 40
     high = math.log(max(np.linalg.norm(gradient) / radius, values[0])) + 1
     return step(math.exp(brentq(excess, low, high, xtol=1e-3)))
-
-
-def _lbfgs(run: _Run) -> tuple[Status, str]:
-    """SciPy's L-BFGS-B on the value and its gradient."""
-    problem, limits = run.problem, run.limits
-    first = run.best
-
-    def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
-        value = first.value if np.array_equal(x, first.x) else run.value(x)
-        linearised = problem.linearised(x) if math.isfinite(value) else None
-        if linearised is None:
-            # A wall: the line search turns back, and no slope leads it astray.
-            return 10.0, np.zeros_like(x)
-        residuals, jacobian = linearised
-        return value / first.value, jacobian.T @ residuals / first.value
-
-    def count(_: np.ndarray) -> None:
-        run.iterations += 1
-
-    result = scipy_minimise(
-        value_and_gradient, first.x, jac=True, method="L-BFGS-B", callback=count,
-        bounds=list(zip(problem.low, problem.high, strict=True)),
-        options={"ftol": limits.decrease, "gtol": 1e-9, "maxfun": 10**6, "maxiter": 10**6})
-    return (Status.CONVERGED if result.success else Status.STALLED), str(result.message)
-
-
-def _cma_es(run: _Run) -> tuple[Status, str]:
-    """CMA-ES of the package cma, with its own size of population."""
-    import cma  # takes a while
-
-    problem, limits = run.problem, run.limits
-    strategy = cma.CMAEvolutionStrategy(run.best.x, SIGMA, {
-        "bounds": [problem.low.tolist(), problem.high.tolist()], "seed": run.seed + 1,
-        "verbose": -9, "tolx": limits.step / 10, "tolfun": 0, "tolfunhist": 0, "tolflatfitness": 5,
-    })
-    while not strategy.stop():
-        points = strategy.ask()
-        strategy.tell(points, [min(run.value(np.asarray(x)), _FAILED) for x in points])
-        run.iterations += 1
-    return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
-
-
-def _one_plus_one(run: _Run) -> tuple[Status, str]:
-    """(1+1)-ES: one parent, one child, a step size for one success in five."""
-    problem, limits = run.problem, run.limits
-    rng = np.random.default_rng(run.seed)
-    sigma = SIGMA
-    while sigma > limits.step / 10:
-        before = run.best
-        run.value(np.clip(before.x + sigma * rng.standard_normal(len(before.x)),
-                          problem.low, problem.high))
-        better = run.best is not before
-        run.iterations += better
-        sigma *= 1.5 if better else 1.5**-0.25
-    return Status.CONVERGED, "the step size has become small"
-
-
-METHODS: dict[str, Callable[[_Run], tuple[Status, str]]] = {
-    "lm": partial(_levenberg_marquardt, damped=True),
-    "gauss_newton": partial(_levenberg_marquardt, damped=False),
-    "lbfgs": _lbfgs,
-    "cmaes": _cma_es,
-    "one_plus_one": _one_plus_one,
-}

@@ -1,33 +1,33 @@
-"""A refinement as a least-squares problem: unknowns -> equilibrium -> objective.
+"""A refinement as a least-squares problem: unknowns -> equilibrium -> objective and what is known.
 
-The unknowns are theta (six moduli, :mod:`data.fabrics`), if wanted the membrane's stiffness, and
-the objective's nuisances, each divided by the size of a sensible step. Every simulation starts
-from the best drape so far, a short way from where it has to go; so the fold configuration stays,
-and an equilibrium costs a few Newton steps.
+The unknowns are some of a specimen's (:mod:`.cloth`) and the objective's nuisances, each divided by
+the size of a sensible step. Every simulation starts from the best drape so far, a short way from
+where it has to go; so the fold configuration stays, and an equilibrium costs a few Newton steps.
 """
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
-from data.prior.gaussian import GaussianPrior
-from drapenet.refine.objective import NUISANCE_REACH, Linearised, Objective, value
+from data.fabrics import from_theta
+from drapenet.refine.cloth import SCALE, UNKNOWNS, Cloth, Knowledge, bounds, cloth_moves
+from drapenet.refine.objective import NUISANCE_REACH, Objective, value
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
-from sim.laws import Laws
-from sim.material import MICRO, is_admissible
-from sim.sensitivity import Sensitivities, follow, sensitivities
+from sim.material import is_admissible
+from sim.newton import NewtonOptions
+from sim.sensitivity import Sensitivities, Tangent, follow
+from sim.sensitivity.parameters import forces
 
-ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
-RATIO_RANGE = (-10e-3, 2e-3)  # m; 99 of 100 fabrics of the prior lie within
-MEMBRANE_RANGE = (math.log(0.05), math.log(20.0))  # times the law's own stiffness
-ALPHA_SCALE = 1.0  # of log alpha: what counts as 1
-RATIO_SCALE = 2e-3  # m
-MEMBRANE = "log_membrane"
+Hold = Callable[[np.ndarray], Energy]
+"""Springs that hold the simulated cloth, by the objective's parameters (K,): a captured surface
+lies where the camera is believed to stand."""
+
+
+_STEP = 1e-3  # of an objective's parameter, in its scale
 
 
 @dataclass(frozen=True)
@@ -36,120 +36,138 @@ class Trial:
 
     Attributes:
         x: (n,) unknowns.
-        theta: (6,); log_membrane: relative to the law's; nuisance: (K,).
-        drape: the equilibrium.
-        value: of the objective and the prior.
+        cloth: the specimen; nuisance: (K,) of the objective.
+        drape: its equilibrium.
+        value: of the objective and of what is known.
+        misfit: half the sum of squares of the objective's residuals.
     """
 
     x: np.ndarray
-    theta: np.ndarray
-    log_membrane: float
+    cloth: Cloth
     nuisance: np.ndarray
     drape: DrapeResult
     value: float
+    misfit: float
 
 
-def prior_value(prior: GaussianPrior | None, theta: np.ndarray) -> float:
-    """What theta (6,) itself costs: half its squared distance from the prior's mean."""
-    return 0.0 if prior is None else value(prior.whiten(theta - prior.mean))
+@dataclass
+class Effort:
+    """What a search has spent.
 
-
-def with_prior(
-    prior: GaussianPrior | None, theta: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray,
-    by_unknowns: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (N,) and their derivatives (N, n) with those of the prior, six more.
-
-    Args:
-        by_unknowns: (6, n) derivatives of theta.
+    Attributes:
+        solves: equilibria computed.
+        failures: messages of simulations that did not converge.
+        seconds: wall time in simulations, in derivatives, in the objective.
     """
-    if prior is None:
-        return residuals, jacobian
-    return (np.concatenate([residuals, prior.whiten(theta - prior.mean)]),
-            np.concatenate([jacobian, prior.whiten(by_unknowns)]))
+
+    solves: int = 0
+    failures: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(
+        default_factory=lambda: {"simulation": 0.0, "derivatives": 0.0, "objective": 0.0})
 
 
-class DrapeProblem:
+class Problem:
     """The unknowns of one specimen's refinement (:class:`.optimisers.LeastSquares`).
 
     Args:
-        drape: an equilibrium of ``theta`` on the mesh that the objective knows; its laws are those
-            of all simulations.
-        theta: (6,) where to start; drawn in to the bounds.
+        near: where simulations begin, a drape on the mesh that the objective knows; later they
+            begin at the best one.
+        cloth: where to start; drawn in to the bounds.
         objective: what is compared.
-        nuisance: (K,) first values of its parameters; its own unless given.
-        membrane: whether the membrane's stiffness is free.
-        prior: known beforehand; None for nothing.
-        origin: where every simulation starts; None: at the best drape so far. The captured shape,
-            where it is known.
-        springs: energies that hold the simulated cloth, ``drape`` among it.
+        free: names of :data:`.cloth.UNKNOWNS` that are unknown.
+        known: beforehand; None for nothing.
+        rest: (V, 2) m, rest points of the mesh as they lie without offset and turn; None: those of
+            ``near``.
+        nuisance: (K,) first values of the objective's parameters; its own unless given.
+        hold: the springs; None for none.
+        doubt: by which the objective's residuals are divided: where the best cloth meets them
+            worse than their errors say.
+        afresh: whether every simulation begins at ``near``.
+        options: of simulations.
+        effort: to count in; a new one unless given.
 
     Attributes:
         names: (n,) of the unknowns.
-        scale: (n,) units of x: theta = x * scale, and so on.
-        start, low, high: (n,) in x.
+        scale: (n,) their units.
+        start, low, high: (n,) in these units.
         best, last: trials, None before the first.
-        solves: equilibria computed; derivatives: sensitivities computed.
         measurements: independent ones that the residuals stand for; known after derivatives.
-        failures: messages of simulations that did not converge.
-        seconds: in simulations, in derivatives, in the objective.
     """
 
     def __init__(
         self,
-        drape: DrapeResult,
-        theta: np.ndarray,
+        near: DrapeResult,
+        cloth: Cloth,
         objective: Objective,
         *,
+        free: Collection[str],
+        known: Knowledge | None = None,
+        rest: np.ndarray | None = None,
         nuisance: np.ndarray | None = None,
-        membrane: bool = False,
-        prior: GaussianPrior | None = None,
-        origin: DrapeResult | None = None,
-        springs: Sequence[Energy] = (),
+        hold: Hold | None = None,
+        doubt: float = 1.0,
+        afresh: bool = False,
+        options: NewtonOptions | None = None,
+        effort: Effort | None = None,
     ) -> None:
-        self.objective, self.prior, self.origin = objective, prior, origin
-        self._springs, self._laws, self._membrane = tuple(springs), drape.laws, membrane
-        self._first = drape, np.array(theta, dtype=np.float64)
+        self.objective, self.known, self.doubt = objective, known, doubt
+        self.effort = effort or Effort()
+        self._near, self._hold, self._options = near, hold, options
+        self._rest = near.rest if rest is None else rest
+        self._afresh, self._cloth = afresh, cloth
+        self._free = np.array([name in free for name in UNKNOWNS])
         own = objective.start if nuisance is None else np.asarray(nuisance, dtype=np.float64)
-        extra = [MEMBRANE] if membrane else []
-        self.names = (*THETA_NAMES, *extra, *objective.nuisances)
-        self.scale = np.concatenate([
-            [ALPHA_SCALE] * 3, [RATIO_SCALE] * 3, [1.0] * len(extra), objective.scale])
-        reach = NUISANCE_REACH * objective.scale
-        alpha = np.log(ALPHA_RANGE)
-        bounds = [
-            np.concatenate([[alpha[k]] * 3, [RATIO_RANGE[k]] * 3,
-                            [MEMBRANE_RANGE[k]] * len(extra), own + (2 * k - 1) * reach])
-            for k in (0, 1)]
-        self.low, self.high = (bound / self.scale for bound in bounds)
-        start = np.concatenate([theta, np.zeros(len(extra)), own]) / self.scale
-        self.start = np.clip(start, self.low, self.high)
+        self._own = np.asarray(own, dtype=np.float64)
+        self.names = (*(name for name in UNKNOWNS if name in free), *objective.nuisances)
+        self.scale = np.concatenate([SCALE[self._free], objective.scale])
+        reach = NUISANCE_REACH * np.asarray(objective.scale)
+        low, high = (np.concatenate([limits[self._free], own + sign * reach]) / self.scale
+                     for limits, sign in zip(bounds().T, (-1, 1), strict=True))
+        self.low, self.high = low, high
+        start = np.concatenate([cloth.values[self._free], own]) / self.scale
+        self.start = np.clip(start, low, high)
         self.best: Trial | None = None
         self.last: Trial | None = None
-        self.solves = self.derivatives = 0
         self.measurements = 0.0
-        self.failures: list[str] = []
-        self.seconds = {"simulation": 0.0, "derivatives": 0.0, "objective": 0.0}
-        self._known: tuple[DrapeResult, Sensitivities] | None = None
+        self._tangent: tuple[DrapeResult, np.ndarray | None, Sensitivities | None] | None = None
 
-    def split(self, x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-        """theta (6,), log membrane stiffness, nuisances (K,) of x (n,)."""
-        values = x * self.scale
-        first = 7 if self._membrane else 6
-        return values[:6], float(values[6]) if self._membrane else 0.0, values[first:]
+    @property
+    def cloths(self) -> int:
+        """How many unknowns are the specimen's; those of the objective follow."""
+        return int(self._free.sum())
+
+    def split(self, x: np.ndarray) -> tuple[Cloth, np.ndarray]:
+        """The specimen and the objective's nuisances (K,) of x (n,)."""
+        values, number = self._cloth.values.copy(), self.cloths
+        values[self._free] = x[:number] * self.scale[:number]
+        return Cloth(values), x[number:] * self.scale[number:]
 
     def value(self, x: np.ndarray) -> float:
-        """The value at x (n,); infinite where no fabric or no equilibrium is."""
-        theta, log_membrane, nuisance = self.split(x)
-        drape = self._drape(theta, log_membrane)
+        """The value at x (n,); infinite where no cloth or no equilibrium is."""
+        cloth, nuisance = self.split(x)
+        drape = self._drape(cloth, nuisance)
         if drape is None:
             return math.inf
-        residuals = self._timed("objective", self.objective.residuals, drape.positions, nuisance)
-        total = value(residuals) + prior_value(self.prior, theta)
-        self.last = Trial(np.array(x), theta, log_membrane, nuisance, drape, total)
-        if math.isfinite(total) and (self.best is None or total < self.best.value):
-            self.best = self.last
-        return total
+        began = time.perf_counter()
+        misfit = value(self.objective.residuals(drape.positions, nuisance))
+        self.effort.seconds["objective"] += time.perf_counter() - began
+        trial = Trial(np.array(x), cloth, nuisance, drape, math.inf, misfit)
+        trial = self.last = replace(trial, value=self.total(trial))
+        if math.isfinite(trial.value) and (self.best is None or trial.value < self.best.value):
+            self.best = trial
+        return trial.value
+
+    def weigh(self) -> None:
+        """Set :attr:`doubt` by how well the best trial meets the objective, and its value anew."""
+        best = self.best
+        found = self.objective.linearised(best.drape.positions, best.nuisance)
+        freedom = max(found.count - len(best.x), 1.0)
+        self.doubt = math.sqrt(max(2 * best.misfit / freedom, 1.0))
+        self.best = self.last = replace(best, value=self.total(best))
+
+    def total(self, trial: Trial) -> float:
+        """The value of a trial by the present :attr:`doubt`."""
+        return trial.misfit / self.doubt**2 + value(self._beforehand(trial.cloth, trial.nuisance))
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best trial's."""
@@ -158,56 +176,120 @@ class DrapeProblem:
         moves = None if trial is None else self._moves(trial)
         if moves is None:
             return None
-        found = Linearised(*self._timed("objective", self.objective.linearised,
-                                        trial.drape.positions, trial.nuisance))
-        self.measurements = found.count
         began = time.perf_counter()
-        jacobian = np.concatenate([found.along(moves), found.by_nuisance], axis=1)
-        self.seconds["objective"] += time.perf_counter() - began
-        residuals, jacobian = with_prior(
-            self.prior, trial.theta, found.residuals, jacobian, np.eye(len(x))[:6])
-        return residuals, jacobian * self.scale
+        found = self.objective.linearised(trial.drape.positions, trial.nuisance)
+        self.measurements = found.count
+        number = self.cloths
+        jacobian = found.along(moves)
+        jacobian[:, number:] += found.by_nuisance
+        jacobian /= self.doubt
+        self.effort.seconds["objective"] += time.perf_counter() - began
+        roots = []
+        if self.known is not None:
+            own = np.zeros((len(UNKNOWNS), len(x)))
+            own[:, :number] = self.known.root[:, self._free]
+            roots.append(own)
+        own = np.zeros((len(trial.nuisance), len(x)))
+        own[:, number:] = np.diag(1 / self.objective.deviation)
+        return (np.concatenate([found.residuals / self.doubt,
+                                self._beforehand(trial.cloth, trial.nuisance)]),
+                np.concatenate([jacobian, *roots, own]) * self.scale)
 
-    def _drape(self, theta: np.ndarray, log_membrane: float) -> DrapeResult | None:
-        """The equilibrium of these moduli next to the best drape so far; None: no such thing."""
+    def _beforehand(self, cloth: Cloth, nuisance: np.ndarray) -> np.ndarray:
+        """(M,) residuals of what is known of the specimen and of the objective's parameters."""
+        own = (nuisance - self.objective.start) / self.objective.deviation
+        return own if self.known is None else np.concatenate([self.known.residuals(cloth), own])
+
+    def _drape(self, cloth: Cloth, nuisance: np.ndarray) -> DrapeResult | None:
+        """The equilibrium of ``cloth`` next to the best drape so far; None: no such thing."""
         for trial in (self.last, self.best):
-            if trial is not None and np.array_equal(trial.theta, theta) and (
-                    trial.log_membrane == log_membrane):
-                return trial.drape  # only nuisances have changed
-        drape, first = self._first
-        # Not more than the rounding of x between them.
-        if self.best is None and log_membrane == 0.0 and np.allclose(theta, first, 1e-12, 0.0):
-            return drape if drape.converged else None
-        if not is_admissible(*from_theta(theta)):
+            if (trial is not None and np.array_equal(trial.cloth.values, cloth.values)
+                    and (self._hold is None or np.array_equal(trial.nuisance, nuisance))):
+                return trial.drape
+        if not is_admissible(*from_theta(cloth.theta)):
             return None
-        near = self.origin or (drape if self.best is None else self.best.drape)
-        self.solves += 1
-        known = self._known[1] if self._known and self._known[0] is near else None
-        new = self._timed("simulation", follow, near, fabric_from_theta(theta), keep=True,
-                          laws=self._laws_at(log_membrane), extra=self._springs,
-                          sensitivities=known)
-        if not new.converged:
-            self.failures.append(f"{new.status.value}: {new.message}")
+        near = self._near if self._afresh or self.best is None else self.best.drape
+        here = (self._tangent and self._tangent[0] is near and self._tangent[2]) or None
+        rest = cloth.rest(self._rest, near.rig)
+        if not np.array_equal(rest, near.mesh.rest):
+            near, here = replace(near, mesh=near.mesh.with_rest(rest)), None
+        self.effort.solves += 1
+        began = time.perf_counter()
+        drape = follow(near, cloth.fabric, keep=True, laws=cloth.laws,
+                       extra=[self._hold(nuisance)] if self._hold else [],
+                       options=self._options, sensitivities=here)
+        self.effort.seconds["simulation"] += time.perf_counter() - began
+        if not drape.converged:
+            self.effort.failures.append(f"{drape.status.value}: {drape.message}")
             return None
-        return new
+        return drape
 
     def _moves(self, trial: Trial) -> np.ndarray | None:
-        """Derivatives (P, V, 3) of the vertices by theta and the membrane; None: there are none."""
-        if self._known is None or self._known[0] is not trial.drape:
-            self.derivatives += 1
-            parameters = ("log_alpha", "ratio", *(["membrane"] if self._membrane else []))
-            found = self._timed("derivatives", sensitivities, trial.drape, parameters=parameters)
-            if not found.ok:
-                self.failures.append(found.message)
-            self._known = trial.drape, found
-        return self._known[1].positions if self._known[1].ok else None
+        """Derivatives (n, V, 3) of the vertices by the unknowns; None: none exist."""
+        if self._tangent is None or self._tangent[0] is not trial.drape:
+            began = time.perf_counter()
+            tangent = Tangent.of(trial.drape)
+            if tangent.ok:
+                moves, by_moduli = cloth_moves(tangent, trial.cloth, trial.drape.rig,
+                                               self.names[: self.cloths])
+                moves = np.concatenate([moves, self._pulled(tangent, trial.nuisance)])
+                self._tangent = trial.drape, moves, by_moduli
+            else:
+                self.effort.failures.append(tangent.message)
+                self._tangent = trial.drape, None, None
+            self.effort.seconds["derivatives"] += time.perf_counter() - began
+        return self._tangent[1]
 
-    def _laws_at(self, log_membrane: float) -> Laws:
-        return self._laws.softened(math.exp(log_membrane)) if log_membrane else self._laws
+    def _pulled(self, tangent: Tangent, nuisance: np.ndarray) -> np.ndarray:
+        """(K, V, 3) how the vertices move with the springs, by the objective's parameters."""
+        moves = np.zeros((len(nuisance), tangent.coordinates // 3, 3))
+        steps = np.diag(_STEP * np.asarray(self.objective.scale))
+        for k, step in enumerate(steps if self._hold else []):
+            ahead, back = (forces([self._hold(nuisance + sign * step)], tangent.q,
+                                  tangent.cloth.potential.unknowns) for sign in (1, -1))
+            if (push := (ahead - back) / (2 * step[k])).any():
+                moves[k] = -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)
+        return moves
 
-    def _timed(self, what: str, function: Callable, *args: object, **more: object) -> object:
-        began = time.perf_counter()
-        try:
-            return function(*args, **more)
-        finally:
-            self.seconds[what] += time.perf_counter() - began
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """A normal distribution around the optimum: Laplace's approximation.
+
+    Attributes:
+        names: (n,) of the unknowns.
+        covariance: (n, n) in their units.
+        reduced_chi2: what is left of the objective's residuals per degree of freedom.
+    """
+
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    reduced_chi2: float
+
+    @property
+    def theta(self) -> np.ndarray:
+        """(6, 6) the part of the moduli."""
+        return self.covariance[:6, :6]
+
+
+def laplace(problem: Problem, trial: Trial) -> Uncertainty | None:
+    """The uncertainty at ``trial``, the problem's best or last; None where nothing is known.
+
+    The objective counts as it did in the problem. An unknown that nothing depends on has an
+    infinite variance.
+    """
+    linearised = problem.linearised(trial.x)
+    if linearised is None:
+        return None
+    jacobian = linearised[1]
+    freedom = max(problem.measurements - len(trial.x), 1.0)
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+    with np.errstate(divide="ignore"):
+        variances = np.where(values > 1e-12 * values[-1], 1 / values, np.inf)
+    weights = np.where(vectors**2 > 1e-12, vectors**2, 0.0)
+    sure = np.isfinite(variances)
+    covariance = (vectors[:, sure] * variances[sure]) @ vectors[:, sure].T
+    covariance[np.diag_indices_from(covariance)] = np.where(
+        weights[:, ~sure].any(axis=1), np.inf, np.diag(covariance))
+    return Uncertainty(problem.names, covariance * np.outer(problem.scale, problem.scale),
+                       2 * trial.misfit / freedom)

@@ -8,19 +8,18 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES
-from data.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.prior import load_prior
 from data.render import render_views
 from drapenet.information import (
     CAMERA,
-    LOGARITHMIC,
     SETUP,
     SPECIMEN,
     bounds,
     depth_information,
-    deviations,
-    law_moves,
+    joint_covariance,
 )
+from drapenet.refine.cloth import law_moves
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen, share_of_offset
@@ -135,7 +134,7 @@ def test_noise_and_fewer_pixels_widen_the_bounds(draped, information):
 def test_what_is_unknown_costs(specimen):
     found = depth_information(specimen, CAM, nuisances=NUISANCES, orientation=TURN)
     assert found.ok and found.names == (*THETA_NAMES, *SPECIMEN, *CAMERA, *SETUP, *NAMES)
-    prior, own = load_prior("gaussian").covariance, deviations(SPREAD)
+    prior, own = load_prior("gaussian").covariance, SPREAD.deviations
     pose = dict.fromkeys((*SPECIMEN, *CAMERA), np.inf)
     less = [found.posterior(prior, unknown) for unknown in (
         {}, pose, pose | {"friction": own["friction"]}, pose | own)]
@@ -158,7 +157,9 @@ def test_deviations_of_nuisances_are_those_of_their_samples():
     drawn = np.array([SPREAD.sample(rng, rng).vector for _ in range(4000)])
     logarithmic = [name in LOGARITHMIC for name in NAMES]
     drawn[:, logarithmic] = np.log(drawn[:, logarithmic])
-    found = deviations(SPREAD)
+    found = SPREAD.deviations
+    means = [SPREAD.means[name] for name in NAMES]
+    assert (np.abs(drawn.mean(axis=0) - means) < 0.06 * drawn.std(axis=0)).all()
     assert [found[name] for name in NAMES] == pytest.approx(drawn.std(axis=0), rel=0.05)
 
 
@@ -167,3 +168,21 @@ def test_a_drape_without_derivatives_says_so():
     found = depth_information(result, CAM)
     assert not found.ok and "no equilibrium" in found.message
     assert np.isnan(bounds(found.covariance())).all()
+
+
+def test_captures_of_one_fabric_share_what_is_unknown_of_its_cloth(specimen):
+    found = depth_information(specimen, CAM, nuisances=NUISANCES)
+    prior = np.linalg.inv(load_prior("gaussian").covariance)
+    pose = dict.fromkeys((*SPECIMEN, *CAMERA), np.inf)
+    known = {name: SPREAD.deviations[name] for name in NAMES}
+    one, two = (joint_covariance([found] * n, prior, own=pose, shared=known) for n in (1, 2))
+    assert np.allclose(one[:6, :6], found.posterior(load_prior("gaussian").covariance,
+                                                    pose | known))
+    # The same views twice are views with twice the information, less what is known beforehand.
+    beforehand = np.zeros(one.shape)
+    beforehand[:6, :6] = prior
+    beforehand[6:, 6:] = np.diag([d**-2 for d in known.values()])
+    assert np.allclose(np.linalg.inv(two), 2 * np.linalg.inv(one) - beforehand, rtol=1e-6,
+                       atol=1e-6 * np.abs(beforehand).max())
+    alone = joint_covariance([found] * 2, prior, own=pose | known)
+    assert (np.diag(alone)[:6] < np.diag(two)[:6]).all()

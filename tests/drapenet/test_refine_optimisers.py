@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from drapenet.refine.optimisers import METHODS, Limits, Status, minimise
+from benchmarks.optimisers import METHODS
+from drapenet.refine.optimisers import Limits, Status, minimise
 
 DERIVATIVES = ("lm", "gauss_newton", "lbfgs")
 
@@ -55,7 +56,7 @@ def linear(seed: int, spread: float = 1.0) -> Linear:
 def test_bounded_linear_problems_are_solved(method: str, seed: int) -> None:
     problem = linear(seed)
     expected = lsq_linear(problem.matrix, problem.target, (-2, 2))
-    found = minimise(problem, method=method,
+    found = minimise(problem, method=METHODS[method],
                      limits=Limits(evaluations=200, step=1e-9, decrease=1e-12))
     assert found.value == pytest.approx(expected.cost, rel=1e-6)
     assert np.abs(found.x - expected.x).max() < 1e-3
@@ -65,7 +66,7 @@ def test_bounded_linear_problems_are_solved(method: str, seed: int) -> None:
                                               ("cmaes", 1200)])
 def test_a_bent_valley_is_followed_to_its_end(method: str, most: int) -> None:
     problem = Valley()
-    found = minimise(problem, method=method,
+    found = minimise(problem, method=METHODS[method],
                      limits=Limits(evaluations=2000, step=1e-8, decrease=1e-12, target=1e-8))
     assert np.abs(found.x - 1).max() < 1e-2
     assert found.evaluations == problem.asked <= most
@@ -75,7 +76,7 @@ def test_a_bent_valley_is_followed_to_its_end(method: str, most: int) -> None:
 def test_damping_keeps_what_nothing_depends_on() -> None:
     problem = linear(0)
     problem.matrix[:, 2] = 0.0
-    found = minimise(problem, method="lm", limits=Limits(evaluations=50, step=1e-9))
+    found = minimise(problem, method=METHODS["lm"], limits=Limits(evaluations=50, step=1e-9))
     assert found.x[2] == pytest.approx(problem.start[2], abs=1e-6)
     assert found.status is Status.CONVERGED
 
@@ -87,7 +88,7 @@ def test_walls_of_failed_simulations_are_rejected_steps(method: str) -> None:
             plain = super().value(x)
             return plain if x[0] < 0.3 else math.inf
 
-    found = minimise(Walled(), method=method, limits=Limits(evaluations=120))
+    found = minimise(Walled(), method=METHODS[method], limits=Limits(evaluations=120))
     start = 0.5 * (4.4**2 + 2.2**2)
     assert found.value < 0.5 * start
     assert found.x[0] < 0.3
@@ -101,7 +102,7 @@ def test_never_worse_than_the_start_whatever_the_derivatives_say(method: str) ->
             return residuals, -jacobian
 
     problem = Liar()
-    found = minimise(problem, method=method, limits=Limits(evaluations=30))
+    found = minimise(problem, method=METHODS[method], limits=Limits(evaluations=30))
     assert found.value <= problem.value(problem.start)
     assert all(later.value < earlier.value
                for earlier, later in zip(found.trace[:-1], found.trace[1:], strict=True))
@@ -117,7 +118,7 @@ def test_an_interruption_hands_back_the_best_so_far(method: str) -> None:
 
     problem = Impatient()
     seen = []
-    found = minimise(problem, method=method, limits=Limits(evaluations=100),
+    found = minimise(problem, method=METHODS[method], limits=Limits(evaluations=100),
                      report=lambda point, _: seen.append(point.value))
     assert found.status is Status.INTERRUPTED
     assert found.evaluations == 8 == len(seen)
@@ -127,7 +128,7 @@ def test_an_interruption_hands_back_the_best_so_far(method: str) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_no_more_simulations_than_allowed(method: str) -> None:
     problem = Valley()
-    found = minimise(problem, method=method,
+    found = minimise(problem, method=METHODS[method],
                      limits=Limits(evaluations=7, step=1e-12, decrease=1e-15))
     assert problem.asked <= 7
     assert found.status is Status.EXHAUSTED

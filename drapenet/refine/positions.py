@@ -1,4 +1,4 @@
-"""Objectives: the positions of the vertices, where the captured drape has been registered."""
+"""The objective of a drape that has been registered to a mesh: where its vertices lie."""
 
 import math
 
@@ -6,42 +6,6 @@ import numpy as np
 
 from drapenet.refine.captured import CapturedShape
 from drapenet.refine.objective import Linearised
-
-
-class VertexPositions:
-    """Distances between vertices and their captured places.
-
-    Value: a mean over the specimen of squared distances, each in units of ``sigma``, times half
-    the number of vertices.
-
-    Args:
-        target: (V, 3) m, on the same mesh.
-        weight: (V,) such as the area around each vertex; equal unless given.
-        sigma: m, standard deviation of a coordinate.
-    """
-
-    nuisances = ()
-    start = scale = np.zeros(0)
-
-    def __init__(
-        self, target: np.ndarray, *, weight: np.ndarray | None = None, sigma: float = 1e-3
-    ) -> None:
-        self._target = target
-        weight = np.ones(len(target)) if weight is None else weight
-        self._factor = np.repeat(np.sqrt(weight / weight.mean()) / sigma, 3)
-
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (3 V,)."""
-        return self._factor * (positions - self._target).ravel()
-
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
-        residuals = self.residuals(positions, nuisance)
-
-        def along(moves: np.ndarray) -> np.ndarray:
-            return self._factor[:, None] * moves.reshape(len(moves), -1).T
-
-        return Linearised(residuals, along, np.zeros((len(residuals), 0)))
 
 
 class RobustPositions:
@@ -59,7 +23,7 @@ class RobustPositions:
     """
 
     nuisances = ()
-    start = scale = np.zeros(0)
+    start = scale = deviation = np.zeros(0)
 
     def __init__(
         self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 1e-3,

@@ -1,0 +1,209 @@
+"""A posterior decided by simulation: what ``refine=`` in ``infer.py`` makes of an estimate.
+
+The network proposes fabrics to begin with. The posterior is that of the fabric prior, of what is
+known of specimens (``configs/nuisances/real.yaml``) and of the capture itself, so that the network
+does not count as a measurement beside the pixels that it saw.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from data.cameras import Camera
+from data.captures import Capture
+from data.configs import compose_config
+from data.fabrics import THETA_NAMES, from_theta
+from data.nuisances import LOGARITHMIC, NuisanceConfig
+from data.options import Options, config_from_options
+from data.render import DepthRenderer
+from drapenet.estimate import Estimate
+from drapenet.joint import fabric_prior
+from drapenet.predict import Draws
+from drapenet.refine.cloth import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.objective import fit_nuisances
+from drapenet.refine.scans import flat_turn
+from drapenet.refine.search import FINE, CapturedScan, CapturedViews, Found, Seen, search
+from drapenet.resimulate import Resimulation, beside
+from sim.drape import DrapeResult
+from sim.material import MICRO, is_admissible
+from sim.scene import Rig
+
+STARTS = 3  # fabrics that begin: the posterior's median, and samples of it
+WORST = 10.0
+"""Squared deviations per measurement (sound captures: 0.8 to 2.5) from which on no cloth takes the
+captured surface."""
+FAR = 8.0  # mm, mean distance from the scan at which the estimate's drape is doubted
+_DRAWS = 4000  # samples of the refined moduli
+_PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
+            "friction": ("friction_un", 1 / MICRO), "curl_warp": ("curl_warp_per_m", 1.0),
+            "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
+            "offset_weft": ("offset_weft_mm", 1e3)}
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What the refinement of one capture came to.
+
+    Attributes:
+        draws: of the posterior; None where the refinement gained nothing.
+        content: the part ``refined`` of ``estimate.json``.
+        found: the search's result.
+        resimulation: the refined drape beside the capture.
+        doubts: one line each.
+    """
+
+    draws: Draws | None
+    content: dict[str, Any]
+    found: Found
+    resimulation: Resimulation
+    doubts: tuple[str, ...]
+
+
+def refined_capture(
+    estimate: Estimate, capture: Capture, camera: Camera, *, rig: Rig, turns: np.ndarray,
+    seen: CapturedScan | None, edge: float, known: Mapping[str, float],
+) -> Refined | None:
+    """Search from an ``estimate`` for the specimen that a capture shows, with a progress bar.
+
+    Interrupted from the keyboard, the best so far counts. None if no cloth converges.
+
+    Args:
+        camera: of the views; turns: (K,) rad, of the table in each.
+        seen: the scan that the capture is of; None for views.
+        edge: m, of the last mesh for views; 0 for the usual one.
+        known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate.
+    """
+    axis = 0.0
+    if seen is None:
+        source: Seen = CapturedViews(capture.views, camera, turns=turns, turn=estimate.axis,
+                                     rig=rig, edge=edge or FINE)
+    else:
+        source, axis = seen, flat_turn(seen.shape)
+    found = _search(estimate, source, axis=axis, known=known)
+    if found is None:
+        return None
+    theta, best = _samples(found), found.best
+    drape = found.released or best.drape
+    if seen is None:
+        turn = float(best.nuisance[0])
+        simulated = best_view(found, drape)
+    else:
+        turn = axis + best.cloth["warp"]
+        simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
+    draws = None
+    if theta is not None and found.improved and found.uncertainty.reduced_chi2 < WORST:
+        possible = is_admissible(*from_theta(theta))
+        kept = possible if possible.any() else ~possible
+        draws = Draws(theta[kept], np.full(int(kept.sum()), turn), float(1 - possible.mean()))
+    shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
+                   turn=turn, statuses=[drape.status.value])
+    return Refined(draws, _content(found, source), found, shown,
+                   tuple(_doubts(found, theta, source)))
+
+
+def _search(
+    estimate: Estimate, seen: Seen, *, axis: float, known: Mapping[str, float]
+) -> Found | None:
+    """The search with a progress bar; ``axis`` as in :func:`refined_capture`."""
+    spread = specimen_spread()
+    beforehand = Knowledge.of(fabric_prior(estimate.names), spread)
+    scan = isinstance(seen, CapturedScan)
+    free = [*THETA_NAMES, *(name for name in (*LAWS, *OFFSET) if name not in known),
+            *(["warp"] if scan else [])]
+    first = beforehand.mean.copy()
+    for name, value in known.items():
+        first[UNKNOWNS.index(name)] = math.log(value) if name in LOGARITHMIC else value
+    if scan:
+        first[UNKNOWNS.index("warp")] = estimate.axis - axis
+    rng = np.random.default_rng(0)
+    rows = rng.integers(len(estimate.samples), size=STARTS - 1)
+    starts = [Cloth(first).with_theta(theta) for theta in (estimate.theta, *estimate.samples[rows])]
+    total = STARTS + 2 + sum((level.evaluations + 1) * len(level.pulls) for level in seen.rounds)
+    with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
+        def progress(simulations: int, value: float) -> None:
+            bar.update(simulations - bar.n)
+            bar.set_postfix(misfit=f"{value:.0f}")
+
+        return search(seen, starts, free=free, known=beforehand, progress=progress)
+
+
+def best_view(found: Found, drape: DrapeResult) -> np.ndarray:
+    """(K, H, W) the views of a drape, from where it fits the captured ones best."""
+    nuisance = found.best.nuisance
+    try:
+        nuisance = fit_nuisances(found.objective, drape.positions, nuisance)
+    except KeyboardInterrupt:
+        pass  # as good as can be: the estimate must not be lost
+    return found.objective.render(drape.positions, nuisance)
+
+
+def specimen_spread() -> NuisanceConfig:
+    """How specimens differ: ``configs/nuisances/real.yaml``."""
+    options = compose_config("generate", ["nuisances=real"], schema=Options)
+    return config_from_options(options).sampling.nuisances
+
+
+def _samples(found: Found) -> np.ndarray | None:
+    """(S, 6) samples of theta; None without an uncertainty."""
+    if found.uncertainty is None or not np.isfinite(found.uncertainty.theta).all():
+        return None
+    rng = np.random.default_rng(0)
+    return rng.multivariate_normal(found.best.cloth.theta, found.uncertainty.theta, size=_DRAWS)
+
+
+def _doubts(found: Found, theta: np.ndarray | None, seen: Seen) -> list[str]:
+    doubts = []
+    if theta is not None and found.uncertainty.reduced_chi2 >= WORST:
+        doubts.append("no cloth takes the captured surface (squared misfit "
+                      f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
+                      f"most {WORST:g}): the network's estimate stands; check rig, specimen, "
+                      "cut-out and intrinsics")
+    elif not found.improved:
+        doubts.append("the refinement found no fabric that agrees better with the capture: the "
+                      "network's estimate stands")
+    elif theta is None:
+        doubts.append("the refinement gives no uncertainty: the network's estimate stands")
+    if isinstance(seen, CapturedScan):
+        away = (fidelity(seen.shape, found.released).displacement_mm if found.released
+                else math.inf)
+        if away > FAR:
+            doubts.append(f"the estimate's drape comes to rest {away:.0f} mm from the scan (sound "
+                          f"scans: up to {FAR:g} mm): check the specimen's size and the support, "
+                          "and that the cloth hung freely")
+    return doubts
+
+
+def _content(found: Found, seen: Seen) -> dict[str, Any]:
+    """The part ``refined`` of ``estimate.json``."""
+    content = {
+        "by": "scan" if isinstance(seen, CapturedScan) else "depth",
+        "misfit_before": found.start_value, "misfit": found.best.value,
+        "simulations": found.effort.solves, "failed_simulations": len(found.effort.failures),
+        "status": found.status.value, "message": found.message, "specimen": _specimen(found),
+    }
+    if found.uncertainty is not None:
+        content["reduced_chi2"] = found.uncertainty.reduced_chi2
+    if isinstance(seen, CapturedScan) and found.released is not None:
+        content["fidelity"] = asdict(fidelity(seen.shape, found.released))
+    return content
+
+
+def _specimen(found: Found) -> dict[str, Any]:
+    """Medians and 68 % intervals of what else the search has estimated of the specimen."""
+    if found.uncertainty is None:
+        return {}
+    deviations = np.sqrt(np.diag(found.uncertainty.covariance))
+    table = {}
+    for name, deviation in zip(found.uncertainty.names, deviations, strict=True):
+        if name in _PRINTED:
+            label, unit = _PRINTED[name]
+            middle = found.best.cloth[name]
+            ends = np.array([middle - deviation, middle, middle + deviation])
+            low, middle, high = unit * (np.exp(ends) if name in LOGARITHMIC else ends)
+            table[label] = {"median": float(middle), "interval_68": [float(low), float(high)]}
+    return table

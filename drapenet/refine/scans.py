@@ -1,0 +1,182 @@
+"""Scans of drapes, registered to a mesh of the specimen by pulling simulated cloth onto them.
+
+A scan without marks on the cloth says nothing of sliding along the surface. The cloth says it
+itself: it hardly stretches, so from the plate's rim on every vertex has its place. The specimen is
+laid on the surface (:mod:`.guided`), its fabric soft so that it follows the folds, and pulled onto
+it more and more, until its strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al.
+2007), which Larionov et al. use (section 3.2), stretches the mesh instead: its hem ends up to
+25 mm from the scanned one.
+"""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.render import QUARTERS, DepthRenderer
+from data.scans import LARGEST_SCAN, read_scan
+from drapenet.refine.attraction import captured_shape, pulled
+from drapenet.refine.captured import CapturedShape
+from drapenet.refine.surface import Cloud, distances
+from sim.laws import Laws
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
+from sim.scene import Rig
+
+SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
+"""Bends as easily as the softest real fabrics: it irons no fold out."""
+FIRMLY = 30.0
+"""Last pull, force at 1 mm over the cloth's weight. Nine real scans are met to 0.6 mm, the mesh
+strained by 0.6 % as drapes are; 100 leaves 0.4 mm at 1.1 %."""
+SLID = 0.05
+"""Cloth does not stretch so much by its own weight: a scan whose edges differ by this from their
+rest lengths, root mean square, has vertices that slid along the cloth."""
+RAW = (".ply", ".obj")
+LEAST_HELD = 0.5  # of the support's radius
+EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
+_FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
+_APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
+_ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
+_FOREIGN = 0.1  # ... and more than this share of them does not go
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A scan on a mesh of the specimen.
+
+    Attributes:
+        shape: the mesh, on the scan.
+        distance: m, mean over its hanging vertices, from the scanned surface.
+        reason: why it was registered; None for a scan whose own vertices serve.
+    """
+
+    shape: CapturedShape
+    distance: float
+    reason: str | None
+
+
+def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -> Registered:
+    """The captured shape of a scan: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or
+    a raw PLY or OBJ in metres, z up, the plate's centre the origin.
+
+    Raw scans are registered; so are those whose own vertices slid along the cloth.
+
+    Args:
+        held: see :class:`.captured.CapturedShape`.
+        edge: m, at the rim of the mesh that a scan is registered to.
+
+    Raises:
+        InputError: no such scan, a surface that the specimen cannot be laid on, or a share out of
+            range.
+    """
+    if not LEAST_HELD <= held <= 1.0:
+        raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
+    if path.suffix.lower() in RAW:
+        cloud = read_cloud(path, rig)
+        found = register(cloud, rig, edge=edge, held=held, reason="raw")
+        laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
+        away = cKDTree(laid.points).query(cloud.points)[0]
+        if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
+            raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
+                             f"{rig.name}; cut away all that is not cloth, such as the table")
+    else:
+        scan = read_scan(path, rig)
+        own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
+        if own.strain < SLID:
+            return Registered(own, 0.0, None)
+        found = register(
+            Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
+            held=held, reason="vertices slid along the cloth")
+    if found.distance > _APART:
+        raise InputError(f"{path}: a specimen of {rig.name} cannot be laid on this surface, it "
+                         f"stays {1e3 * found.distance:.0f} mm away on average; give all of the "
+                         "cloth and nothing else, in metres")
+    return found
+
+
+def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
+    """A scan as a capture of four views without noise, by the rig's camera in its usual place.
+
+    Args:
+        density: kg/m², of the fabric.
+    """
+    camera = CameraRig.load(shape.rig.name).nominal()
+    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
+    return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, None,
+                   shape.rig.name, path, ())
+
+
+def flat_turn(shape: CapturedShape) -> float:
+    """Direction of the first rest axis on the plate, rad."""
+    plate = ~shape.hanging
+    flat, rest = (points @ [1.0, 1j] for points in (shape.positions[plate, :2], shape.rest[plate]))
+    return float(np.angle(np.vdot(rest, flat)))
+
+
+def register(
+    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0,
+    reason: str = "raw",
+) -> Registered:
+    """A mesh of the specimen on the scan ``cloud``; z up, the plate's centre the origin.
+
+    Args:
+        edge: length of the mesh's edges at the plate's rim, m.
+        turn: rad, direction of the mesh's first rest axis on the plate, which a scan does not show.
+        held: see :class:`.captured.CapturedShape`.
+    """
+    c, s = np.cos(turn), np.sin(turn)
+    back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes
+    # Which side a scanned normal points to is not known.
+    points = np.tile(cloud.points, (2, 1)) @ back
+    normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
+    laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
+    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
+    shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
+    apart = distances(cloud, shape.positions)[shape.hanging].mean()
+    return Registered(shape, float(apart), reason)
+
+
+def read_cloud(path: Path, rig: Rig) -> Cloud:
+    """Read a raw scan, PLY or OBJ in metres, z up, the plate's centre the origin.
+
+    Raises:
+        InputError: no such file, no points, other units or axes.
+    """
+    import trimesh
+
+    try:
+        # In memory first: a scan may name other files, materials for example, which are not read.
+        with path.open("rb") as file:
+            loaded = trimesh.load(file, file_type=path.suffix[1:].lower(), process=False,
+                                  skip_materials=True, force=None)
+        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+        if points.shape[1:] != (3,):
+            raise ValueError("points of another number of coordinates than three")
+        faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
+            UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:
+        # What trimesh says of a file that it cannot read is of no use to its owner.
+        reason = getattr(error, "strerror", None) or (
+            "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
+        raise InputError(f"cannot read the scan {path}: {reason}") from None
+    if bad := int((~np.isfinite(points)).any(axis=1).sum()):
+        raise InputError(f"{path}: {bad} of its points are not finite numbers; remove them")
+    if not 200 <= len(points) <= LARGEST_SCAN:
+        raise InputError(f"{path}: a scan has from 200 to {LARGEST_SCAN} points, this one "
+                         f"{len(points)}")
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+        raise InputError(f"{path}: a face names a vertex that is not there; export the scan again")
+    reach = np.abs(points).max()
+    if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
+        raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "
+                         f"reach {reach:.3g} from it, a specimen {rig.specimen_size / 2:g} m")
+    middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
+    if not len(middle) or np.abs(np.median(middle[:, 2])) > _FLAT:
+        raise InputError(f"{path}: cloth on the plate must lie in the plane z = 0, z up")
+    if points[:, 2].min() > -_FLAT:
+        raise InputError(f"{path}: nothing hangs below the support; z must point up")
+    return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

@@ -1,0 +1,71 @@
+"""Several captures of one fabric."""
+
+import numpy as np
+import pytest
+
+from data.prior import load_prior
+from drapenet import joint
+from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
+from drapenet.estimate import Estimate
+
+
+def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, str]) -> Estimate:
+    """Samples of a posterior whose likelihood is normal around ``peak`` with this covariance."""
+    prior = joint.fabric_prior(names)
+    precisions = np.linalg.inv(prior.covariance), np.linalg.inv(likelihood)
+    covariance = np.linalg.inv(sum(precisions))
+    mean = covariance @ (precisions[0] @ prior.mean + precisions[1] @ peak)
+    draws = np.random.default_rng(0).multivariate_normal(mean, covariance, 20_000)
+    return Estimate(draws, names, 0.0, 1.0, 0.2, prior.deviation)
+
+
+def test_captures_count_once_each_and_the_prior_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joint, "SHARED", 0.0)
+    prior = joint.fabric_prior(WARP_WEFT)
+    rng = np.random.default_rng(1)
+    likelihood = np.diag((0.3 * prior.deviation) ** 2)
+    peaks = prior.mean + rng.normal(0, 0.2, (3, 6)) * prior.deviation
+    found = joint.joined([posterior(peak, likelihood, WARP_WEFT) for peak in peaks], "ABC")
+    precisions = np.linalg.inv(prior.covariance), 3 * np.linalg.inv(likelihood)
+    covariance = np.linalg.inv(sum(precisions))
+    mean = covariance @ (precisions[0] @ prior.mean + precisions[1] @ peaks.mean(axis=0))
+    scale = np.sqrt(np.diag(covariance))
+    assert (found.samples.mean(axis=0) - mean) / scale == pytest.approx(np.zeros(6), abs=0.15)
+    assert found.samples.std(axis=0) / scale == pytest.approx(np.ones(6), abs=0.05)
+    assert not found.warnings
+
+
+def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    prior = joint.fabric_prior(WARP_WEFT)
+    one = posterior(prior.mean, np.diag((0.1 * prior.deviation) ** 2), WARP_WEFT)
+    monkeypatch.setattr(joint, "SHARED", 1.0)
+    same = joint.joined([one] * 5, "ABCDE")
+    assert same.samples.std(axis=0) == pytest.approx(one.samples.std(axis=0), rel=0.04)
+    monkeypatch.setattr(joint, "SHARED", 0.25)
+    better = joint.joined([one] * 5, "ABCDE")
+    # Five captures count as 5 / (1 + 4/4).
+    assert (better.samples.std(axis=0) / one.samples.std(axis=0))[:3] == pytest.approx(
+        np.full(3, 0.4**0.5), rel=0.05)
+
+
+def test_a_capture_of_another_fabric_is_named() -> None:
+    prior = joint.fabric_prior(WARP_WEFT)
+    likelihood = np.diag((0.1 * prior.deviation) ** 2)
+    one = posterior(prior.mean, likelihood, WARP_WEFT)
+    other = posterior(prior.mean + 1.5 * prior.deviation, likelihood, WARP_WEFT)
+    found = joint.joined([one, one, other], ["first", "second", "third"])
+    assert any(line.startswith("third contradicts the other captures") for line in found.warnings)
+
+
+def test_the_prior_of_nameless_yarns_is_that_of_either_order() -> None:
+    prior = load_prior("gaussian")
+    known = joint.fabric_prior(WARP_WEFT)
+    np.testing.assert_array_equal(known.covariance, prior.covariance)
+    found = joint.fabric_prior(STIFF_SOFT)
+    rng = np.random.default_rng(0)
+    drawn = prior.sample(100_000, rng)
+    drawn[::2] = drawn[::2][:, SWAPPED]
+    scale = prior.deviation
+    assert (drawn.mean(axis=0) - found.mean) / scale == pytest.approx(np.zeros(6), abs=0.02)
+    gap = (np.cov(drawn.T) - found.covariance) / np.outer(scale, scale)
+    assert np.abs(gap).max() < 0.03

@@ -1,0 +1,313 @@
+"""The problem of a refinement and its search, on coarse meshes and fabrics that are known."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.registered import VertexPositions, springs_to_vertices
+from data.cameras import CameraRig
+from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
+from data.nuisances import NuisanceConfig, Nuisances
+from data.prior import load_prior
+from data.prior.gaussian import GaussianPrior
+from data.render import QUARTERS, render_views
+from drapenet.canonical import square_turn
+from drapenet.refine import problem as problems
+from drapenet.refine.attraction import Springs
+from drapenet.refine.cloth import (
+    ALPHA_RANGE,
+    LAWS,
+    OFFSET,
+    SCALE,
+    UNKNOWNS,
+    Cloth,
+    Knowledge,
+    cloth_moves,
+)
+from drapenet.refine.depth import DepthViews
+from drapenet.refine.objective import Linearised
+from drapenet.refine.optimisers import Limits, Status, minimise
+from drapenet.refine.problem import Problem, laplace
+from drapenet.refine.search import CapturedViews, Round, search
+from sim.drape import DrapeResult, drape
+from sim.material import MICRO
+from sim.newton import NewtonOptions
+from sim.scene import DISC_RIG, Rig
+from sim.sensitivity import Tangent, follow, sensitivities
+from sim.sensitivity.tangent import possible_contact
+
+THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
+AWAY = THETA + np.array([0.3, -0.2, 0.2, 5e-4, -5e-4, 5e-4])
+TIGHT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=300)
+SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), friction=2e-4, curl=3.0)
+
+
+@pytest.fixture(scope="module")
+def shape() -> DrapeResult:
+    result = drape(fabric_from_theta(THETA), edge=8e-3, seed=1)
+    assert result.converged
+    return result
+
+
+@pytest.fixture(scope="module")
+def away(shape: DrapeResult) -> DrapeResult:
+    return follow(shape, fabric_from_theta(AWAY))
+
+
+def positions_problem(shape: DrapeResult, near: DrapeResult, theta: np.ndarray, **more) -> Problem:
+    return Problem(near, Cloth.of(theta), VertexPositions(shape.positions), free=THETA_NAMES,
+                   **more)
+
+
+def test_a_registered_drape_gives_its_moduli(shape: DrapeResult) -> None:
+    problem = positions_problem(shape, shape.at(shape.positions), AWAY, afresh=True)
+    found = minimise(problem, limits=Limits(evaluations=15, target=1e-4))
+    assert found.evaluations <= 10 and problem.effort.solves == found.evaluations
+    theta = problem.best.cloth.theta
+    assert np.abs(np.expm1(theta[:3] - THETA[:3])).max() < 0.01
+    assert np.abs(theta[3:] / THETA[3:] - 1).max() < 0.05
+
+
+def test_drapes_move_as_their_derivatives_say() -> None:
+    # Equal ratios are a crease of the law, so THETA would not do.
+    cloth = Cloth.of(AWAY, Nuisances(300.0, 0.5, 8e-5, 1.5, -1.0), warp=0.2)
+    values = cloth.values.copy()
+    values[[UNKNOWNS.index(name) for name in OFFSET]] = 2e-3, -1e-3
+    cloth = Cloth(values)
+    flat = drape(cloth.fabric, rig=DISC_RIG, edge=8e-3, laws=cloth.laws)
+    base = flat.rest
+
+    def settled(one: Cloth, near: DrapeResult) -> DrapeResult:
+        near = replace(near, mesh=near.mesh.with_rest(one.rest(base, near.rig)))
+        return follow(near, one.fabric, laws=one.laws, options=TIGHT)
+
+    here = settled(cloth, flat)
+    assert here.converged
+    moves, _ = cloth_moves(Tangent.of(here), cloth, here.rig, UNKNOWNS)
+    for k in (1, 5, *(UNKNOWNS.index(name) for name in (*LAWS, *OFFSET, "warp"))):
+        step = 1e-4 * SCALE[k] * np.eye(len(UNKNOWNS))[k]
+        ends = [settled(Cloth(values + side * step), here).positions for side in (1, -1)]
+        expected = (ends[0] - ends[1]) / (2e-4 * SCALE[k])
+        gap = np.linalg.norm(moves[k] - expected) / np.linalg.norm(expected)
+        assert gap < (2e-2 if UNKNOWNS[k] in OFFSET else 1e-4), UNKNOWNS[k]
+
+
+def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult) -> None:
+    known = Knowledge.of(GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7), SPREAD)
+    free = (*THETA_NAMES, "membrane", "friction", "offset_warp")
+    problem = Problem(away, Cloth(known.mean).with_theta(AWAY), VertexPositions(shape.positions),
+                      free=free, known=known, doubt=1.5)
+    problem.value(problem.start)
+    residuals, jacobian = problem.linearised(problem.start)
+    assert 0.5 * residuals @ residuals == pytest.approx(problem.best.value)
+    gradient = jacobian.T @ residuals
+    for k in (0, 4, 6, 7, 8):
+        step = np.zeros(len(free))
+        step[k] = 1e-3
+        difference = (problem.value(problem.start + step)
+                      - problem.value(problem.start - step)) / 2e-3
+        assert gradient[k] == pytest.approx(difference, rel=3e-2)
+
+
+def test_knowledge_is_the_distributions_specimens_are_drawn_from() -> None:
+    prior = load_prior("gaussian")
+    known = Knowledge.of(prior, SPREAD)
+    rng = np.random.default_rng(0)
+    drawn = [Cloth.of(theta, SPREAD.sample(rng, rng)) for theta in prior.sample(4000, rng)]
+    white = np.array([known.residuals(cloth) for cloth in drawn])[:, : 6 + len(LAWS)]
+    assert np.abs(white.mean(axis=0)).max() < 0.08
+    assert np.cov(white.T) == pytest.approx(np.eye(6 + len(LAWS)), abs=0.08)
+    assert not Knowledge.of(prior).root[6:].any()
+
+
+def test_a_failed_simulation_is_a_rejected_step_and_is_recorded(
+    shape: DrapeResult, away: DrapeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    def fragile(*args: object, **more: object) -> DrapeResult:
+        made.append(follow(*args, **more))
+        return replace(made[1], status=made[1].status.SADDLE) if len(made) == 2 else made[-1]
+
+    monkeypatch.setattr(problems, "follow", fragile)
+    problem = positions_problem(shape, away, AWAY)
+    found = minimise(problem, limits=Limits(evaluations=4))
+    assert len(problem.effort.failures) == 1
+    assert found.value < found.trace[0].value
+
+
+def test_moduli_outside_the_bounds_are_drawn_in(shape: DrapeResult) -> None:
+    far = THETA.copy()
+    far[:3] = math.log(1e-3)
+    problem = positions_problem(shape, shape, far)
+    cloth, _ = problem.split(problem.start)
+    assert np.exp(cloth.theta[:3]) == pytest.approx(ALPHA_RANGE[1])
+
+
+def test_inadmissible_moduli_have_no_value_and_cost_nothing(shape: DrapeResult) -> None:
+    problem = positions_problem(shape, shape, THETA)
+    stiff_and_soft = problem.start + np.array([2.0, -3.0, -3.0, 0, 0, 0])
+    assert problem.value(stiff_and_soft) == math.inf and problem.effort.solves == 0
+
+
+def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape: DrapeResult) -> None:
+    problem = positions_problem(shape, shape, THETA)
+    problem.value(problem.start)
+    rng = np.random.default_rng(0)
+    target = shape.positions + 2e-3 * rng.standard_normal(shape.positions.shape)
+    noisy = Problem(shape, Cloth.of(THETA), VertexPositions(target), free=THETA_NAMES)
+    for one, doubt in ((problem, 1.0), (noisy, 2.0)):
+        one.value(one.start)
+        one.weigh()
+        assert one.doubt == pytest.approx(doubt, rel=0.03)
+        assert one.best.value == pytest.approx(one.best.misfit / one.doubt**2)
+
+
+def test_laplace_is_the_covariance_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    matrix, scale = rng.standard_normal((40, 7)), np.array([1.0] * 3 + [2e-3] * 3 + [0.05])
+    problem = SimpleNamespace(linearised=lambda x: (np.zeros(40), matrix), measurements=40.0,
+                              scale=scale, names=tuple("abcdefg"))
+    found = laplace(problem, SimpleNamespace(x=np.zeros(7), misfit=66.0))
+    expected = np.linalg.inv(matrix.T @ matrix) * np.outer(scale, scale)
+    assert found.reduced_chi2 == pytest.approx(2 * 66.0 / 33)
+    assert found.covariance == pytest.approx(expected)
+    matrix[:, 4] = 0.0  # nothing depends on it
+    lost = np.diag(laplace(problem, SimpleNamespace(x=np.zeros(7), misfit=66.0)).theta)
+    assert np.isinf(lost[4]) and np.isfinite(np.delete(lost, 4)).all()
+
+
+def test_springs_have_exact_derivatives() -> None:
+    rng = np.random.default_rng(2)
+    normals = rng.standard_normal((5, 3))
+    springs = Springs(np.array([0, 2, 3, 5, 6]), rng.standard_normal((5, 3)), normals,
+                      rng.uniform(1, 2, 5))
+    q, move = rng.standard_normal((2, 21))
+    step = 1e-6
+    slope = (springs.value(q + step * move) - springs.value(q - step * move)) / (2 * step)
+    assert (springs.gradient(q) * move[springs.dofs]).sum() == pytest.approx(slope)
+    bend = (springs.gradient(q + step * move) - springs.gradient(q - step * move)) / (2 * step)
+    hessian = np.einsum("nij,nj->ni", springs.hessian(q), move[springs.dofs])
+    assert hessian == pytest.approx(bend)
+    assert np.array_equal(springs.hessian(q, convex=True), springs.hessian(q))
+
+
+def test_held_cloth_has_the_derivatives_of_its_equilibria(
+    shape: DrapeResult, away: DrapeResult
+) -> None:
+    springs = [springs_to_vertices(shape, pull=0.3)]
+    held = follow(away, fabric_from_theta(AWAY), extra=springs)
+    assert held.converged
+    gap, free = (np.linalg.norm(d.positions - shape.positions, axis=1).mean()
+                 for d in (held, away))
+    assert gap < 0.5 * free
+    found = sensitivities(held)
+    for k, size in ((1, 1e-4), (3, 1e-7)):
+        step = np.zeros(6)
+        step[k] = size
+        plus, minus = (
+            follow(held, fabric_from_theta(AWAY + sign * step), extra=springs, options=TIGHT)
+            for sign in (1, -1))
+        difference = (plus.positions - minus.positions) / (2 * size)
+        error = np.linalg.norm(found.positions[k] - difference) / np.linalg.norm(difference)
+        assert error < 1e-2
+
+
+def test_the_surface_that_holds_cloth_moves_with_the_camera(shape: DrapeResult) -> None:
+    """Derivatives by an objective's parameter go through the springs as well."""
+
+    class Shifted(VertexPositions):
+        nuisances, scale, deviation = ("shift",), np.full(1, 1e-3), np.ones(1)
+        start = np.zeros(1)
+
+        def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+            found = super().linearised(positions, nuisance)
+            return found._replace(by_nuisance=np.zeros((len(found.residuals), 1)))
+
+    def hold(nuisance: np.ndarray) -> Springs:
+        aside = np.array([nuisance[0], 0.0, 0.0])
+        return springs_to_vertices(shape.at(shape.positions + aside), pull=3.0)
+
+    problem = Problem(shape, Cloth.of(THETA), Shifted(shape.positions), free=["log_alpha_warp"],
+                      hold=hold, options=TIGHT)
+    aside = np.array([0.0, 1.0])
+    there = problem.start + 2 * aside
+    assert problem.value(there) > problem.value(problem.start)
+    problem.value(there)
+    residuals, jacobian = problem.linearised(there)
+    values = [problem.value(there + step * aside) for step in (1e-2, -1e-2)]
+    difference = (values[0] - values[1]) / 2e-2
+    assert difference > 1.0
+    assert residuals @ jacobian[:, 1] == pytest.approx(difference, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_held_cloth_that_touches_itself_feels_it() -> None:
+    alpha = np.array([0.8, 0.88, 0.72]) * MICRO
+    theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
+    soft = drape(fabric_from_theta(theta), edge=5e-3, seed=1, start="fold")
+    assert soft.converged and soft.touches
+    springs = [springs_to_vertices(soft, pull=0.3)]
+    same = follow(soft.at(soft.positions), soft.fabric, extra=springs)
+    assert np.abs(same.positions - soft.positions).max() < 1e-6  # springs stand idle
+    other = theta + np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
+    held = follow(soft, fabric_from_theta(other), extra=springs, options=TIGHT)
+    assert held.converged and possible_contact(held).value(held.state.q) > 0
+    found = sensitivities(held)
+    assert found.ok
+    step = np.array([1e-4, 0, 0, 0, 0, 0])
+    plus, minus = (
+        follow(held, fabric_from_theta(other + sign * step), extra=springs, options=TIGHT)
+        for sign in (1, -1))
+    difference = (plus.positions - minus.positions) / 2e-4
+    error = np.linalg.norm(found.positions[0] - difference) / np.linalg.norm(difference)
+    assert error < 1e-2
+
+
+def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
+    camera = CameraRig.load().nominal()
+    for turn in (0.2, 1.3, 2.5):
+        views = render_views(shape.positions, shape.faces, camera, turn)
+        objective = DepthViews(views, camera, shape.faces)
+        found = square_turn(objective.points(objective.start)[0], Rig())
+        gap = (found - turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
+        assert abs(gap) < math.radians(6)
+
+
+@pytest.mark.slow
+def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
+    truth = drape(fabric_from_theta(THETA), edge=4e-3, start="fold", seed=5)
+    camera = CameraRig.load().nominal()
+    views = render_views(truth.positions, truth.faces, camera, 1.0)
+    prior = load_prior("gaussian")
+    values = []
+    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.02, rig=Rig(), edge=3e-3, seed=2)
+    found = search(seen, [Cloth.of(prior.mean)], free=THETA_NAMES, known=Knowledge.of(prior),
+                   progress=lambda _, value: values.append(value))
+    assert found.released.edge == found.best.drape.edge == 3e-3
+    assert found.improved and found.status is not Status.INTERRUPTED
+    gap, first = (np.abs(theta[:3] - THETA[:3]) for theta in (found.best.cloth.theta, prior.mean))
+    assert np.median(gap) < 0.3 * np.median(first)
+    deviation = np.sqrt(np.diag(found.uncertainty.theta)[:3])
+    assert (deviation < 0.2).all() and (gap < 4 * deviation).all()
+    assert len(values) >= found.effort.solves // 2
+
+
+def test_an_interrupted_search_hands_back_the_best_so_far(shape: DrapeResult) -> None:
+    camera = CameraRig.load().nominal()
+    views = render_views(shape.positions, shape.faces, camera, 1.0)
+
+    def stop(simulations: int, value: float) -> None:
+        if simulations >= 4 and math.isfinite(value):
+            raise KeyboardInterrupt
+
+    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.0, rig=Rig(), edge=7e-3)
+    seen.rounds = (Round(8e-3, (0.3,), 2), Round(7e-3, (0.1,), 4))
+    found = search(seen, [Cloth.of(AWAY), Cloth.of(THETA)], free=THETA_NAMES, progress=stop)
+    assert found.status is Status.INTERRUPTED and found.uncertainty is None
+    # The objective knows the mesh of the drape that is handed back.
+    render = found.objective.render(found.best.drape.positions, found.best.nuisance)
+    assert np.median(np.abs(render - views)[(render > 0) & (views > 0)]) < 3e-3

@@ -1,0 +1,253 @@
+"""Scans: reading, registration, the search for their cloth, fidelity, the command."""
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CloughTocher2DInterpolator
+
+from common.errors import InputError
+from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
+from drapenet.refine.attraction import plane_springs
+from drapenet.refine.captured import CapturedShape
+from drapenet.refine.cloth import Cloth
+from drapenet.refine.fidelity import fidelity
+from drapenet.refine.scans import flat_turn, read_cloud, read_shape, register, scan_capture
+from drapenet.refine.search import CapturedScan, search
+from drapenet.refine.surface import Cloud
+from sim.drape import DrapeResult, drape
+from sim.mesh import vertex_normals
+from sim.newton import NewtonOptions
+from sim.scene import DISC_RIG
+from sim.sensitivity import follow
+
+SETTLING = NewtonOptions(residual=1e-3, step=1e-3, max_iterations=300)
+THETA = to_theta(np.array([90e-6, 60e-6, 55e-6]), np.array([-150e-9, -80e-9, -90e-9]))
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def captured() -> CapturedShape:
+    """A simulated drape of THETA, its rest points turned by 0.3 rad against the warp."""
+    result = drape(fabric_from_theta(THETA), rig=DISC_RIG, edge=7e-3)
+    assert result.converged
+    turned = Cloth.of(THETA, warp=-0.3).rest(result.rest, DISC_RIG)
+    return CapturedShape(result.positions, turned, result.faces, DISC_RIG)
+
+
+def settle(shape: CapturedShape, theta: np.ndarray, warp: float = 0.0) -> DrapeResult:
+    """The drape that cloth of theta (6,) falls into when it is let go at ``shape``."""
+    near = shape.as_drape(fabric_from_theta(theta))
+    rest = Cloth.of(theta, warp=warp).rest(near.rest, DISC_RIG)
+    return follow(replace(near, mesh=near.mesh.with_rest(rest)), near.fabric, options=SETTLING)
+
+
+def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) -> None:
+    settled = settle(captured, THETA, 0.3)
+    assert settled.converged
+    found = fidelity(captured, settled)
+    assert found.surface_mm <= found.displacement_mm < 0.01
+    assert found.coefficient == pytest.approx(found.captured_coefficient, abs=0.1)
+    np.testing.assert_array_equal(settled.positions[captured.held],
+                                  captured.positions[captured.held])
+
+
+def test_a_support_that_holds_less_lets_the_cloth_lift_and_turn(captured: CapturedShape) -> None:
+    """Freed inside the rim, cloth that was clamped there gives way: it lifts behind the rim and
+    hangs lower in front of it."""
+    loose = replace(captured, held_share=0.8)
+    np.testing.assert_array_equal(loose.hanging, captured.hanging)
+    assert loose.held.sum() < captured.held.sum() == (~captured.hanging).sum()
+    settled = settle(loose, THETA, 0.3)
+    assert settled.converged
+    height = 1e3 * settled.positions[:, 2]
+    assert 0.05 < height[captured.held].max() < 3.0
+    assert np.abs(height[loose.held]).max() == 0.0
+    assert height[captured.hanging].mean() < 1e3 * captured.positions[captured.hanging, 2].mean()
+
+
+def test_a_search_recovers_the_moduli_and_the_direction(captured: CapturedShape) -> None:
+    away = THETA + np.array([0.25, -0.1, 0.2, 4e-4, -4e-4, 3e-4])
+    found = search(CapturedScan(captured), [Cloth.of(away, warp=0.15)],
+                   free=(*THETA_NAMES, "warp"))
+    assert fidelity(captured, found.released).displacement_mm < 0.2
+    np.testing.assert_allclose(found.best.cloth.theta[:3], THETA[:3], atol=0.05)
+    assert found.best.cloth["warp"] == pytest.approx(0.3, abs=0.05)
+    assert found.improved
+
+
+def test_a_scan_is_seen_as_a_capture(captured: CapturedShape) -> None:
+    turned = flat_turn(captured)
+    assert turned == pytest.approx(-0.3, abs=1e-3)
+    seen = scan_capture(Path("scan.npz"), captured, 0.2)
+    assert seen.views.shape[0] == 4 and seen.density == 0.2 and seen.rig == DISC_RIG.name
+    assert (seen.views > 0).mean() > 0.05
+
+
+def test_held_cloth_is_free_along_the_surface(captured: CapturedShape) -> None:
+    scene = captured.as_drape(fabric_from_theta(THETA)).scene
+    springs = plane_springs(scene, captured.positions, pull=0.05)
+    q = captured.positions.ravel()
+    assert springs.value(q) == 0.0
+    normals = vertex_normals(captured.positions, captured.faces)
+    hanging = ~captured.held
+    free = hanging.sum()
+    push = springs.gradient(q + 1e-3 * normals.ravel())
+    weight = 0.3 * 9.81 * scene.mesh.vertex_areas[hanging]
+    np.testing.assert_allclose(np.linalg.norm(push, axis=1), 0.05 * weight, rtol=1e-3)
+    assert len(push) == free
+    along = np.cross(normals, [0.0, 0.0, 1e-3])
+    assert springs.value(q + along.ravel()) < 1e-20
+
+
+@pytest.fixture(scope="module")
+def scanned() -> DrapeResult:
+    """A drape on a mesh of its own."""
+    fabric = fabric_from_theta(THETA)
+    return drape(fabric, rig=DISC_RIG, edge=4e-3, start="sine", seed=3)
+
+
+def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: DrapeResult) -> None:
+    noise = np.random.default_rng(4).normal(0, 3e-4, scanned.positions.shape)
+    cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces[:, ::-1])
+    found = register(cloud, DISC_RIG, edge=6e-3, held=0.95)
+    shape = found.shape
+    assert shape.held_share == 0.95
+    assert 1e3 * found.distance < 0.5
+    assert shape.strain < 0.01
+    # Vertices lie where the same point of the specimen was draped.
+    inside = shape.rest * (1 - 1e-3)
+    truth = CloughTocher2DInterpolator(scanned.rest, scanned.positions)(inside)
+    gap = 1e3 * np.linalg.norm(shape.positions - truth, axis=1)
+    assert np.nanmean(gap[shape.hanging]) < 1.0
+    assert settle(shape, THETA).converged
+
+
+def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: DrapeResult) -> None:
+    c, s = math.cos(0.7), math.sin(0.7)
+    turned = scanned.rest @ np.array([[c, -s], [s, c]])  # first rest axis at 0.7 rad on the plate
+    file = tmp_path / "scan.npz"
+    np.savez(file, vertices=scanned.positions, rest=turned, faces=scanned.faces)
+    found = read_shape(file, DISC_RIG, edge=6e-3)
+    own = found.shape
+    assert found.reason is None
+    np.testing.assert_array_equal(own.positions, scanned.positions)
+
+    wave = 1.5e-3 * np.sin(100 * turned[:, ::-1]) * own.hanging[:, None]
+    slid = np.minimum(np.linalg.norm(turned + wave, axis=1), 0.15)
+    angle = np.arctan2(*(turned + wave).T[::-1])
+    np.savez(file, vertices=scanned.positions, faces=scanned.faces,
+             rest=np.column_stack([slid * np.cos(angle), slid * np.sin(angle)]))
+    found = read_shape(file, DISC_RIG, edge=6e-3)
+    shape = found.shape
+    assert "slid" in found.reason and shape.strain < 0.01
+    plate = ~shape.hanging
+    np.testing.assert_allclose(shape.rest[plate] @ [[c, s], [-s, c]], shape.positions[plate, :2],
+                               atol=1e-4)
+
+
+def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
+    tmp_path: Path, scanned: DrapeResult
+) -> None:
+    import trimesh
+
+    near = scanned.rest[:, 0] < 0.03  # one side is missing
+    trimesh.PointCloud(scanned.positions[near]).export(tmp_path / "part.ply")
+    with pytest.raises(InputError, match="cannot be laid on this surface"):
+        read_shape(tmp_path / "part.ply", DISC_RIG, edge=6e-3)
+    trimesh.PointCloud(scanned.positions).export(tmp_path / "points.ply")
+    found = read_shape(tmp_path / "points.ply", DISC_RIG, edge=6e-3)
+    assert found.distance < 1e-3 and found.shape.strain < 0.01
+    table = np.random.default_rng(0).uniform(-0.25, 0.25, (len(scanned.positions) // 3, 3))
+    table[:, 2] = scanned.positions[:, 2].min() - 0.03
+    trimesh.PointCloud(np.concatenate([scanned.positions, table])).export(tmp_path / "table.ply")
+    with pytest.raises(InputError, match=r"25% of its points .* cut away all that is not cloth"):
+        read_shape(tmp_path / "table.ply", DISC_RIG, edge=6e-3)
+
+
+def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
+    import trimesh
+
+    good = tmp_path / "good.ply"
+    trimesh.Trimesh(captured.positions, captured.faces, process=False).export(good)
+    assert len(read_cloud(good, DISC_RIG).points) > len(captured.positions)
+    points = tmp_path / "points.ply"
+    trimesh.PointCloud(captured.positions).export(points)
+    assert len(read_cloud(points, DISC_RIG).points) == len(captured.positions)
+    damaged = tmp_path / "damaged.obj"
+    damaged.write_text("v 0.1 0.2 0\n" * 300 + "v 0.1 0.2\n" + "f 1 2 3\n")
+    with pytest.raises(InputError, match="export it again"):
+        read_cloud(damaged, DISC_RIG)
+    millimetres = tmp_path / "mm.ply"
+    trimesh.Trimesh(1e3 * captured.positions, captured.faces, process=False).export(millimetres)
+    with pytest.raises(InputError, match="metres"):
+        read_cloud(millimetres, DISC_RIG)
+    lying = tmp_path / "lying.obj"
+    trimesh.Trimesh(captured.positions - [0, 0, 0.1], captured.faces, process=False).export(lying)
+    with pytest.raises(InputError, match="plane z = 0"):
+        read_cloud(lying, DISC_RIG)
+    standing = tmp_path / "standing.ply"
+    trimesh.Trimesh(captured.positions * [1, 1, -1], captured.faces, process=False).export(standing)
+    with pytest.raises(InputError, match="z must point up"):
+        read_cloud(standing, DISC_RIG)
+    vertices = captured.positions.copy()
+    vertices[3, 1] = np.nan
+    unknown = tmp_path / "nan.ply"
+    trimesh.Trimesh(vertices, captured.faces, process=False).export(unknown)
+    with pytest.raises(InputError, match="1 of its points are not finite"):
+        read_cloud(unknown, DISC_RIG)
+    far = tmp_path / "far.ply"
+    faces = captured.faces + np.array([0, 0, 10**6])
+    trimesh.Trimesh(captured.positions, faces, process=False).export(far)
+    with pytest.raises(InputError, match="names a vertex that is not there"):
+        read_cloud(far, DISC_RIG)
+    for content in (b"", b"ply\nformat ascii 1.0\n", b"\x00\xff" * 50):
+        bad = tmp_path / "bad.ply"
+        bad.write_bytes(content)
+        with pytest.raises(InputError):
+            read_cloud(bad, DISC_RIG)
+    with pytest.raises(InputError, match="cannot read"):
+        read_cloud(tmp_path / "missing.ply", DISC_RIG)
+
+
+def test_command_says_what_is_wrong(tmp_path: Path) -> None:
+    from infer import main
+
+    bad = tmp_path / "bad.npz"
+    bad.write_bytes(b"nothing")
+    for words, message in (
+        ([f"scan={bad}"], "cannot read the scan"),
+        (["scan=x.npz", "capture=y"], "not both"),
+        (["scan=x.npz", "refine=depth"], "a scan takes none or scan"),
+        ([f"scan={tmp_path / 'missing.obj'}"], "cannot read the scan"),
+        (["scan=x.npz", "held=1.2"], "held=1.2: give a share"),
+        (["scan=x.npz", "density_g_m2=0"], "density_g_m2"),
+    ):
+        with pytest.raises(InputError, match=message) as error:
+            main([f"out={tmp_path / 'out'}", *words])
+        assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_command_refines_a_scan(tmp_path: Path, captured: CapturedShape) -> None:
+    scan = tmp_path / "scan.npz"
+    np.savez(scan, vertices=captured.positions, rest=captured.rest, faces=captured.faces)
+    done = subprocess.run(
+        [sys.executable, "infer.py", f"scan={scan}", "refine=scan", f"out={tmp_path / 'out'}"],
+        cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert content["refined"]["fidelity"]["displacement_mm"] < 1.0
+    alpha = [content["moduli_at_300_g_m2"][name]["alpha_uN_m"] for name in ("stiff", "soft")]
+    for found, truth in zip(alpha, (90.0, 55.0), strict=True):
+        low, high = found["interval_90"]
+        assert low < truth < high
+    axis = math.radians(content["stiff_axis"]["direction_deg"])
+    assert abs(math.sin(axis)) < 0.2
+    assert (tmp_path / "out" / "report.png").stat().st_size > 10_000

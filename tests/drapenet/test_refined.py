@@ -1,0 +1,97 @@
+"""What a refinement makes of the network's estimate."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.fabrics import THETA_NAMES, fabric_from_theta
+from data.render import QUARTERS, render_views
+from drapenet.estimate import Estimate
+from drapenet.refine import refined
+from drapenet.refine.cloth import LAWS, OFFSET, Cloth
+from drapenet.refine.optimisers import Status
+from drapenet.refine.problem import Effort, Trial, Uncertainty
+from drapenet.refine.search import CapturedViews, Found
+from sim.drape import DrapeResult, drape
+from sim.material import MICRO
+from sim.scene import Rig
+
+THETA = np.concatenate([np.log(np.array([60, 40, 30]) * MICRO), np.full(3, -2e-3)])
+SPREAD = np.array([0.9, 0.8, 0.9, 1.4e-3, 1.4e-3, 1.4e-3])
+
+
+def before(*names: str) -> Estimate:
+    deviation = np.array([0.3, 0.2, 0.3, 3e-4, 2e-4, 3e-4])
+    samples = THETA + deviation * np.random.default_rng(0).normal(size=(1000, 6))
+    return Estimate(samples, names, 0.5, 0.9, 0.15, SPREAD)
+
+
+@pytest.fixture(scope="module")
+def draped() -> DrapeResult:
+    return drape(fabric_from_theta(THETA), edge=8e-3)
+
+
+def capture_of(shape: DrapeResult) -> Capture:
+    camera = CameraRig.load().nominal()
+    views = render_views(shape.positions, shape.faces, camera, 0.5).astype(np.float32)
+    return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig().name, Path(), ())
+
+
+def run(
+    shape: DrapeResult, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
+    known: dict | None = None,
+) -> tuple[refined.Refined, dict]:
+    """A refinement whose search finds ``shape`` with known uncertainties."""
+    asked = {}
+
+    def search(seen: CapturedViews, starts: list[Cloth], *, free: list[str], **more) -> Found:
+        asked.update(starts=starts, free=free)
+        names = (*(name for name in (*THETA_NAMES, *LAWS, *OFFSET) if name in free), "turn")
+        objective = CapturedViews(capture.views, camera, turns=QUARTERS, turn=0.5, rig=Rig(),
+                                  edge=8e-3).objective(8e-3)
+        nuisance = objective.start
+        trial = Trial(np.zeros(len(names)), Cloth.of(THETA + 0.1), nuisance, shape, 10.0, 10.0)
+        return Found(trial, objective, start_value, Uncertainty(
+            names, 0.01 * np.eye(len(names)), 1.0), shape, Effort(), 1.0, Status.CONVERGED, "")
+
+    monkeypatch.setattr(refined, "search", search)
+    capture, camera = capture_of(shape), CameraRig.load().nominal()
+    result = refined.refined_capture(
+        before("stiff", "bias", "soft"), capture, camera, rig=Rig(), turns=np.array(QUARTERS),
+        seen=None, edge=8e-3, known=known or {})
+    return result, asked
+
+
+def test_the_posterior_is_that_of_the_search(
+    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result, asked = run(draped, monkeypatch)
+    assert result.draws.theta.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
+    assert result.draws.theta.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
+    assert (result.draws.axis == 0.5).all() and not result.doubts
+    assert result.resimulation.overlap > 0.97
+    friction = result.content["specimen"]["friction_un"]
+    assert friction["interval_68"][1] - friction["median"] == pytest.approx(0.1 / MICRO)
+    assert len(asked["starts"]) == refined.STARTS
+    np.testing.assert_array_equal(asked["starts"][0].theta, before("", "", "").theta)
+
+
+def test_what_is_known_is_not_searched_for(
+    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, asked = run(draped, monkeypatch, known={"membrane": 400.0, "friction": 0.0})
+    assert not {"membrane", "friction"} & set(asked["free"]) and "shear" in asked["free"]
+    assert all(one["membrane"] == pytest.approx(math.log(400)) and one["friction"] == 0
+               for one in asked["starts"])
+
+
+def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
+    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result, _ = run(draped, monkeypatch, start_value=10.2)
+    assert result.draws is None
+    assert any("the network's estimate stands" in line for line in result.doubts)
