@@ -35,7 +35,7 @@ from common.cli import run_command
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior.files import load_prior, sample_admissible
-from drapenet.refine.descriptor import GridSpectrum, RingSpectrum
+from drapenet.descriptor import GridSpectrum, RingSpectrum
 from sim.drape import drape
 from sim.initial import interpolate_positions
 from sim.scene import Rig

@@ -44,7 +44,7 @@ from data.options import Options, config_from_options
 from data.prior import load_prior
 from data.sampling import SamplingConfig, Stream, plan_drape, stream
 from data.setups import Setups
-from drapenet.information import CAMERA, SETUP, SPECIMEN, bounds, depth_information, deviations
+from drapenet.information import CAMERA, SETUP, SPECIMEN, bounds, depth_information
 from sim.drape import drape
 from sim.scene import Rig
 
@@ -74,7 +74,7 @@ def unknowns(config: SamplingConfig) -> dict[str, dict[str, float]]:
     """What is unknown in each row of the table of drapes with nuisances, and its deviations."""
     pose = dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf)
     pose |= dict.fromkeys(SPECIMEN[1:], config.drift)
-    own, setup = deviations(config.nuisances), Setups.load()
+    own, setup = config.nuisances.deviations, Setups.load()
     table_and_focal = dict(zip(SETUP, (*[setup.turn] * 3, setup.focal), strict=True))
     rest = {name: own[name] for name in NAMES if name not in MEASURED}
     return {

@@ -48,7 +48,6 @@ from benchmarks.common import (
     write_report,
 )
 from benchmarks.photographs import estimated
-from benchmarks.refine_scans import sorted_alpha
 from common.cli import run_command
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -305,8 +304,8 @@ def with_refined(
     """Median ratio of alpha to what the scan's refinement found, and estimate over refinement."""
     if not path.is_file():
         return None
-    found = {r["scan"]: np.log(MICRO * sorted_alpha(r["refined"]["estimate"]))
-             for r in json.loads(path.read_text(encoding="utf-8"))["scans"]}
+    found = {name: np.array(r["theta"])[LINEAR] for name, r in
+             json.loads(path.read_text(encoding="utf-8"))["scans"].items()}
     pairs = [(log_alpha[key], found[scan.name]) for key, scan in scans.items()
              if scan.name in found]
     if not pairs:

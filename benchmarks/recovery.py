@@ -2,8 +2,8 @@
 
 A drape of a known fabric, its vertices known, and a start whose six moduli are the true ones times
 random factors in [0.5, 2]. Every optimiser begins there, and springs hold the simulated cloth to
-the known vertices (:mod:`drapenet.refine.held`), or it is free. How many simulations until each
-alpha is within 2 % and each beta/alpha within 10 %? Views instead: :mod:`benchmarks.refine_views`.
+the known vertices, or it is free. How many simulations until each alpha is within 2 % and each
+beta/alpha within 10 %? Views instead: :mod:`benchmarks.refine_views`.
 
 Keys (``key=value``):
 
@@ -36,7 +36,7 @@ from benchmarks.common import (
     write_report,
 )
 from common.cli import run_command
-from data.fabrics import fabric_from_theta, from_theta
+from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta
 from data.prior import load_prior, sample_admissible
 from sim.drape import DrapeResult, drape
 from sim.material import is_admissible
@@ -66,7 +66,7 @@ def known_drape(seed: int, number: int, edge_mm: float) -> tuple[np.ndarray, Dra
 
     Its triangulation is that of ``number``.
     """
-    from drapenet.refine.problem import ALPHA_RANGE, RATIO_RANGE
+    from drapenet.refine.cloth import ALPHA_RANGE, RATIO_RANGE
 
     rng = np.random.default_rng([seed, number, 0])
     low, high = (np.repeat([math.log(alpha), ratio], 3)
@@ -103,10 +103,11 @@ def registered_case(
     seed: int,
 ) -> dict:
     """One optimiser on one registered drape."""
-    from drapenet.refine.held import springs_to_vertices
+    from benchmarks.optimisers import METHODS
+    from benchmarks.registered import VertexPositions, springs_to_vertices
+    from drapenet.refine.cloth import Cloth
     from drapenet.refine.optimisers import Limits, minimise
-    from drapenet.refine.problem import DrapeProblem
-    from drapenet.refine.registered import VertexPositions
+    from drapenet.refine.problem import Problem
     from sim.sensitivity import follow
 
     truth, shape = known_drape(seed, number, edge_mm)
@@ -116,18 +117,19 @@ def registered_case(
     target[shape.held] = shape.positions[shape.held]
     # Whoever knows the vertices does not know how the bending law splits the angles.
     origin = shape.at(target)
-    springs = [springs_to_vertices(origin, pull=hold)] if hold else []
-    first = follow(origin, fabric_from_theta(theta), extra=springs)
+    springs = springs_to_vertices(origin, pull=hold) if hold else None
+    first = follow(origin, fabric_from_theta(theta), extra=[springs] if hold else [])
     if not first.converged:
         return {"start": first.status.value}
     # Free cloth keeps to the folds of the capture only if it begins there.
-    problem = DrapeProblem(first, theta, VertexPositions(target), springs=springs,
-                           origin=None if hold else origin)
-    outcome = minimise(problem, method=method, seed=number, limits=Limits(
+    problem = Problem(first if hold else origin, Cloth.of(theta), VertexPositions(target),
+                      free=THETA_NAMES, hold=(lambda _: springs) if hold else None,
+                      afresh=not hold)
+    outcome = minimise(problem, method=METHODS[method], limits=Limits(
         evaluations=evaluations, decrease=1e-6, step=1e-4))
     trace = []
     for point in outcome.trace:
-        alpha, ratio = errors(problem.split(point.x)[0], truth)
+        alpha, ratio = errors(problem.split(point.x)[0].theta, truth)
         trace.append({"simulations": point.evaluations, "seconds": point.seconds,
                       "value": point.value, "alpha": max(alpha), "ratio": max(ratio)})
     reached = next((t for t in trace
@@ -135,7 +137,7 @@ def registered_case(
     return {
         "start": "converged", "status": outcome.status.value, "message": outcome.message,
         "iterations": outcome.iterations, "simulations": outcome.evaluations,
-        "derivatives": problem.derivatives, "failures": len(problem.failures),
+        "failures": len(problem.effort.failures),
         "seconds": trace[-1]["seconds"], "reached": reached, "last": trace[-1],
         "start_mm": 1e3 * float(np.linalg.norm(first.positions - shape.positions, axis=1).mean()),
         "trace": trace,

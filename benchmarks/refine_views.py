@@ -1,28 +1,27 @@
-"""What refinement makes of four noisy views: ``python -m benchmarks.refine_views [key=value ...]``.
+"""What refinement makes of captures of known fabrics: ``python -m benchmarks.refine_views``.
 
-Four noisy depth views of a known fabric, from a camera beside its nominal place, of a drape
-on a finer mesh and, it may be, in other folds than those of the fabric first estimated. The network
-estimates; the refinement starts from there, its posterior a measurement as for ``infer.py``; and
-both are compared with the truth, and with the prior's mean. The direction of the warp is known
-to a degree. Beside the errors stands the Cramér-Rao bound of the same fabrics, seen by the same
-cameras (:mod:`drapenet.information`; 1 mm of noise, one independent pixel in a hundred, the
-camera's pose unknown).
+Fabrics of the prior are draped on a finer mesh than the refinement has, and captured. The network
+estimates as ``infer.py`` does, the refinement goes on, and the posteriors of both are compared with
+the truth. With ``nuisances=real`` specimens and captures differ in all that real ones differ in;
+with ``none`` the specimen is ideal, and the sensor ``smooth`` sees four views, exact quarter turns
+apart, with true intrinsics and a clean cut-out, from a tripod anywhere.
 
 Keys (``key=value``):
 
-    fabrics       number of fabrics, drawn from the prior
-    other_folds   whether only fabrics count, at least as many, whose captured drape has other folds
-                  than a drape of the network's estimate
-    edge_mm       edges at the rim of the refined drape in the end
-    truth_mm      the same of the captured one
-    sensor        noise of the views, a file of configs/sensor
-    seed          of everything
-    workers       processes, one thread each
-    cases         folder of finished cases; an interrupted run goes on from there
-    out           the report, JSON; a picture of the same name beside it
+    rig        tester
+    nuisances  real or none
+    fabrics    how many
+    edge_mm    edges at the rim of the refined drape in the end; 0: as infer.py has it
+    truth_mm   the same of the captured one
+    seed       of everything
+    workers    processes, one thread each
+    cases      folder of finished cases; an interrupted run goes on from there
+    out        the report, JSON; a picture of the same name beside it
 """
 
 import math
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,192 +30,210 @@ from matplotlib.figure import Figure
 from benchmarks.common import (
     ESTIMATOR,
     REPORTS,
+    load_arrays,
     parse_settings,
     run_cases,
     table,
     tick_short_scales,
-    usual_size,
     write_figure,
     write_report,
 )
-from benchmarks.photographs import estimated, photographed, place
-from benchmarks.recovery import errors, known_drape
 from common.cli import run_command
-from data.cameras import DEFAULT_RIG, CameraRig
-from data.fabrics import THETA_NAMES, fabric_from_theta
-from data.prior import load_prior
-from data.prior.gaussian import GaussianPrior
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.configs import compose_config
+from data.fabrics import fabric_from_theta
+from data.nuisances import NAMES
+from data.options import Options, config_from_options
+from data.sampling import DrapePlan, plan_drape
+from data.setups import Setups
 from drapenet.checkpoint import bundled, read_header
 from drapenet.comparison import same_folds
-from drapenet.convention import SWAPPED
-from sim.drape import drape
+from drapenet.convention import LINEAR, RATIO, SWAPPED
+from drapenet.coverage import LEVELS, covered, ranks
+from sim.drape import DrapeResult, drape
+from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import fold_outline
 from sim.scene import Rig
 
-GOAL = 0.15  # median error of alpha
-BOUND = {"noise": 1e-3, "pixels_per_measurement": 100.0}  # m
-BOUND_EDGE_MM = 3.5  # at the rim
 DEFAULTS = {
-    "fabrics": 20,
-    "other_folds": False,
-    "edge_mm": 1.75,
-    "truth_mm": 1.0,
-    "sensor": "tof",
+    "rig": "square300_cylinder100",
+    "nuisances": "none",
+    "fabrics": 60,
+    "edge_mm": 0.0,
+    "truth_mm": 1.25,
     "seed": 77,
     "workers": 2,
     "cases": "outputs/validation/refine_views",
     "out": str(REPORTS / "refine_views.json"),
 }
+WAYS = ("network", "refined")
+IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
+         "border": 0, "holes": 0, "hem_share": 0.0}
 
 
-def views_case(
-    *, number: int, edge_mm: float, truth_mm: float, sensor: str, seed: int, other_folds: bool
+def known_drape(
+    number: int, *, rig: str, nuisances: str, edge_mm: float, seed: int
+) -> tuple[DrapePlan, DrapeResult]:
+    """A fabric of the prior and specimen of it, and its drape."""
+    words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    plan = plan_drape(number, config=config.sampling, prior=config.prior)
+    specimen = plan.nuisances
+    result = drape(
+        fabric_from_theta(plan.theta), rig=specimen.rig(Rig.from_name(rig)), edge=1e-3 * edge_mm,
+        start=plan.start, seed=plan.seed, offset=tuple(plan.offset), laws=specimen.laws)
+    if not result.converged:
+        raise InputError(f"fabric {number} did not converge ({result.message}); choose another "
+                         "seed=")
+    return plan, result
+
+
+def case(
+    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
 ) -> dict:
-    """The network and the refinement on one capture; with ``other_folds``, on such a one only."""
-    from drapenet.maps import located_camera
-    from drapenet.refine.views import refine_views
+    """The network and the refinement on one capture."""
+    from drapenet.estimate import make_estimate
+    from drapenet.inference import infer_capture
+    from drapenet.refine.refined import refined_capture
 
-    known, shape = known_drape(seed, number, truth_mm)
-    rng = np.random.default_rng([seed, number, 2])
-    camera, turn = place(rng)
-    views = photographed(shape, camera, turn, sensor=sensor, seed=number)
-
-    intrinsics = CameraRig.load().intrinsics
-    found = estimated(views, intrinsics, read_header(bundled(DEFAULT_RIG)))
-    # Its stiffer yarns are the truth's warp or weft, whichever lie nearer.
-    along = np.cos(2 * (found.axis - turn)) >= 0
-    order = list(range(6)) if along else SWAPPED
-    network, normal = found.theta[order], found.normal
-    mean = load_prior("gaussian").mean
-    first = drape(fabric_from_theta(network), edge=1e-3 * edge_mm, seed=number)
-    outlines = [fold_outline(d.positions, d.rest, Rig()) for d in (shape, first)]
-    folded_otherwise = not same_folds(*outlines)
-    if other_folds and not folded_otherwise:
-        return {"other_folds": False}
-    refined = refine_views(
-        views, located_camera(views, intrinsics, Rig()), network,
-        turns=[turn + math.radians(rng.normal(0, 1))], edge=1e-3 * edge_mm, seed=number + 1,
-        prior=GaussianPrior(normal.mean[order], normal.covariance[np.ix_(order, order)], fabrics=0))
-    theta = network if refined is None else refined.best.theta
-    result = {name: dict(zip(("alpha", "ratio"), errors(values, known), strict=True))
-              for name, values in (("refined", theta), ("network", network), ("prior", mean))}
-    result |= {"theta": known.tolist(), "found": theta.tolist(), "estimated": network.tolist(),
-               "other_folds": folded_otherwise}
-    if refined is not None:
-        deviation = refined.uncertainty.theta.tolist() if refined.uncertainty else None
-        result |= {"status": refined.status.value, "simulations": refined.simulations,
-                   "seconds": refined.seconds, "start_value": refined.start_value,
-                   "value": refined.best.value, "deviation": deviation}
-    return result
-
-
-def bound_case(*, number: int, seed: int) -> dict:
-    """The least standard deviations of theta (6,) of one fabric; None where there are none."""
-    from drapenet.information import CAMERA, SPECIMEN, bounds, depth_information
-
-    _, shape = known_drape(seed, number, BOUND_EDGE_MM)
-    camera, turn = place(np.random.default_rng([seed, number, 2]))  # as for the views
-    found = depth_information(shape, camera, orientation=turn, **BOUND)
-    covariance = found.covariance((*SPECIMEN, *CAMERA)) if found.ok else None
-    return {"bound": None if covariance is None else bounds(covariance).tolist()}
+    plan, shape = known_drape(number, rig=rig, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
+    setups = Setups.load("real")
+    if nuisances == "none":
+        setups = replace(setups, **IDEAL)
+    seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
+                          nominal=CameraRig.load(rig).intrinsics)
+    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,
+                      Path(), ())
+    header, nominal = read_header(bundled(rig)), Rig.from_name(rig)
+    known = {"membrane": 200.0, "friction": 0.0} if nuisances == "none" else {}
+    inferred = infer_capture(capture, header, **known)
+    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
+    own = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
+           if nuisances == "none" else {})
+    began = time.perf_counter()
+    refined = refined_capture(estimate, capture, camera, rig=nominal, turns=found.turns, seen=None,
+                              edge=1e-3 * edge_mm, known=own)
+    seconds = time.perf_counter() - began
+    estimates = {"network": estimate}
+    if refined is not None and refined.draws is not None:
+        estimates["refined"] = make_estimate(refined.draws, capture=capture, header=header)
+    first = drape(estimate.fabric, rig=nominal, seed=number)
+    outlines = [fold_outline(d.positions, d.rest, nominal) for d in (shape, first)]
+    arrays = {}
+    for name in WAYS:  # a refinement that gains nothing leaves the network's answer
+        one = estimates.get(name, estimate)
+        # The first yarns found are the truth's warp or weft, whichever lie nearer.
+        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        arrays[name] = one.samples if along else one.samples[:, SWAPPED]
+    specimen = along_warp(refined.content["specimen"] if refined else {}, along)
+    return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
+            "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
+            "views": len(seen.views), "gained": "refined" in estimates,
+            "status": refined.found.status.value if refined else "none",
+            "spread": estimate.spread.tolist(), "arrays": arrays}
 
 
-def gather(config: dict) -> dict[str, dict]:
-    """Results of as many fabrics as are asked for; or of at least as many with other folds."""
-    found: dict[str, dict] = {}
-    first, count = 0, config["fabrics"]
-    while len(found) < count:
-        made = run_cases(views_case, {
-            f"views_{k}": {"number": k, **{key: config[key] for key in
-                                           ("edge_mm", "truth_mm", "sensor", "seed",
-                                            "other_folds")}}
-            for k in range(first, first + count)},
-            folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)
-        first += count
-        found |= {name: r for name, r in made.items()
-                  if r["other_folds"] or not config["other_folds"]}
+def along_warp(specimen: dict, along: bool) -> dict:
+    """The part ``specimen`` of ``estimate.json`` along the true warp, if that was found as such."""
+    other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
+    return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
+
+
+def recovered(results: list[dict]) -> dict[str, dict[str, float]]:
+    """Of friction and curl, deviations of the estimates from the truth and as estimated, in parts
+    of their spread over specimens, root mean squares.
+    """
+    from drapenet.refine.refined import specimen_spread
+
+    deviations = specimen_spread().deviations
+    found = {}
+    for name, label, unit in (("friction", "friction_un", MICRO), ("curl_warp", "curl_warp_per_m",
+                              1.0), ("curl_weft", "curl_weft_per_m", 1.0)):
+        rows = [(r["specimen"][label], r["nuisances"][NAMES.index(name)]) for r in results
+                if label in r["specimen"]]
+        if rows:
+            error = np.array([unit * one["median"] - truth for one, truth in rows])
+            size = np.array([np.diff(one["interval_68"])[0] * unit / 2 for one, _ in rows])
+            found[name] = {kind: float(np.sqrt(np.square(values).mean()) / deviations[name])
+                           for kind, values in (("error", error), ("estimated", size))}
     return found
 
 
-def summarise(results: dict[str, dict]) -> dict[str, dict]:
-    """Median errors over all alphas of all fabrics, of each way to estimate them."""
-    summary = {}
-    for name in ("refined", "network", "prior"):
-        alpha = np.array([r[name]["alpha"] for r in results.values()])
-        found = {"refined": "found", "network": "estimated"}.get(name)
-        mean = load_prior("gaussian").mean
-        gap = np.abs([np.array(r[found] if found else mean)[3:] - np.array(r["theta"])[3:]
-                      for r in results.values()])
-        summary[name] = {
-            "alpha_median": float(np.median(alpha)),
-            "alpha_by_direction": np.median(alpha, axis=0).tolist(),
-            "alpha_worst_fabric": float(np.median(alpha, axis=1).max()),
-            "ratio_median_mm": 1e3 * float(np.median(gap)),
-        }
-    return summary
+def judge(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
+    """Errors of the posteriors' means, and how often their intervals hold.
 
-
-def spreads(results: dict[str, dict]) -> dict[str, list[float]]:
-    """Usual errors (6,) of log alpha and, in m, of beta/alpha, of refinement and network."""
-    theta = np.array([r["theta"] for r in results.values()])
-    return {name: usual_size([r[key] for r in results.values()] - theta)
-            for name, key in (("refined from views", "found"), ("network", "estimated"))}
-
-
-def over_bound(results: dict[str, dict], bounds: dict[str, dict]) -> dict[str, list[float]]:
-    """Usual errors (6,) of refinement and network in units of each fabric's own bound."""
-    known = [(r, np.array(b["bound"])) for r, b in
-             zip(results.values(), bounds.values(), strict=True) if b["bound"]]
-    return {name: usual_size([np.subtract(r[key], r["theta"]) / bound for r, bound in known])
-            for name, key in (("refined from views", "found"), ("network", "estimated"))}
-
-
-def picture(views: dict[str, dict], path: Path) -> None:
-    """True against found alpha."""
-    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
-    axis = figure.subplots()
-    for name, key, colour in (("network", "estimated", "0.6"), ("refined", "found", "C1")):
-        for k, marker in enumerate("os^"):
-            axis.plot([1e6 * math.exp(r["theta"][k]) for r in views.values()],
-                      [1e6 * math.exp(r[key][k]) for r in views.values()], marker,
-                      color=colour, ms=4, label=f"{name}, {('warp', 'bias', 'weft')[k]}")
-    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]",
-             title="from four noisy views")
-    tick_short_scales(axis.xaxis, axis.yaxis)
-    ends = np.array(axis.get_xlim())
-    axis.plot(ends, ends, color="k", lw=0.8)
-    axis.legend(fontsize=7, frameon=False)
-    write_figure(path, figure)
+    Args:
+        truth: (N, 6). samples: of each, (S, 6).
+    """
+    errors = np.stack([s.mean(axis=0) for s in samples]) - truth
+    places = np.concatenate([ranks(s[:, None], t[None])
+                             for s, t in zip(samples, truth, strict=True)])
+    return {
+        "log_alpha": float(np.sqrt(np.square(errors[:, LINEAR]).mean())),
+        "log_alpha_median": float(np.median(np.abs(errors[:, LINEAR]))),
+        "log_alpha_worst_fabric": float(np.abs(errors[:, LINEAR]).mean(axis=1).max()),
+        "beta_over_alpha_mm": 1e3 * float(np.sqrt(np.square(errors[:, RATIO]).mean())),
+        "inside": {f"{level:.0%}": float(share.mean())
+                   for level, share in zip(LEVELS, covered(places), strict=True)},
+        "fabrics": len(truth),
+    }
 
 
 def main(argv: list[str]) -> None:
     """Run what is missing, print the table, write the report and its picture."""
     config = parse_settings(DEFAULTS, argv)
-    views = gather(config)
-    bounds = run_cases(bound_case, {
-        name.replace("views", "bound"): {"number": int(name.removeprefix("views_")),
-                                         "seed": config["seed"]} for name in views},
-        folder=Path(config["cases"]), workers=config["workers"], sources=ESTIMATOR)
-    summary, factors = summarise(views), over_bound(views, bounds)
-    other_folds = sum(r["other_folds"] for r in views.values())
-    print("\nFour noisy views, median errors\n")
-    print(table(["estimate", "alpha", "warp", "bias", "weft", "worst fabric", "beta/alpha, mm"],
-                [[name, m["alpha_median"], *m["alpha_by_direction"], m["alpha_worst_fabric"],
-                  m["ratio_median_mm"]] for name, m in summary.items()]))
-    print(f"{other_folds} of {len(views)} captured drapes have other folds "
-          "than a drape of the network's estimate")
-    median = summary["refined"]["alpha_median"]
-    print(f"refined: median error of alpha {median:.1%} "
-          f"({'passed' if median <= GOAL else 'not passed'}: {GOAL:.0%})")
-    print("usual errors over the bound of the same fabrics:")
-    print(table(["", *THETA_NAMES], [[name, *values] for name, values in factors.items()]))
+    folder = Path(config["cases"]) / config["nuisances"]
+    settings = {key: config[key] for key in ("rig", "nuisances", "edge_mm", "truth_mm", "seed")}
+    results = run_cases(case, {f"views_{k}": {"number": k, **settings}
+                               for k in range(config["fabrics"])},
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR)
+    truth = np.array([r["theta"] for r in results.values()])
+    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in WAYS}
+    other = np.array([r["other_folds"] for r in results.values()])
+    groups = {"all": np.ones(len(truth), bool), "other folds": other}
+    summary = {
+        group: {way: judge(truth[rows], [s for s, row in zip(samples[way], rows, strict=True)
+                                         if row]) for way in WAYS}
+        for group, rows in groups.items() if rows.any()}
+    seconds = np.array([r["seconds"] for r in results.values()])
+    specimen = recovered(list(results.values()))
+    print(table(
+        ["", "fabrics", "log alpha", "median", "worst fabric", "beta/alpha, mm", "inside 50 %",
+         "68 %", "90 %"],
+        [[f"{group}, {way}", f["fabrics"], f["log_alpha"], f["log_alpha_median"],
+          f["log_alpha_worst_fabric"], f["beta_over_alpha_mm"], *f["inside"].values()]
+         for group, ways in summary.items() for way, f in ways.items()]))
+    print(f"median {np.median(seconds):.1f} s, 90th percentile {np.quantile(seconds, 0.9):.1f} s; "
+          f"{sum(not r['gained'] for r in results.values())} refinements gained nothing")
+    for name, f in specimen.items():
+        print(f"{name}: error {f['error']:.2f} of its spread, estimated {f['estimated']:.2f}")
     out = Path(config["out"])
-    write_report(out, {
-        "settings": {k: v for k, v in config.items() if k not in ("out", "cases", "workers")},
-        "summary": summary, "spread": spreads(views), "other_folds": other_folds,
-        "over_bound": factors, "bounds": {name: b["bound"] for name, b in bounds.items()},
-        "cases": views})
-    picture(views, out.with_suffix(".png"))
+    if config["nuisances"] != "none":
+        out = out.with_stem(f"{out.stem}_{config['nuisances']}")
+    write_report(out, {"settings": {**settings, "fabrics": config["fabrics"]}, "summary": summary,
+                       "specimen": specimen,
+                       "seconds": {"median": float(np.median(seconds)),
+                                   "largest": float(seconds.max())}, "cases": results})
+    draw(truth, samples, out.with_suffix(".png"))
+
+
+def draw(truth: np.ndarray, samples: dict[str, list[np.ndarray]], path: Path) -> None:
+    """True against found alpha."""
+    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
+    axis = figure.subplots()
+    for name, colour in zip(WAYS, ("0.6", "C1"), strict=True):
+        found = np.exp([s[:, LINEAR].mean(axis=0) for s in samples[name]]) / MICRO
+        for k, marker in enumerate("os^"):
+            axis.plot(np.exp(truth[:, k]) / MICRO, found[:, k], marker, color=colour, ms=4,
+                      label=f"{name}, {('warp', 'bias', 'weft')[k]}")
+    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]")
+    tick_short_scales(axis.xaxis, axis.yaxis)
+    ends = np.array(axis.get_xlim())
+    axis.plot(ends, ends, color="k", lw=0.8)
+    axis.legend(fontsize=7, frameon=False)
+    write_figure(path, figure)
 
 
 if __name__ == "__main__":

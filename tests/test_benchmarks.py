@@ -214,19 +214,6 @@ def test_reports_are_collected(tmp_path):
     assert found == {"speed": {"drapes": 1}, "render": {"views": 2}}
 
 
-def test_alpha_along_other_axes_is_the_same_plates() -> None:
-    from benchmarks.simulated_scans import alpha_along
-    from drapenet.refine.captured import Cloth
-
-    theta = np.log([40e-6, 25e-6, 20e-6])
-    cloth = Cloth(np.r_[theta, -2e-3 * np.ones(3)], warp=0.2)
-    np.testing.assert_allclose(alpha_along(cloth, 0.2), np.exp(theta))
-    np.testing.assert_allclose(alpha_along(cloth, 0.2 + np.pi / 2), np.exp(theta)[::-1])
-    alike = Cloth(np.r_[np.log([60e-6, 40e-6, 60e-6]), np.zeros(3)])
-    turned = alpha_along(alike, np.pi / 4)
-    np.testing.assert_allclose(turned, [40e-6, 60e-6, 40e-6])
-
-
 def test_the_axes_of_bounds_can_be_read(tmp_path, monkeypatch):
     pictures = []
     monkeypatch.setattr(information, "write_figure", lambda _, figure: pictures.append(figure))
@@ -237,25 +224,17 @@ def test_the_axes_of_bounds_can_be_read(tmp_path, monkeypatch):
         assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
 
 
-def test_errors_are_compared_with_the_bound_of_the_same_fabric():
-    results = {f"views_{k}": {"theta": [0.0] * 6, "found": [error] * 6, "estimated": [0.1] * 6}
-               for k, error in enumerate((0.2, -0.3, 5.0, 0.1))}
-    bounds = {f"bound_{k}": {"bound": bound}
-              for k, bound in enumerate(([0.1] * 6, [0.3] * 6, None, [0.1] * 5 + [0.01]))}
-    factors = refine_views.over_bound(results, bounds)
-    assert factors["refined from views"] == pytest.approx([1.4826] * 5 + [2 * 1.4826])
-    assert factors["network"] == pytest.approx([1.4826] * 6)
-
-
-def test_fabrics_with_other_folds_are_gathered_until_there_are_enough(monkeypatch):
-    def cases(work, cases, **options):
-        return {name: {"other_folds": case["number"] % 3 == 0} for name, case in cases.items()}
-
-    monkeypatch.setattr(refine_views, "run_cases", cases)
-    config = refine_views.DEFAULTS | {"fabrics": 4}
-    assert list(refine_views.gather(config)) == ["views_0", "views_1", "views_2", "views_3"]
-    other = refine_views.gather(config | {"other_folds": True})
-    assert list(other) == ["views_0", "views_3", "views_6", "views_9"]
+def test_posteriors_are_judged_by_errors_and_coverage():
+    rng = np.random.default_rng(0)
+    scale = np.array([0.1] * 3 + [1e-3] * 3)
+    middle = rng.standard_normal((400, 6)) * scale
+    truth = middle + rng.standard_normal((400, 6)) * scale
+    samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
+    found = refine_views.judge(truth, samples)
+    assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
+    assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
+    assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
+    assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)
 
 
 def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):

@@ -1,0 +1,81 @@
+"""Optimisers that Levenberg-Marquardt is compared with, for :mod:`drapenet.refine.optimisers`.
+
+Gauss-Newton uses the residuals and their derivatives, L-BFGS-B the gradient only, the two evolution
+strategies values only.
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize as scipy_minimise
+
+from drapenet.refine.optimisers import Method, Run, Status, levenberg_marquardt
+
+SIGMA = 0.3  # first deviation of the evolution strategies, in the problem's units
+SEED = 0  # of the evolution strategies
+_FAILED = 1e30  # stands for an infinite value where a method needs a number
+
+
+def lbfgs(run: Run) -> tuple[Status, str]:
+    """SciPy's L-BFGS-B on the value and its gradient."""
+    problem, limits = run.problem, run.limits
+    first = run.best
+
+    def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
+        value = first.value if np.array_equal(x, first.x) else run.value(x)
+        linearised = problem.linearised(x) if math.isfinite(value) else None
+        if linearised is None:
+            # A wall: the line search turns back, and no slope leads it astray.
+            return 10.0, np.zeros_like(x)
+        residuals, jacobian = linearised
+        return value / first.value, jacobian.T @ residuals / first.value
+
+    def count(_: np.ndarray) -> None:
+        run.iterations += 1
+
+    result = scipy_minimise(
+        value_and_gradient, first.x, jac=True, method="L-BFGS-B", callback=count,
+        bounds=list(zip(problem.low, problem.high, strict=True)),
+        options={"ftol": limits.decrease, "gtol": 1e-9, "maxfun": 10**6, "maxiter": 10**6})
+    return (Status.CONVERGED if result.success else Status.STALLED), str(result.message)
+
+
+def cma_es(run: Run) -> tuple[Status, str]:
+    """CMA-ES of the package cma, with its own size of population."""
+    import cma  # takes a while
+
+    problem, limits = run.problem, run.limits
+    strategy = cma.CMAEvolutionStrategy(run.best.x, SIGMA, {
+        "bounds": [problem.low.tolist(), problem.high.tolist()], "seed": SEED + 1,
+        "verbose": -9, "tolx": limits.step / 10, "tolfun": 0, "tolfunhist": 0, "tolflatfitness": 5,
+    })
+    while not strategy.stop():
+        points = strategy.ask()
+        strategy.tell(points, [min(run.value(np.asarray(x)), _FAILED) for x in points])
+        run.iterations += 1
+    return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
+
+
+def one_plus_one(run: Run) -> tuple[Status, str]:
+    """(1+1)-ES: one parent, one child, a step size for one success in five."""
+    problem, limits = run.problem, run.limits
+    rng = np.random.default_rng(SEED)
+    sigma = SIGMA
+    while sigma > limits.step / 10:
+        before = run.best
+        run.value(np.clip(before.x + sigma * rng.standard_normal(len(before.x)),
+                          problem.low, problem.high))
+        better = run.best is not before
+        run.iterations += better
+        sigma *= 1.5 if better else 1.5**-0.25
+    return Status.CONVERGED, "the step size has become small"
+
+
+METHODS: dict[str, Method] = {
+    "lm": levenberg_marquardt,
+    "gauss_newton": partial(levenberg_marquardt, damped=False),
+    "lbfgs": lbfgs,
+    "cmaes": cma_es,
+    "one_plus_one": one_plus_one,
+}
