@@ -282,6 +282,7 @@ class _Run:
                           doubt=doubt, effort=self.effort)
         problem.value(problem.start)
         if problem.best is not None:
+            self.problem = self.problem or problem  # for whoever interrupts the first round
             self.refit(problem)
         self.report(problem)
         return problem
