@@ -46,7 +46,8 @@ def main(argv: list[str]) -> None:
     for (capture, seen), folder in zip(sources, folders, strict=True):
         one = estimate_capture(
             capture, header, seen=seen, refine=config["refine"] != "none",
-            drapes=config["drapes"], edge=config["edge_mm"] * 1e-3, known=known)
+            drapes=config["drapes"], edge=config["edge_mm"] * 1e-3, known=known,
+            strict=config["strict"])
         write_estimate(folder, one.content, format_table(one.content))
         if one.picture is not None:
             write_report(folder, one.picture)

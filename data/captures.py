@@ -33,6 +33,8 @@ DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
 SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is no cloth
+ISOLATED = 0.025  # m, from the median of its neighbours: such a depth is none
+FEW_ISOLATED = 0.003  # of the cloth's pixels: so many any sensor has
 SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
@@ -203,7 +205,7 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
                                    for key in INTRINSICS_KEYS},
                                 width=views.shape[2], height=views.shape[1])
-    return _checked(path, views, intrinsics, turns, density, direction, rig, ())
+    return checked_capture(path, views, intrinsics, turns, density, direction, rig, ())
 
 
 def _read_published(path: Path) -> Capture:
@@ -219,11 +221,11 @@ def _read_published(path: Path) -> Capture:
     views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
     warning = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
     intrinsics = CameraRig.load(DEFAULT_RIG).intrinsics
-    return _checked(path, views, intrinsics, whole_turns(len(views)), density, None, DEFAULT_RIG,
-                    (warning,))
+    return checked_capture(path, views, intrinsics, whole_turns(len(views)), density, None,
+                           DEFAULT_RIG, (warning,))
 
 
-def _checked(
+def checked_capture(
     path: Path,
     views: np.ndarray,
     intrinsics: Intrinsics,
@@ -236,6 +238,7 @@ def _checked(
     """The capture without specks, once its pictures have shown a piece of cloth within reach."""
     views = views.copy()
     for k, view in enumerate(views):
+        warnings += _remove_isolated(view, f"view {k}")
         warnings += _remove_specks(view, f"view {k}")
         cloth = view > 0
         if not cloth.any():
@@ -261,6 +264,24 @@ def _checked(
     return Capture(views, intrinsics, turns, density, warp_direction, rig, path, warnings)
 
 
+def _remove_isolated(view: np.ndarray, name: str) -> tuple[str, ...]:
+    """Set to background, in place, depths of a view (H, W) unlike all around them; warnings.
+
+    Folds jump in depth too, but never by a pixel or two.
+    """
+    cloth = view > 0
+    height, width = view.shape
+    around = np.stack([np.pad(view, 1)[i : i + height, j : j + width]
+                       for i in range(3) for j in range(3) if (i, j) != (1, 1)])
+    near = ((np.abs(around - view) < ISOLATED) & (around > 0)).sum(axis=0)
+    isolated = cloth & (near < 2) & (ndimage.median_filter(cloth.astype(np.uint8), 3) > 0)
+    view[isolated] = 0
+    if isolated.sum() <= FEW_ISOLATED * cloth.sum():
+        return ()
+    return (f"{name}: {isolated.sum()} pixels left out whose depth differs from all around them; "
+            "check the sensor's settings",)
+
+
 def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
     """Set to background, in place, what of a view (H, W) lies apart from its cloth; warnings.
 
@@ -278,10 +299,9 @@ def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
     apart = away > SPECK_GAP
     specks = apart & (sizes < SPECK_SHARE * sizes.max())
     warnings = ()
-    if specks.any():
-        view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
-        warnings += (f"{name}: pixels left out that lie apart from the cloth: "
-                     f"{sizes[specks].sum()}",)
+    view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
+    if (left_out := int(sizes[specks].sum())) > FEW_ISOLATED * sizes.sum():
+        warnings += (f"{name}: {left_out} pixels left out that lie apart from the cloth",)
     if large := int(sizes[apart & ~specks].sum()):
         warnings += (f"{name}: {large} pixels lie apart from the cloth; set to 0 what is not "
                      "cloth",)

@@ -4,6 +4,7 @@ import itertools
 import math
 import re
 import reprlib
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,11 +17,13 @@ from common.errors import InputError, one_line
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)
 LARGEST_TEXT = 65536  # bytes
+LARGEST_FILE = 64 << 20  # bytes, of a picture
 MOST_VIEWS = 8
 
 
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
     """Counts (H, W) of a PNG whose Pillow mode is one of ``modes``, called ``kind`` in messages."""
+    require_regular(file, LARGEST_FILE, "picture")
     try:
         with Image.open(file, formats=["PNG"]) as picture:
             width, height = picture.size
@@ -35,6 +38,8 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
                 )
             if picture.mode not in modes:
                 raise InputError(f"{file}: picture of kind {picture.mode}; it must be {kind}")
+            picture.verify()  # checksums, which reading the pixels does not check
+        with Image.open(file, formats=["PNG"]) as picture:
             return np.array(picture)
     except InputError:
         raise
@@ -80,11 +85,26 @@ def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.
     return np.stack(pictures)
 
 
+def require_regular(file: Path, largest: int, kind: str) -> None:
+    """InputError unless a file is a regular one, neither a device nor a pipe, and not too large.
+
+    Args:
+        largest: bytes. kind: what it should be, for the message.
+    """
+    try:
+        found = file.stat()
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({one_line(error)})") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f"{file} is not a regular file; give a {kind}")
+    if found.st_size > largest:
+        raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {largest}")
+
+
 def read_text(file: Path) -> str:
     """A short text file in UTF-8."""
+    require_regular(file, LARGEST_TEXT, "description")
     try:
-        if file.stat().st_size > LARGEST_TEXT:
-            raise InputError(f"{file} is larger than {LARGEST_TEXT} bytes; not a description")
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{file} is not text in UTF-8; save it as such") from None

@@ -29,6 +29,7 @@ SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells over which gaps are filled, one after th
 
 # How views are registered with each other, in cells of one degree:
 _DEGREES, _ROWS = 360, 24
+_HANGING = 17  # rows below the rim, where all drapes are alike
 _REACH = 12  # degrees, largest error of the table's turn that is looked for
 _TURN = 4.0  # degrees, its standard deviation
 _SHIFT = 2.5e-3  # m, standard deviation of the plate's centre as located
@@ -161,6 +162,26 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     # The hem is seen a little short, everywhere alike; one fold seen wrongly must not decide.
     gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_SHORT)
     return float(sides[(trust * np.minimum(np.abs(gap), _WRONG)).sum(axis=1).argmin()])
+
+
+def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float:
+    """Root mean square of the differences, m, between what views show of the same hanging cloth,
+    registered from these turns of the table, (K,) rad; NaN where they share little.
+
+    Args:
+        clouds: of each view, (N, 3) m in the camera's plate axes.
+    """
+    if len(clouds) < 2:
+        return np.nan
+    turns, centre = _registered(clouds, turns, rig)
+    maps = np.stack([_distances(cloud - [*centre, 0.0], turn, rig)
+                     for cloud, turn in zip(clouds, turns, strict=True)])[..., :_HANGING]
+    often = np.isfinite(maps).sum(axis=0)
+    gap = np.abs(maps - np.nansum(maps, axis=0) / np.maximum(often, 1))[:, often > 1]
+    gap = gap[np.isfinite(gap)]
+    if len(gap) <= _COMMON:
+        return np.nan
+    return float(np.sqrt(np.square(np.minimum(gap, _LARGEST_GAP)).mean()))
 
 
 def _fused(

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from common.ctrl_c import require_interruption
+from common.errors import InputError
 from data.cameras import Camera
 from data.captures import Capture
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
@@ -13,6 +14,7 @@ from drapenet.checkpoint import Header, load_model
 from drapenet.estimate import Estimate, interval_table, make_estimate, to_json
 from drapenet.maps import located_camera
 from drapenet.predict import predict
+from drapenet.quality import measure, quality_doubts
 from drapenet.registration import camera_doubts
 from sim.scene import Rig
 
@@ -66,7 +68,7 @@ class Result:
 
 def estimate_capture(
     capture: Capture, header: Header, *, seen: Any = None, refine: bool = False, drapes: int = 2,
-    edge: float = 0.0, known: dict[str, float] | None = None,
+    edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
 ) -> Result:
     """Estimate, and refine if wanted.
 
@@ -77,11 +79,21 @@ def estimate_capture(
         drapes: simulated with the estimate, of which the report shows the best; 0: no report.
         edge: m, of the meshes for both; 0: as each has it.
         known: ``membrane``, N/m, and ``friction``, N·m per metre, where the user knows them.
+        strict: whether to refuse what is else doubted.
+
+    Raises:
+        InputError: strict, and something is wrong with the capture.
     """
     known, rig = known or {}, Rig.from_name(header.rig)
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    doubts = [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns)]
+    doubts = [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns),
+              *quality_doubts(measure(capture.views, camera, found, rig,
+                                      turns=capture.turns))]
+    if strict and (wrong := [*capture.warnings, *doubts]):
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        raise InputError(f"{capture.path}: refused, for {wrong[0]}{more}; strict=false estimates "
+                         "it nevertheless")
     content: dict[str, Any] = {}
     drape, picture = None, None
     if refine:

@@ -49,6 +49,18 @@ def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
             *more]
 
 
+def test_a_doubtful_capture_is_refused_where_that_is_wanted(
+    capture: Path, checkpoint: Path
+) -> None:
+    first, second = capture / "view_1.png", capture / "view_2.png"
+    first.rename(capture / "other.png")
+    second.rename(first)
+    (capture / "other.png").rename(second)
+    with pytest.raises(InputError, match=r"refused, for .*; strict=false estimates"):
+        infer.main(words(capture, checkpoint, "strict=true"))
+    assert not (capture.parent / "out" / "estimate.json").exists()
+
+
 def spoil_yaml(**changes: object) -> Callable[[Path, Path], None]:
     def change(capture: Path, _: Path) -> None:
         file = capture / "capture.yaml"

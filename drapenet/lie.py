@@ -1,0 +1,139 @@
+"""Scale and place of the specimen, as a capture's map shows them.
+
+How much larger a drape looks than a specimen can be, and how far the specimen lies from the
+plate's axis, are regressed on a map's distances, band by band of elevations: the scale on their
+means and variations around the axis, the place on their first harmonics. The coefficients of the
+ridge regressions, ``drapenet/weights/lie.json``, come from captures of a dataset's drapes, the
+scale's from depths multiplied by up to e^±0.15:
+
+    python -m drapenet.lie data=DATASET [rig=NAME captures=300 seed=1]
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.cli import parse_overrides, run_command
+from common.files import replace_file
+from data.cameras import CameraRig
+from data.setups import Setups
+from data.shards import Shard
+from data.splits import finished_manifest
+from drapenet.canonical import AZIMUTHS, DrapeMap, drape_map
+from drapenet.maps import located_camera
+from sim.scene import Rig
+
+FILE = Path(__file__).parent / "weights" / "lie.json"
+_BAND = 4  # rows of a map
+_REACH = 0.15  # of the logarithm of the scale
+_RIDGE = 0.1  # of standardised features
+DEFAULTS = {"data": "", "rig": Rig().name, "captures": 300, "seed": 1}
+
+
+@dataclass(frozen=True)
+class Lie:
+    """What a map shows of the specimen; NaN for a rig without coefficients.
+
+    Attributes:
+        log_scale: logarithm of the drape's size over what it can be.
+        offset: m, of the specimen's centre from the plate's axis.
+    """
+
+    log_scale: float
+    offset: float
+
+
+def specimen_lie(found: DrapeMap, rig: Rig) -> Lie:
+    """Scale and place of the specimen that ``found`` shows."""
+    table = json.loads(FILE.read_text(encoding="utf-8"))
+    if rig.name not in table:
+        return Lie(math.nan, math.nan)
+    scale, offset = table[rig.name]["log_scale"], table[rig.name]["offset"]
+    return Lie(float(_scale_features(found) @ scale["coefficients"] + scale["constant"]),
+               float(np.abs(_offset_features(found) @ offset["coefficients"])))
+
+
+def _bands(values: np.ndarray) -> np.ndarray:
+    """(AZIMUTHS, B) means over bands of rows."""
+    return values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2)
+
+
+def _scale_features(found: DrapeMap) -> np.ndarray:
+    """(2 B,) mean and standard deviation of the distances, m, around the axis."""
+    bands = _bands(found.distance)
+    return np.concatenate([bands.mean(axis=0), bands.std(axis=0)])
+
+
+def _offset_features(found: DrapeMap) -> np.ndarray:
+    """(2 B,) complex first harmonics of the distances, m, and of what is seen."""
+    around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
+    return np.concatenate([around @ _bands(values) / AZIMUTHS
+                           for values in (found.distance, (found.weight > 0).astype(float))])
+
+
+def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constant: bool) -> dict:
+    """Coefficients of a ridge regression of values (N,) on features (N, F).
+
+    The deviation is that of captures in groups (N,) that the regression has not seen.
+    """
+    from sklearn.linear_model import Ridge
+    from sklearn.model_selection import GroupKFold, cross_val_predict
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    model = make_pipeline(StandardScaler(with_mean=constant),
+                          Ridge(_RIDGE, fit_intercept=constant))
+    unseen = cross_val_predict(model, features, values, groups=groups, cv=GroupKFold(5))
+    model.fit(features, values)
+    coefficients = model[1].coef_ / model[0].scale_
+    middle = model[1].intercept_ - coefficients @ model[0].mean_ if constant else 0.0
+    return {"coefficients": coefficients.tolist(), "constant": float(middle),
+            "deviation": float(np.std(unseen - values))}
+
+
+def main(argv: list[str]) -> None:
+    """Fit the coefficients of one rig, and write them beside those of others."""
+    config = parse_overrides(DEFAULTS, argv)
+    rig, setups = Rig.from_name(config["rig"]), Setups.load()
+    manifest, root = finished_manifest(config["data"]), Path(config["data"])
+    nominal = CameraRig.load(rig.name).intrinsics
+    scales: list[tuple[np.ndarray, float, int]] = []
+    offsets: list[tuple[np.ndarray, complex, int]] = []
+    for name in reversed(list(manifest["shards"])):  # networks learn from the first
+        with Shard(root / name) as drapes:
+            fabric, drift = drapes.column("fabric"), drapes.column("offset") @ [1, 1j]
+            for row in np.flatnonzero(drapes.column("status") == "converged"):
+                positions, _, faces = drapes.mesh(row)
+                rng = np.random.default_rng([config["seed"], len(scales)])
+                seen = setups.capture(positions, faces, rng, nominal=nominal)
+                for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
+                    views = seen.views * np.float32(math.exp(scale))
+                    camera = located_camera(views, seen.intrinsics, rig)
+                    found = drape_map(views, camera, rig, turns=seen.turns)
+                    scales.append((_scale_features(found), scale, int(fabric[row])))
+                    if scale == 0.0 and len(seen.views) > 1:
+                        turned = np.exp(1j * (seen.orientation - found.zero))
+                        offsets.append((_offset_features(found), drift[row] * turned,
+                                        int(fabric[row])))
+                if len(scales) >= 3 * config["captures"]:
+                    break
+        if len(scales) >= 3 * config["captures"]:
+            break
+    features, values, groups = (np.array(part) for part in zip(*scales, strict=True))
+    own = {"log_scale": fit(features, values, groups, constant=True)}
+    features, values, groups = (np.array(part) for part in zip(*offsets, strict=True))
+    # A turn of everything turns the offset along: real coefficients of complex features.
+    own["offset"] = fit(np.concatenate([features.real, features.imag]),
+                        np.concatenate([values.real, values.imag]), np.tile(groups, 2),
+                        constant=False)
+    table = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
+    replace_file(FILE, (json.dumps(table | {rig.name: own}, indent=1) + "\n").encode())
+    print(f"{rig.name}: log scale known to {own['log_scale']['deviation']:.3f}, offset to "
+          f"{1e3 * own['offset']['deviation']:.2f} mm along warp and weft each")
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

@@ -1,0 +1,165 @@
+"""Whether a capture can be what it says: a drape of this specimen on this rig, seen rightly.
+
+A wrong intrinsic, a wrong depth unit or a badly cut out cloth changes moduli by 20 to 40 % and
+still looks like a drape. But cloth does not stretch, the plate is flat, and all views show the same
+cloth. The limits are those that few sound simulated captures pass
+(``python -m benchmarks.faults``).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_erosion, binary_fill_holes, label
+
+from data.cameras import Camera
+from drapenet.canonical import DrapeMap, disagreement
+from drapenet.lie import specimen_lie
+from sim.scene import Rig
+
+_INNER = 0.7  # of the plate's radius, where cloth lies flat on it
+_TIE = 1.5e-3  # m, depths of a border that a threshold has cut
+LARGEST_SCALE = 0.05  # of the logarithm of the scale
+LARGEST_OFFSET = 11.5e-3  # m
+LARGEST_BULGE = 0.35e-3  # m
+LARGEST_DISAGREEMENT = 3.5e-3  # m
+LARGEST_HOLES = 0.05
+LARGEST_HOLE = 150  # pixels
+LARGEST_CUT = 0.25
+LARGEST_PIXEL = 2.6e-3  # m; the network has seen captures of up to 2.1 mm
+BETTER = 1.35  # times smaller disagreement of the views, from which another reading is likely
+RAYS = "depth is the length of the ray; give depth along the optical axis"
+MOST_SWAPPED = 4  # views, up to which any two are tried the other way round
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What is measured of a capture; NaN where too little is seen.
+
+    Attributes:
+        log_scale, offset: how much larger than possible the drape looks, and how far its centre
+            lies from the plate's axis, m (:mod:`drapenet.lie`).
+        bulge: m, by which cloth on the plate is not flat, up in the middle.
+        disagreement: m, between what two views see of the same cloth.
+        misread: what would explain a disagreement; empty where nothing does.
+        holes: share of the cloth's pixels that have no depth; hole: pixels of the largest.
+        cut: share of a view's border that has one and the same depth, the largest of all views.
+        pixel: m, of a pixel on the plate.
+    """
+
+    log_scale: float
+    offset: float
+    bulge: float
+    disagreement: float
+    misread: str
+    holes: float
+    hole: int
+    cut: float
+    pixel: float
+
+
+def measure(
+    views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, *, turns: np.ndarray
+) -> Quality:
+    """The quality of a capture.
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0.
+        camera: as located from the plate.
+        found: the views' map.
+        turns: (K,) rad, nominal ones of the table.
+    """
+    clouds = [camera.cloth_points(view) for view in views]
+    gap = disagreement(clouds, turns, rig)
+    missing = [binary_fill_holes(view) & ~view for view in views > 0]
+    lie = specimen_lie(found, rig)
+    several = len(views) > 1
+    return Quality(
+        log_scale=lie.log_scale if several else np.nan, offset=lie.offset if several else np.nan,
+        bulge=_bulge(np.concatenate(clouds) - [*found.centre, 0.0], rig), disagreement=gap,
+        misread=_misread(views, camera, clouds, turns, rig, gap),
+        holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
+        hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
+        cut=max(_cut(view) for view in views),
+        pixel=float(np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx))
+
+
+def _misread(
+    views: np.ndarray, camera: Camera, clouds: list[np.ndarray], turns: np.ndarray, rig: Rig,
+    gap: float,
+) -> str:
+    """The reading of the views, if any, by which they agree much better than by the given one."""
+    if not np.isfinite(gap):
+        return ""
+    readings = {"the table turned the other way; give turns_deg, or number the views backwards":
+                -turns}
+    count = len(views)
+    for later in range(1, count):
+        stayed = turns.copy()
+        stayed[later] = turns[later - 1]
+        readings[f"the table did not turn before view {later}; take it again"] = stayed
+        for earlier in range(later):
+            if count <= MOST_SWAPPED or later == earlier + 1:
+                swapped = turns.copy()
+                swapped[[earlier, later]] = turns[[later, earlier]]
+                readings[f"views {earlier} and {later} are swapped; number them as they were taken"
+                         ] = swapped - swapped[0]
+    gaps = {name: disagreement(clouds, other, rig) for name, other in readings.items()}
+    along = views / np.linalg.norm(camera.directions(), axis=2)
+    gaps[RAYS] = disagreement([camera.cloth_points(view) for view in along], turns, rig)
+    name = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
+    return name if gap > BETTER * gaps[name] else ""
+
+
+def quality_doubts(quality: Quality) -> list[str]:
+    """What to say, a line each, of a capture that cannot be sound: quantity, limit, remedy."""
+    q, doubts = quality, []
+    if abs(q.log_scale) > LARGEST_SCALE:
+        doubts.append(f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can "
+                      f"be (sound captures: within {LARGEST_SCALE:.0%}): check depth unit and "
+                      "scale, fx and fy, the specimen's size and the cut-out")
+    if q.offset > LARGEST_OFFSET:
+        doubts.append(f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis "
+                      f"(at most {1e3 * LARGEST_OFFSET:g} mm): lay it on the plate anew")
+    if abs(q.bulge) > LARGEST_BULGE:
+        doubts.append(f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
+                      f"{1e3 * LARGEST_BULGE:g} mm): depth must be along the optical axis, not the "
+                      "length of the ray; check the lens's distortion")
+    if q.misread:
+        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
+                      f"cloth, and by less than 1/{BETTER:g} of it if {q.misread}")
+    elif q.disagreement > LARGEST_DISAGREEMENT:
+        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
+                      f"cloth (sound captures: up to {1e3 * LARGEST_DISAGREEMENT:g} mm): check "
+                      "turns_deg, fx and fy, and that the cloth did not move")
+    if q.holes > LARGEST_HOLES or q.hole > LARGEST_HOLE:
+        doubts.append(f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole "
+                      f"(sound captures: up to {LARGEST_HOLES:.0%} and {LARGEST_HOLE}): change "
+                      "exposure, light or distance")
+    if q.cut > LARGEST_CUT:
+        doubts.append(f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: "
+                      f"up to {LARGEST_CUT:.0%}): a threshold of the depth has cut the cloth off")
+    if q.pixel > LARGEST_PIXEL:
+        doubts.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
+                      f"{1e3 * LARGEST_PIXEL:g} mm): move the camera nearer")
+    return doubts
+
+
+def _bulge(points: np.ndarray, rig: Rig) -> float:
+    """m, from the middle to the edge of the plate, of the paraboloid through the cloth on it."""
+    reach = _INNER * rig.plate_radius
+    x, y, z = points[np.hypot(points[:, 0], points[:, 1]) < reach].T
+    if len(z) < 30:
+        return np.nan
+    design = np.column_stack([np.ones(len(z)), x, y, (x**2 + y**2) / reach**2])
+    return -float(np.linalg.lstsq(design, z, rcond=None)[0][3])
+
+
+def _cut(view: np.ndarray) -> float:
+    """Share of a view's border with one and the same depth, beyond most of the cloth."""
+    cloth = binary_fill_holes(view > 0)
+    border = cloth & ~binary_erosion(cloth) & (view > 0)
+    depths = np.sort(view[border])
+    if len(depths) < 20:
+        return np.nan
+    last = np.searchsorted(depths, depths + _TIE, side="right") - np.arange(len(depths))
+    return float(last.max() / len(depths))

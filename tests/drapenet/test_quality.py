@@ -1,0 +1,103 @@
+"""Spoiled captures say what is wrong with them; sound ones say nothing."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from data.cameras import CameraRig
+from data.setups import Setups, SyntheticCapture
+from drapenet.canonical import drape_map
+from drapenet.lie import fit
+from drapenet.maps import located_camera
+from drapenet.quality import measure, quality_doubts
+from sim.drape import drape
+from sim.material import Fabric
+from sim.scene import Rig
+
+RIG = Rig()
+FABRIC = Fabric([48e-6, 30e-6, 22e-6], [-96e-9, -60e-9, -44e-9])
+CLEAN = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.0}, border=0,
+                holes=0, hem_share=0.0)
+
+
+@pytest.fixture(scope="module")
+def sound() -> SyntheticCapture:
+    shape = drape(FABRIC, edge=6e-3, seed=3)
+    assert shape.converged
+    return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
+                         nominal=CameraRig.load().intrinsics)
+
+
+def doubts(capture: SyntheticCapture) -> str:
+    camera = located_camera(capture.views, capture.intrinsics, RIG)
+    found = drape_map(capture.views, camera, RIG, turns=capture.turns)
+    return "; ".join(quality_doubts(measure(capture.views, camera, found, RIG,
+                                            turns=capture.turns)))
+
+
+def test_a_sound_capture_is_not_doubted(sound: SyntheticCapture) -> None:
+    assert doubts(sound) == ""
+
+
+def _rays(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
+    rows, columns = np.indices(views.shape[1:])
+    given = capture.intrinsics
+    return views * np.sqrt(1 + ((columns - given.cx) / given.fx) ** 2
+                           + ((rows - given.cy) / given.fy) ** 2)
+
+
+def _holed(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
+    row, column = np.argwhere(ndimage.binary_erosion(views[0] > 0, iterations=20))[0]
+    views[0, row - 8 : row + 9, column - 8 : column + 9] = 0
+    return views
+
+
+def _stayed(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, 1e-3, views[0].shape)
+    views[1] = np.where(views[0] > 0, views[0] + noise, 0)
+    return views
+
+
+def _cut(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
+    return np.where(views > np.quantile(views[views > 0], 0.8), 0, views)
+
+
+@pytest.mark.parametrize(("spoil", "said"), [
+    (_rays, "length of the ray"),
+    (_holed, "in one hole"),
+    (_stayed, "did not turn before view 1"),
+    (_cut, "a threshold of the depth has cut"),
+    (lambda views, _: views[[0, 2, 1, 3]], "views 1 and 2 are swapped"),
+    (lambda views, _: views[[0, 3, 2, 1]], "turned the other way"),
+    (lambda views, _: 1.12 * views, "times as large as a specimen can be"),
+])
+def test_a_fault_is_named(
+    sound: SyntheticCapture, spoil: Callable[[np.ndarray, SyntheticCapture], np.ndarray], said: str
+) -> None:
+    views = spoil(sound.views.copy(), sound)
+    assert said in doubts(replace(sound, views=views.astype(np.float32)))
+
+
+def test_a_specimen_off_the_axis_is_measured() -> None:
+    shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
+    seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
+                         nominal=CameraRig.load().intrinsics)
+    camera = located_camera(seen.views, seen.intrinsics, RIG)
+    found = drape_map(seen.views, camera, RIG, turns=seen.turns)
+    measured = measure(seen.views, camera, found, RIG, turns=seen.turns)
+    assert measured.offset == pytest.approx(0.02, abs=4e-3)
+    assert "from the plate's axis" in "; ".join(quality_doubts(measured))
+
+
+def test_a_scale_is_regressed_on_features() -> None:
+    rng = np.random.default_rng(1)
+    features, groups = rng.normal(0.1, 0.01, (400, 6)), np.repeat(np.arange(100), 4)
+    true = rng.normal(0, 5, 6)
+    scales = features @ true + 0.3 + rng.normal(0, 1e-3, 400)
+    found = fit(features, scales, groups, constant=True)
+    there = features @ found["coefficients"] + found["constant"]
+    assert np.abs(there - scales).max() < 5e-3
+    assert found["deviation"] == pytest.approx(1e-3, rel=0.2)
