@@ -3,21 +3,22 @@
 Two formats are recognised by their files:
 
 - ``capture.yaml`` with ``view_0.png`` and so on, one to eight, usually four: 16-bit grey, depth in
-  units of ``depth_unit_m`` (millimetres unless stated), background 0, any size with matching
-  intrinsics.
+  units of ``depth_unit_m`` (millimetres unless stated), 0 where there is none, any size with
+  matching intrinsics; or other files of depth (:mod:`data.frames`).
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
   count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
   taken), the rig's intrinsics.
 
-The background must have been removed: cloth only. Nothing in a capture is trusted; whatever is
-wrong with one is reported as an InputError of one line that names the file.
+Of the first kind, frames of the whole scene are cut out to the cloth (:mod:`data.cutout`); others
+show cloth only. Nothing in a capture is trusted; whatever is wrong with one is reported as an
+InputError of one line that names the file.
 """
 
 import math
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,19 @@ from scipy import ndimage
 
 from common.errors import InputError, one_line
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
-from data.reading import MOST_VIEWS, finite_number, read_mapping, read_text, read_views, shown
+from data.cutout import CutOut, cut_out, is_raw
+from data.frames import read_frames
+from data.reading import (
+    LARGEST_PICTURE,
+    MOST_VIEWS,
+    SMALLEST_PICTURE,
+    finite_number,
+    read_mapping,
+    read_text,
+    read_views,
+    shown,
+)
+from sim.scene import Rig
 
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
@@ -39,7 +52,7 @@ SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge an
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
 CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "turns_deg", "warp_direction_deg",
-                "rig"}
+                "rig", "size_px"}
 LARGEST_WIDTH = 400  # pixels; of larger pictures every n-th is taken
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
@@ -58,6 +71,7 @@ class Capture:
         rig: name of the rig.
         path: folder it was read from.
         warnings: one line each, for the report.
+        cut: how the views were cut out; None where they came cut out.
     """
 
     views: np.ndarray
@@ -68,6 +82,7 @@ class Capture:
     rig: str
     path: Path
     warnings: tuple[str, ...]
+    cut: CutOut | None = None
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -194,10 +209,11 @@ def _read_metric(path: Path) -> Capture:
     direction = description.get("warp_direction_deg")
     if direction is not None:
         direction = math.radians(finite_number(direction, f"{file}: warp_direction_deg")) % math.pi
-    counts = read_views(path, "view_{}.png", modes={"I;16", "I"}, kind="16-bit grey")
-    height, width = counts.shape[1:]
+    views, background = read_frames(
+        path, unit, lambda width, height: _intrinsics(description.get("intrinsics"), file, width,
+                                                      height), _size(description, file))
+    height, width = views.shape[1:]
     intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
-    views = (counts * unit).astype(np.float32)
     turns = _turns(description.get("turns_deg"), file, len(views))
     step = -(-width // LARGEST_WIDTH)
     if step > 1:
@@ -205,7 +221,39 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
                                    for key in INTRINSICS_KEYS},
                                 width=views.shape[2], height=views.shape[1])
-    return checked_capture(path, views, intrinsics, turns, density, direction, rig, ())
+    cut = _cut(path, views, intrinsics, rig,
+               None if background is None else background[::step, ::step])
+    views = cut.views if cut else views
+    capture = checked_capture(path, views, intrinsics, turns, density, direction, rig,
+                              cut.doubts if cut else ())
+    return replace(capture, cut=cut)
+
+
+def _cut(
+    path: Path, frames: np.ndarray, intrinsics: Intrinsics, rig: str,
+    background: np.ndarray | None,
+) -> CutOut | None:
+    """The cloth of frames (K, H, W), m, of whole scenes; None of those that are cut out."""
+    tester = Rig.from_name(rig)
+    if not any(is_raw(frame, intrinsics, tester) for frame in frames):
+        return None
+    try:
+        return cut_out(frames, intrinsics, tester, background)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _size(description: Mapping, file: Path) -> tuple[int, int] | None:
+    """Width and height, px, that the description states for point clouds."""
+    value = description.get("size_px")
+    if value is None:
+        return None
+    whole = isinstance(value, list) and len(value) == 2 and all(type(n) is int for n in value)
+    if not whole or not all(low <= n <= high for n, low, high in zip(
+            value, SMALLEST_PICTURE, LARGEST_PICTURE, strict=True)):
+        raise InputError(f"{file}: size_px={shown(value)}: give width and height in pixels, such "
+                         "as [640, 480]")
+    return value[0], value[1]
 
 
 def _read_published(path: Path) -> Capture:

@@ -17,7 +17,7 @@ from common.errors import InputError, one_line
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)
 LARGEST_TEXT = 65536  # bytes
-LARGEST_FILE = 64 << 20  # bytes, of a picture
+LARGEST_FILE = 160 << 20  # bytes, of a picture
 MOST_VIEWS = 8
 
 
@@ -57,6 +57,13 @@ def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.
 
     ``modes`` and ``kind`` are those of :func:`read_picture`.
     """
+    files = numbered(folder, pattern)
+    return join_views(folder, [file.name for file in files],
+                      [read_picture(file, modes=modes, kind=kind) for file in files])
+
+
+def numbered(folder: Path, pattern: str) -> list[Path]:
+    """The files of one to :data:`MOST_VIEWS` views, ``pattern`` with 0 to K - 1 for ``{}``."""
     shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
     found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
     if not found:
@@ -69,15 +76,19 @@ def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.
         if name not in found:
             raise InputError(f"{folder}: {name} is missing, but {max(found)} is there; number the "
                              "views from 0 on")
-    pictures = [read_picture(folder / name, modes=modes, kind=kind) for name in expected]
-    for name, picture in zip(expected, pictures, strict=True):
+    return [folder / name for name in expected]
+
+
+def join_views(folder: Path, names: list[str], pictures: list[np.ndarray]) -> np.ndarray:
+    """Pictures (K, H, W) of one size, no two of which are the same; ``names`` for messages."""
+    for name, picture in zip(names, pictures, strict=True):
         if picture.shape != pictures[0].shape:
             sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, pictures[0])]
             raise InputError(
-                f"{folder}: {name} has {sizes[0]} pixels but {expected[0]} has {sizes[1]}; "
+                f"{folder}: {name} has {sizes[0]} pixels but {names[0]} has {sizes[1]}; "
                 "all views must have one size"
             )
-    for (first, a), (second, b) in itertools.combinations(zip(expected, pictures, strict=True), 2):
+    for (first, a), (second, b) in itertools.combinations(zip(names, pictures, strict=True), 2):
         # A blank picture is the reader's to tell.
         if np.array_equal(a, b) and a.min() < a.max():
             raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "

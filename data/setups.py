@@ -123,7 +123,7 @@ class Setups:
             nominal: of the rig's camera at :data:`REFERENCE_DISTANCE`.
         """
         nominal = nominal or CameraRig.load().intrinsics
-        camera = self._camera(rng, nominal)
+        camera = self.camera(rng, nominal)
         count = 1 + int(rng.choice(len(self.views), p=self.views))
         turns = np.arange(count) * (2 * np.pi / count)
         wrong = rng.normal(0.0, self.turn, count)
@@ -142,7 +142,8 @@ class Setups:
         given = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
         return SyntheticCapture(noisy, given, turns, orientation, name)
 
-    def _camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
+    def camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
+        """A camera on its tripod; ``nominal`` as for :meth:`capture`."""
         distance = rng.uniform(*self.distance)
         far = distance / REFERENCE_DISTANCE
         pose = Pose(distance, rng.uniform(*self.pitch), far * rng.uniform(*self.above),

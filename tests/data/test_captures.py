@@ -272,7 +272,7 @@ BAD_METRIC = {
         picture("view_3.png", lambda a: a * (np.arange(240) == 120)), "view 3 is background but"),
     "no background": (
         picture("view_1.png", lambda a: np.where(a > 0, a, 900).astype(a.dtype)),
-        "view 1 has no background"),
+        "view 1 shows the whole scene (has no background) but view 0 is cut out"),
     "depth in other units": (setting(depth_unit_m=1.0), "check the depth unit"),
     "truncated picture": (truncate("view_1.png", 0.6), "view_1.png cannot be read"),
     "truncated header": (truncate("view_1.png", 0.005), "view_1.png is not a PNG"),

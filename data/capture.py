@@ -1,0 +1,96 @@
+"""Turn depth frames into a cut-out capture: ``python -m data.capture import=PATH out=DIR``.
+
+PATH is a folder with capture.yaml and frames of the whole scene, or of the cloth alone (README.md,
+"Your own fabric"). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
+DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes. Look at it.
+
+import   folder of the frames
+out      new or empty folder of the capture
+"""
+
+from typing import NoReturn
+
+import cv2
+import numpy as np
+
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import folder_named, replace_file, require_folder
+from data.cameras import Intrinsics
+from data.captures import read_capture, write_capture
+from data.cutout import CutOut, cut_out
+from sim.scene import Rig
+
+DEPTH_UNIT = 1e-4  # m per count: no file's depth is rounded anew
+PICTURE = "capture.png"
+_AXIS = 0.04  # m, length of the axes drawn
+_SMALLEST = 480  # pixels, width of a frame in the picture
+_RIM, _OUTLINE = (0, 200, 255), (60, 220, 60)  # blue, green, red
+_AXES = (60, 60, 255), (60, 200, 60), (255, 120, 60)
+
+
+def main(argv: list[str]) -> None:
+    """The command line: ``import=PATH out=DIR``."""
+    config = parse_overrides({"import": "", "out": ""}, argv)
+    if not config["import"]:
+        raise InputError("import= needs the folder of the frames")
+    out = folder_named(config["out"])
+    require_folder(out)
+    capture = read_capture(config["import"])
+    cut = capture.cut or cut_out(capture.views, capture.intrinsics, Rig.from_name(capture.rig))
+    write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
+                  warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
+                  depth_unit=DEPTH_UNIT)
+    replace_file(out / PICTURE, picture(cut, capture.intrinsics, Rig.from_name(capture.rig)))
+    for line in (*capture.warnings, *(() if capture.cut else ("the frames were cut out already",))):
+        print(f"note: {line}")
+    print(f"capture: {out}\npicture: {out / PICTURE}")
+
+
+def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig) -> bytes:
+    """PNG of the frames, two in a row: depth in grey, outline of the cloth, rim and axes."""
+    seen = cut.frames[cut.masks]
+    near, far = (seen.min(), seen.max() + 0.3) if len(seen) else (0.0, 1.0)
+    scale = max(1, round(_SMALLEST / intrinsics.width))
+    tiles = [_tile(frame, mask, cut, intrinsics, rig, near, far, scale)
+             for frame, mask in zip(cut.frames, cut.masks, strict=True)]
+    if len(tiles) % 2:
+        tiles.append(np.zeros_like(tiles[0]))
+    rows = [np.hstack(tiles[k : k + 2]) for k in range(0, len(tiles), 2)]
+    return cv2.imencode(".png", np.vstack(rows))[1].tobytes()
+
+
+def _tile(
+    frame: np.ndarray, mask: np.ndarray, cut: CutOut, intrinsics: Intrinsics, rig: Rig,
+    near: float, far: float, scale: int,
+) -> np.ndarray:
+    """(H scale, W scale, 3) uint8 of one frame."""
+    grey = np.where(frame > 0, 255 - 200 * np.clip((frame - near) / (far - near), 0, 1), 0)
+    size = (intrinsics.width * scale, intrinsics.height * scale)
+    tile = cv2.resize(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8), size,
+                      interpolation=cv2.INTER_NEAREST)
+    large = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    outlines, _ = cv2.findContours(large, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(tile, outlines, -1, _OUTLINE, 1)
+    if cut.plate is None:
+        return tile
+    angle = np.linspace(0, 2 * np.pi, 90)
+    rim = rig.plate_radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    drawn = [(rim, _RIM), *((np.stack([np.zeros(3), _AXIS * axis]), colour)
+                            for axis, colour in zip(np.eye(3), _AXES, strict=True))]
+    pose = cut.plate.pose
+    for points, colour in drawn:
+        points = points @ pose[:3, :3].T + pose[:3, 3]
+        pixels = points[:, :2] / points[:, 2:] * [intrinsics.fx, intrinsics.fy]
+        pixels = (pixels + np.array([intrinsics.cx, intrinsics.cy]) + 0.5) * scale
+        cv2.polylines(tile, [np.rint(pixels).astype(np.int32)], False, colour, 1, cv2.LINE_AA)
+    return tile
+
+
+def entry() -> NoReturn:
+    """Console script."""
+    run_command(main, usage=__doc__)
+
+
+if __name__ == "__main__":
+    entry()

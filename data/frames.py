@@ -1,0 +1,233 @@
+"""Depth frames of a capture in the kinds of files that people have: m, 0 where nothing is known.
+
+``view_K.png`` (16-bit), ``view_K_0.png``, ``view_K_1.png`` and so on (several frames of one view),
+``view_K.npy`` (metres) and ``view_K.ply`` (points in camera axes, metres). A capture has one kind.
+"""
+
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError, one_line
+from data.cameras import Intrinsics
+from data.reading import (
+    LARGEST_FILE,
+    LARGEST_PICTURE,
+    MOST_VIEWS,
+    SMALLEST_PICTURE,
+    join_views,
+    numbered,
+    read_picture,
+    require_regular,
+    shown,
+)
+
+BACKGROUND = "background.png"
+DEEP = {"modes": {"I;16", "I"}, "kind": "16-bit grey"}
+MOST_PIXELS = 64_000_000  # of all frames of one view
+MOST_POINTS = LARGEST_PICTURE[0] * LARGEST_PICTURE[1] // 4
+FARTHEST = 100.0  # m, beyond which depth is in another unit
+KINDS = {
+    "view_{}.png": r"view_\d+\.png",
+    "view_{}_0.png": r"view_\d+_\d+\.png",
+    "view_{}.npy": r"view_\d+\.npy",
+    "view_{}.ply": r"view_\d+\.ply",
+}
+"""Name of a view's first file by kind, and what all files of the kind are called."""
+OTHER = {
+    ".exr": "save its depth as NumPy's npy in metres",
+    ".tif": "save its depth as 16-bit PNG in millimetres",
+    ".tiff": "save its depth as 16-bit PNG in millimetres",
+    ".bag": "save its depth frames at rest, one 16-bit PNG a view",
+    ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 view_%d.png",
+    ".r3d": "export its depth frames as npy in metres",
+}
+"""What to do with files of other kinds."""
+
+
+def read_frames(
+    folder: Path, unit: float, intrinsics_of: Callable[[int, int], Intrinsics],
+    size: tuple[int, int] | None,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Frames (K, H, W) float32, m, one a view, and the empty scene (H, W) where the folder has it.
+
+    Args:
+        unit: m per count of PNGs.
+        intrinsics_of: those of pictures of a width and a height.
+        size: width and height that point clouds are projected to.
+
+    Raises:
+        InputError: no frames, two kinds of them, one that cannot be read or is too large.
+    """
+    names = sorted(file.name for file in folder.iterdir())
+    found = [first for first, pattern in KINDS.items()
+             if any(re.fullmatch(pattern, name) for name in names)]
+    if len(found) > 1:
+        raise InputError(f"{folder} holds {found[0].format(0)} and {found[1].format(0)}: give the "
+                         "views in one kind of file")
+    if not found:
+        for name in names:
+            if (ending := Path(name).suffix.lower()) in OTHER:
+                raise InputError(f"{folder / name}: files of this kind are not read; "
+                                 f"{OTHER[ending]}")
+    kind = found[0] if found else "view_{}.png"
+    if kind == "view_{}_0.png":
+        counts = _bursts(names, folder)
+        frames = join_views(folder, [f"view_{k}_*.png" for k in range(len(counts))],
+                            [_median(folder, count, k, unit) for k, count in enumerate(counts)])
+    else:
+        files = numbered(folder, kind)
+        if kind.endswith("npy"):
+            read = read_array
+        elif kind.endswith("ply"):
+            if size is None:
+                raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
+                                 "capture.yaml, of the picture that the intrinsics are of")
+            intrinsics = intrinsics_of(*size)
+
+            def read(file: Path) -> np.ndarray:
+                return read_points(file, intrinsics)
+        else:
+            def read(file: Path) -> np.ndarray:
+                return read_picture(file, **DEEP) * unit
+        frames = join_views(folder, [file.name for file in files], [read(file) for file in files])
+    background = None
+    if BACKGROUND in names:
+        background = (read_picture(folder / BACKGROUND, **DEEP) * unit).astype(np.float32)
+        if background.shape != frames.shape[1:]:
+            raise InputError(f"{folder / BACKGROUND} has {_size(background)} pixels, the views "
+                             f"have {_size(frames[0])}; take it with the same camera")
+    return frames.astype(np.float32), background
+
+
+def _size(picture: np.ndarray) -> str:
+    return f"{picture.shape[1]}x{picture.shape[0]}"
+
+
+def _bursts(names: list[str], folder: Path) -> list[int]:
+    """Number of frames of each view; names view_K_J.png must count both from 0."""
+    found = {tuple(map(int, match.groups())) for name in names
+             if (match := re.fullmatch(r"view_(\d+)_(\d+)\.png", name))}
+    views = sorted({view for view, _ in found})
+    if len(views) > MOST_VIEWS:
+        raise InputError(f"{folder} has {len(views)} views; a capture has at most {MOST_VIEWS}")
+    counts = [sum(view == k for view, _ in found) for k in range(len(views))]
+    for k, count in enumerate(counts):
+        for j in range(max(count, 1)):
+            if (k, j) not in found:
+                raise InputError(f"{folder}: view_{k}_{j}.png is missing; number the views, and "
+                                 "the frames of each, from 0 on")
+    return counts
+
+
+def _median(folder: Path, count: int, view: int, unit: float) -> np.ndarray:
+    """Median (H, W), m, of a view's frames, pixel by pixel, of those that saw something."""
+    frames: list[np.ndarray] = []
+    for j in range(count):
+        frames.append(read_picture(folder / f"view_{view}_{j}.png", **DEEP).astype(np.float32))
+        if frames[-1].shape != frames[0].shape:
+            raise InputError(f"{folder}: view_{view}_{j}.png has {_size(frames[-1])} pixels but "
+                             f"view_{view}_0.png has {_size(frames[0])}; all must have one size")
+        if count * frames[0].size > MOST_PIXELS:
+            raise InputError(f"{folder}: view {view} has {count} frames of {_size(frames[0])} "
+                             f"pixels; give at most {MOST_PIXELS // frames[0].size}")
+    stack = np.stack(frames)
+    stack[stack == 0] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of pixels that no frame saw
+        return np.nan_to_num(np.nanmedian(stack, axis=0)) * unit
+
+
+def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
+    """``depth``, m, with 0 for all that is no depth."""
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    if depth.any() and (middle := float(np.median(depth[depth > 0]))) > FARTHEST:
+        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
+    return depth
+
+
+def read_array(file: Path) -> np.ndarray:
+    """Depth (H, W), m, of a NumPy file of floating-point numbers."""
+    require_regular(file, LARGEST_FILE, "view")
+    wrong = f"{file} must hold one array (height, width) of floating-point numbers, depth in metres"
+    try:
+        with file.open("rb") as stream:
+            version = np.lib.format.read_magic(stream)
+            if version not in ((1, 0), (2, 0)):
+                raise InputError(f"{file}: version {version} of NumPy's format is not read")
+            header = (np.lib.format.read_array_header_1_0 if version == (1, 0)
+                      else np.lib.format.read_array_header_2_0)
+            shape, _, kind = header(stream)
+            if len(shape) != 2 or kind.kind != "f" or kind.itemsize > 8:
+                raise InputError(f"{wrong}; it holds {shown(shape)} of {shown(str(kind))}")
+            _check_size(file, shape[1], shape[0])
+            stream.seek(0)
+            depth = np.load(stream, allow_pickle=False)
+    except InputError:
+        raise
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError) as error:
+        raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}") from None
+    return _metres(depth, file)
+
+
+def _check_size(file: Path, width: int, height: int) -> None:
+    """InputError for pictures that a view cannot have."""
+    if not (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]
+            and SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]):
+        raise InputError(
+            f"{file}: wrong size, {width}x{height} pixels; views have from "
+            f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
+            f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")
+
+
+def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
+    """Depth (H, W), m, of a PLY of points in camera axes: in each pixel that of the nearest.
+
+    The points may stand in any order; colours and triangles are not used.
+    """
+    import trimesh
+
+    require_regular(file, 64 * MOST_POINTS, "view")
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(65536)
+        count = re.search(rb"^element vertex (\d{1,12})\s*$", head, re.MULTILINE)
+        if not head.startswith(b"ply") or not count:
+            raise InputError(f"{file} is not a PLY file; export the view again")
+        if int(count[1]) > MOST_POINTS:
+            raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
+                             f"{MOST_POINTS}")
+        # From memory: a PLY may name other files, such as pictures, which are not read.
+        loaded = trimesh.load(io.BytesIO(file.read_bytes()), file_type="ply", process=False,
+                              skip_materials=True)
+        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError("points without x, y and z")
+    except InputError:
+        raise
+    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
+            UnicodeDecodeError, NotImplementedError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise InputError(f"{file} cannot be read ({error.strerror})") from None
+        raise InputError(f"{file} is damaged or holds no points; export the view again") from None
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[(points[:, 2] > 0) & (points[:, 2] < math.inf)]
+    if not len(points):
+        raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
+                         "y down, z forward")
+    if (middle := float(np.median(points[:, 2]))) > FARTHEST:
+        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
+    u = np.rint(intrinsics.fx * points[:, 0] / points[:, 2] + intrinsics.cx)
+    v = np.rint(intrinsics.fy * points[:, 1] / points[:, 2] + intrinsics.cy)
+    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+    if inside.mean() < 0.5:
+        raise InputError(f"{file}: {1 - inside.mean():.0%} of its points fall outside the picture "
+                         "of the intrinsics; give camera axes (x right, y down, z forward), metres")
+    depth = np.full((intrinsics.height, intrinsics.width), np.inf, np.float32)
+    np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), points[inside, 2])
+    return np.where(np.isfinite(depth), depth, np.float32(0.0))

@@ -1,0 +1,216 @@
+"""The cloth in raw frames, and the files that frames come in."""
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from cloths import skirt
+from PIL import Image
+
+import data.frames
+from common.errors import InputError
+from data.capture import main
+from data.captures import read_capture
+from data.cutout import cut_out
+from data.scenes import RawScene, raw_scene
+from sim.scene import DISC_RIG, Rig
+
+TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
+
+
+def seen(rig: Rig, seed: int, **settings) -> RawScene:
+    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
+    drape = skirt(fabric, rig=rig, edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)
+    return raw_scene(drape.positions, drape.faces, np.random.default_rng(seed), rig=rig,
+                     turns=TURNS, **settings)
+
+
+@pytest.fixture(scope="module")
+def scene() -> RawScene:
+    """Seen by a time-of-flight camera."""
+    return seen(Rig(), 4, sensor="tof")
+
+
+def overlaps(masks: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return (masks & truth).sum(axis=(1, 2)) / (masks | truth).sum(axis=(1, 2))
+
+
+@pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.specimen)
+@pytest.mark.parametrize("sensor, clutter", [("none", "empty"), ("smooth", "full"),
+                                             ("tof", "some")])
+def test_masks_and_plate_are_those_of_the_scene(rig, sensor, clutter):
+    scene = seen(rig, 1, sensor=sensor, clutter=clutter)
+    cut = cut_out(scene.frames, scene.camera.intrinsics, rig)
+    assert overlaps(cut.masks, scene.cloth).min() > 0.98
+    pose = scene.camera.world_to_camera
+    assert np.degrees(np.arccos(cut.plate.normal @ pose[:3, 2])) < 0.5
+    error = cut.plate.centre - pose[:3, 3]
+    along = error @ pose[:3, 3] / np.linalg.norm(pose[:3, 3])
+    # A sensor's depth may be wrong by millimetres; across the line of sight the plate is not.
+    assert np.sqrt(error @ error - along**2) < 3e-3 and abs(along) < 0.012
+    assert cut.plate.table @ [*cut.plate.centre, 1] == pytest.approx(-scene.table, abs=3e-3)
+    assert ((cut.views > 0) <= cut.masks).all()
+    assert np.array_equal(cut.views[cut.views > 0], scene.frames[cut.views > 0])
+
+
+def test_the_column_is_measured_and_removed():
+    scene = seen(Rig(), 3, sensor="none", clutter="empty", column=0.03)
+    camera = scene.camera
+    pose = camera.world_to_camera
+    points = (camera.back_project(scene.frames) - pose[:3, 3]) @ pose[:3, :3]
+    column = (np.hypot(points[..., 0], points[..., 1]) < 0.032) & ~scene.cloth & (
+        points[..., 2] < -0.02) & (points[..., 2] > -0.16)
+    assert column.sum() > 500  # within the cloth's reach
+    cut = cut_out(scene.frames, camera.intrinsics, Rig())
+    assert cut.column == pytest.approx(0.03, abs=2e-3)
+    assert not (cut.masks & column).any()
+
+
+def test_the_empty_scene_helps_and_a_moved_camera_is_told(scene):
+    intrinsics = scene.camera.intrinsics
+    cut = cut_out(scene.frames, intrinsics, Rig(), scene.background)
+    assert overlaps(cut.masks, scene.cloth).min() > 0.98 and not cut.doubts
+    moved = np.roll(scene.background, 60, axis=0) + 0.1
+    assert any("background.png" in doubt
+               for doubt in cut_out(scene.frames, intrinsics, Rig(), moved).doubts)
+
+
+def test_what_is_cut_out_stays_as_it_is(scene):
+    cloth = np.where(scene.cloth, scene.frames, 0).astype(np.float32)
+    cut = cut_out(cloth, scene.camera.intrinsics, Rig())
+    assert np.array_equal(cut.views, cloth) and np.array_equal(cut.masks, cloth > 0)
+
+
+def test_scenes_without_a_plate_are_refused(scene):
+    empty = np.repeat(scene.background[None], 2, axis=0)
+    intrinsics = scene.camera.intrinsics
+    with pytest.raises(InputError, match="no plate of 180 mm with cloth"):
+        cut_out(np.full_like(scene.frames, 0.7), intrinsics, DISC_RIG)
+    with pytest.raises(InputError, match="no plate of 100 mm with cloth"):
+        cut_out(empty, intrinsics, Rig())
+    mixed = scene.frames.copy()
+    mixed[1][~scene.cloth[1]] = 0
+    with pytest.raises(InputError, match="view 0 shows the whole scene"):
+        cut_out(mixed, intrinsics, Rig())
+
+
+@pytest.fixture
+def folder(tmp_path, scene) -> Path:
+    """A capture of raw frames, without the frames."""
+    path = tmp_path / "raw"
+    path.mkdir()
+    numbers = {key: float(getattr(scene.camera, key)) for key in ("fx", "fy", "cx", "cy")}
+    text = yaml.safe_dump({"density_g_m2": 150, "intrinsics": numbers, "size_px": [240, 180]})
+    (path / "capture.yaml").write_text(text)
+    return path
+
+
+def save(depth: np.ndarray, file: Path) -> None:
+    Image.fromarray(np.rint(depth * 1e3).astype(np.uint16)).save(file)
+
+
+def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, capsys):
+    for k, frame in enumerate(scene.frames):
+        save(frame, folder / f"view_{k}.png")
+    capture = read_capture(folder)
+    expected = cut_out(scene.frames, scene.camera.intrinsics, Rig())
+    both = (capture.views > 0) & (expected.views > 0)
+    assert np.abs(capture.views - expected.views)[both].max() < 0.6e-3
+    # Isolated depths are left out, too.
+    assert both.sum() > 0.99 * (expected.views > 0).sum() and capture.cut is not None
+    main([f"import={folder}", f"out={tmp_path / 'out'}"])
+    again = read_capture(tmp_path / "out")
+    assert again.cut is None and np.abs(again.views - capture.views).max() < 0.06e-3
+    with Image.open(tmp_path / "out" / "capture.png") as picture:
+        assert picture.size == (960, 720)
+    assert "capture.png" in capsys.readouterr().out
+    save(scene.background[:90], folder / "background.png")
+    with pytest.raises(InputError, match=r"background.png has 240x90 pixels, the views have 240x"):
+        read_capture(folder)
+
+
+def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene):
+    rng = np.random.default_rng(0)
+    for k, frame in enumerate(scene.frames):
+        for j, step in enumerate((-0.002, 0.0, 0.005)):
+            holes = rng.random(frame.shape) < 0.1
+            save(np.where(holes | (frame == 0), 0, frame + step), folder / f"view_{k}_{j}.png")
+    frames, _ = data.frames.read_frames(folder, 1e-3, None, None)
+    known = scene.frames > 0
+    error = (frames - scene.frames)[known & (frames > 0)]
+    assert (frames > 0)[known].mean() > 0.998 and (frames[~known] == 0).all()
+    assert np.median(np.abs(error)) < 0.6e-3 and np.abs(error).max() < 6e-3
+    (folder / "view_1_1.png").unlink()
+    with pytest.raises(InputError, match=r"view_1_1.png is missing"):
+        read_capture(folder)
+
+
+def test_arrays_and_points_give_the_same_depth(folder, scene):
+    points = scene.camera.back_project(scene.frames)
+    rng = np.random.default_rng(0)
+    for k, frame in enumerate(scene.frames):
+        np.save(folder / f"view_{k}.npy", np.where(frame > 0, frame, np.nan))
+        cloud = trimesh.PointCloud(rng.permutation(points[k][frame > 0]))
+        cloud.export(folder / f"view_{k}.ply")
+    assert np.array_equal(data.frames.read_array(folder / "view_0.npy"), scene.frames[0])
+    depth = data.frames.read_points(folder / "view_0.ply", scene.camera.intrinsics)
+    assert np.abs(depth - scene.frames[0]).max() < 1e-6
+    with pytest.raises(InputError, match=r"holds view_0.npy and view_0.ply"):
+        read_capture(folder)
+    for file in folder.glob("*.npy"):
+        file.unlink()
+    capture = read_capture(folder)
+    assert overlaps(capture.views > 0, scene.cloth).min() > 0.9
+    (folder / "capture.yaml").write_text(
+        (folder / "capture.yaml").read_text().replace("size_px", "#"))
+    with pytest.raises(InputError):
+        read_capture(folder)
+
+
+def pickled(file: Path) -> None:
+    np.save(file, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+
+
+def huge(file: Path) -> None:
+    with file.open("wb") as stream:
+        np.lib.format.write_array_header_1_0(
+            stream, {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6)})
+
+
+def big_ply(file: Path) -> None:
+    file.write_text("ply\nformat ascii 1.0\nelement vertex 999999999\nproperty float x\n"
+                    "property float y\nproperty float z\nend_header\n0 0 1\n")
+
+
+BAD = {
+    "an object": ("view_0.npy", pickled, "floating-point numbers"),
+    "too large an array": ("view_0.npy", huge, "wrong size, 1000000x1000000"),
+    "a short array": ("view_0.npy", lambda f: (huge(f), f.write_bytes(f.read_bytes()[:50])),
+                      "cannot be read"),
+    "whole numbers": ("view_0.npy", lambda f: np.save(f, np.ones((180, 240), int)),
+                      "floating-point numbers"),
+    "millimetres": ("view_0.npy", lambda f: np.save(f, np.full((180, 240), 540.0)), "give metres"),
+    "a pipe": ("view_0.npy", os.mkfifo, "not a regular file"),
+    "a pipe for a picture": ("view_0.png", os.mkfifo, "not a regular file"),
+    "many points": ("view_0.ply", big_ply, "too many"),
+    "no PLY": ("view_0.ply", lambda f: f.write_text("solid\n"), "not a PLY file"),
+    "half a PLY": ("view_0.ply", lambda f: f.write_text("ply\nelement vertex 5\n"), "damaged"),
+    "points behind": ("view_0.ply", lambda f: trimesh.PointCloud(-np.eye(3)).export(f),
+                      "no point in front"),
+    "EXR": ("view_0.exr", lambda f: f.write_text(""), "NumPy's npy"),
+    "a recording": ("take.mkv", lambda f: f.write_text(""), "ffmpeg -i FILE -map 0:1"),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_bad_files_are_refused_in_one_line(folder, fault):
+    name, make, message = BAD[fault]
+    make(folder / name)
+    with pytest.raises(InputError) as raised:
+        read_capture(folder)
+    text = str(raised.value)
+    assert message in text and "\n" not in text and len(text) < 500
