@@ -11,7 +11,8 @@ from data.cameras import Camera
 from data.captures import Capture
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
-from drapenet.estimate import Estimate, interval_table, make_estimate, to_json
+from drapenet.content import interval_table, to_json
+from drapenet.estimate import Estimate, make_estimate
 from drapenet.maps import located_camera
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts

@@ -14,8 +14,9 @@ import numpy as np
 from data.fabrics import from_theta
 from data.prior.files import load_prior
 from data.prior.gaussian import GaussianPrior
+from drapenet.content import to_json
 from drapenet.convention import LINEAR, STIFF_SOFT, SWAPPED
-from drapenet.estimate import Estimate, modulus_names, to_json
+from drapenet.estimate import Estimate, modulus_names
 from sim.material import is_admissible
 
 SHARED = 0.6

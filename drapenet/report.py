@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from drapenet.estimate import Estimate, interval_table, torque_samples
+from drapenet.content import interval_table, torque_samples
+from drapenet.estimate import Estimate
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
 from drapenet.table import with_interval
 

@@ -16,6 +16,7 @@ from data.render import QUARTERS, DepthRenderer
 from drapenet.registration import count_folds, radius_profile, silhouette_overlap
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
+from sim.measures import drape_coefficient
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
@@ -62,7 +63,9 @@ class Resimulation:
 
     def as_dict(self) -> dict:
         """The figures, in JSON's types."""
-        return {"folds_captured": self.folds[0], "folds_simulated": self.folds[1],
+        coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
+        return {"drape_coefficient_percent": round(100 * coefficient, 1),
+                "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
                 "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
 
 

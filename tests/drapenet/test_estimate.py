@@ -10,8 +10,9 @@ import pytest
 from data.cameras import CameraRig
 from data.captures import Capture, whole_turns
 from drapenet.checkpoint import Header, read_header
+from drapenet.content import to_json
 from drapenet.convention import SWAPPED
-from drapenet.estimate import make_estimate, to_json
+from drapenet.estimate import make_estimate
 from drapenet.predict import Draws
 from drapenet.table import format_table, with_interval
 from sim.material import MICRO, is_admissible

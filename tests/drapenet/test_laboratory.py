@@ -1,0 +1,61 @@
+"""Readings of virtual testers against hand calculations and against simulated specimens."""
+
+import numpy as np
+import pytest
+
+from drapenet.laboratory import (
+    GF_CM,
+    INCLINE,
+    MG_CM,
+    bending_length,
+    flexural_rigidity,
+    kes_bending,
+    outside_law,
+)
+from sim.cantilever import hang
+from sim.cantilever.elastica import aspect_ratio, heavy_elastica
+from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
+from sim.scene import GRAVITY
+
+
+def test_a_linear_fabric_reads_its_own_rigidity_within_peirce_s_approximation():
+    alpha = np.array([5.0, 30.0, 200.0]) * MICRO
+    length = bending_length(alpha, 0 * alpha, 0.2)
+    assert flexural_rigidity(length, 0.2) == pytest.approx(alpha, rel=2e-3)
+    # Peirce's c = L (cos(theta/2) / (8 tan theta))^(1/3) approximates L/2 at 41.5 degrees.
+    peirce = np.cbrt(np.cos(INCLINE / 2) / (8 * np.tan(INCLINE)))
+    assert 2 * peirce * length == pytest.approx(np.cbrt(alpha / (0.2 * GRAVITY)), rel=0.02)
+
+
+def test_units_by_hand():
+    # 200 g/m² and 20 mm: FAST-2's 9.807e-6 W c³ µN·m (with 9.80665), ASTM's 0.1 W c³ mg·cm.
+    rigidity = flexural_rigidity(np.array(0.02), 0.2)
+    assert rigidity / MICRO == pytest.approx(9.807e-6 * 200 * 20**3, rel=1e-3)
+    assert rigidity / MG_CM == pytest.approx(0.1 * 200 * 2.0**3, rel=1e-3)
+    assert pytest.approx(98.07 * MICRO, rel=1e-4) == GF_CM
+
+
+@pytest.mark.parametrize("ratio", [-6e-3, -2e-3, 3e-3])  # m
+def test_the_strip_of_the_bending_length_touches_the_plane(ratio):
+    alpha, density = 25 * MICRO, 0.15
+    length = 2 * bending_length(np.array(alpha), np.array(ratio * alpha), density)
+    shape = heavy_elastica(alpha, ratio * alpha, weight=density * GRAVITY, length=float(length))
+    assert aspect_ratio(shape[-1]) == pytest.approx(np.tan(INCLINE), rel=2e-3)
+
+
+@pytest.mark.parametrize("beta", [0.0, -60.0])  # nN·m²
+def test_so_does_a_simulated_specimen(beta):
+    fabric = Fabric(alpha=np.full(3, 30 * MICRO), beta=np.full(3, beta * NANO))
+    length = 2 * float(bending_length(fabric.alpha[0], fabric.beta[0], REFERENCE_DENSITY))
+    strip = hang(fabric, length=length, width=0.03, edge=length / 24, diagonals="random")
+    end = strip.curve[-1] - strip.curve[0]
+    assert np.degrees(np.arctan2(end[1], end[0])) == pytest.approx(41.5, abs=0.4)
+
+
+def test_kes_is_the_secant_and_knows_where_the_law_ends():
+    alpha = np.array([100.0, 100.0, 100.0]) * MICRO
+    beta = np.array([0.0, -100.0, -500.0]) * NANO
+    found = kes_bending(alpha, beta)
+    # alpha + 200/m beta by hand: 100, 80 µN·m; at beta/alpha = -5 mm the torque peaks at 100/m.
+    assert found[:2] / MICRO == pytest.approx([100.0, 80.0], rel=1e-9)
+    assert outside_law(alpha, beta).tolist() == [False, False, True]
