@@ -3,6 +3,7 @@
     python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
     python infer.py scan=FILE [refine=scan] [out=DIR]
+    python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
 
 Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. What a capture
 consists of is described in ``README.md``, "Your own fabric", all keys in ``configs/infer.yaml``.
@@ -17,17 +18,30 @@ from typing import Any, NoReturn
 from common.cli import parse_overrides, run_command
 from common.ctrl_c import deferred
 from common.errors import InputError
+from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from data.configs import read_config
 from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.output import require_output, write_estimate, write_report
 from drapenet.table import format_table
 
+DRAPES = 2  # of the report of a single capture
+
 
 def main(argv: list[str]) -> None:
     """The command line: words ``key=value`` over ``configs/infer.yaml``."""
     config = parse_overrides(read_config("infer"), argv)
     check(config)
+    options = {"refine": config["refine"] != "none", "drapes": config["drapes"],
+               "edge": config["edge_mm"] * 1e-3, "known": known(config),
+               "strict": config["strict"]}
+    if config["captures"]:
+        from drapenet.batch import estimate_tree
+
+        estimate_tree(Path(config["captures"]), folder_named(config["out"]),
+                      checkpoint=config["checkpoint"], workers=config["workers"],
+                      **options | {"drapes": max(config["drapes"], 0)})
+        return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
     header = header_for(captures, config["checkpoint"])
@@ -39,15 +53,11 @@ def main(argv: list[str]) -> None:
     with deferred():  # torch takes seconds, and a bad capture should be refused at once
         from drapenet.inference import estimate_capture
 
-    known = {"membrane": config["membrane_n_per_m"], "friction": 1e-6 * config["friction_un"]}
-    known = {name: value for name, value in known.items()
-             if value > 0 or (name == "friction" and value == 0)}
     found = []
+    if config["drapes"] < 0:
+        options["drapes"] = DRAPES
     for (capture, seen), folder in zip(sources, folders, strict=True):
-        one = estimate_capture(
-            capture, header, seen=seen, refine=config["refine"] != "none",
-            drapes=config["drapes"], edge=config["edge_mm"] * 1e-3, known=known,
-            strict=config["strict"])
+        one = estimate_capture(capture, header, seen=seen, **options)
         write_estimate(folder, one.content, format_table(one.content))
         if one.picture is not None:
             write_report(folder, one.picture)
@@ -59,16 +69,24 @@ def main(argv: list[str]) -> None:
         write_estimate(out, content, format_table(content))
 
 
+def known(config: dict[str, Any]) -> dict[str, float]:
+    """What the user knows of the fabric, in SI units, as :func:`estimate_capture` takes it."""
+    values = {"membrane": config["membrane_n_per_m"], "friction": 1e-6 * config["friction_un"]}
+    return {name: value for name, value in values.items()
+            if value > 0 or (name == "friction" and value == 0)}
+
+
 def check(config: dict[str, Any]) -> None:
     """InputError for values out of range, or keys that do not go together."""
     kind, ways = ("scan", ("none", "scan")) if config["scan"] else ("capture", ("none", "depth"))
     if config["refine"] not in ways:
         raise InputError(f"refine={config['refine']}: a {kind} takes {' or '.join(ways)}")
-    if config["capture"] and config["scan"]:
-        raise InputError("give capture=DIR or scan=FILE, not both")
-    if not config["capture"] and not config["scan"]:
+    given = [key for key in ("capture", "captures", "scan") if config[key]]
+    if len(given) > 1:
+        raise InputError(f"give {given[0]}= or {given[1]}=, not both")
+    if not given:
         raise InputError("no capture; give capture=DIR, a folder with depth images")
-    if not 0 <= config["drapes"] <= 4:
+    if not -1 <= config["drapes"] <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     if config["membrane_n_per_m"] < 0:
         raise InputError(f"membrane_n_per_m={config['membrane_n_per_m']:g} must be positive")
@@ -104,9 +122,7 @@ def header_for(captures: list[Capture], checkpoint: str) -> Header:
         if len(values) > 1:
             raise InputError(f"captures of one fabric must agree in {what}; give them one by one")
     header = read_header(checkpoint or bundled(captures[0].rig))
-    if captures[0].rig != header.rig:
-        raise InputError(f"the capture is of the rig '{captures[0].rig}' but the checkpoint of "
-                         f"'{header.rig}'; choose a checkpoint trained for this rig")
+    header.require_rig(captures[0].rig)
     return header
 
 

@@ -2,7 +2,9 @@
 
 PATH is a folder with capture.yaml and frames of the whole scene, or of the cloth alone (README.md,
 "Your own fabric"). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
-DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes. Look at it.
+DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes; last, the cloth
+of all frames from above, one colour a frame, turned back by turns_deg. Look at it: where the hems
+of two colours lie apart, the table had not turned as stated, or the cloth has moved.
 
 import   folder of the frames
 out      new or empty folder of the capture
@@ -19,6 +21,7 @@ from common.files import folder_named, replace_file, require_folder
 from data.cameras import Intrinsics
 from data.captures import read_capture, write_capture
 from data.cutout import CutOut, cut_out
+from data.plate import reach
 from sim.scene import Rig
 
 DEPTH_UNIT = 1e-4  # m per count: no file's depth is rounded anew
@@ -26,6 +29,8 @@ PICTURE = "capture.png"
 _AXIS = 0.04  # m, length of the axes drawn
 _SMALLEST = 480  # pixels, width of a frame in the picture
 _RIM, _OUTLINE = (0, 200, 255), (60, 220, 60)  # blue, green, red
+_VIEWS = ((180, 120, 30), (60, 140, 230), (90, 160, 60), (170, 80, 170))
+_WIDE = 1.02  # of the specimen, the half width of the picture from above
 _AXES = (60, 60, 255), (60, 200, 60), (255, 120, 60)
 
 
@@ -41,19 +46,22 @@ def main(argv: list[str]) -> None:
     write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
                   warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
                   depth_unit=DEPTH_UNIT)
-    replace_file(out / PICTURE, picture(cut, capture.intrinsics, Rig.from_name(capture.rig)))
+    replace_file(out / PICTURE, picture(cut, capture.intrinsics, Rig.from_name(capture.rig),
+                                        turns=capture.turns))
     for line in (*capture.warnings, *(() if capture.cut else ("the frames were cut out already",))):
         print(f"note: {line}")
     print(f"capture: {out}\npicture: {out / PICTURE}")
 
 
-def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig) -> bytes:
-    """PNG of the frames, two in a row: depth in grey, outline of the cloth, rim and axes."""
+def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray) -> bytes:
+    """PNG of the frames, two in a row, and of the cloth from above; ``turns`` (K,), rad."""
     seen = cut.frames[cut.masks]
     near, far = (seen.min(), seen.max() + 0.3) if len(seen) else (0.0, 1.0)
     scale = max(1, round(_SMALLEST / intrinsics.width))
     tiles = [_tile(frame, mask, cut, intrinsics, rig, near, far, scale)
              for frame, mask in zip(cut.frames, cut.masks, strict=True)]
+    if cut.plate is not None:
+        tiles.append(_from_above(cut, intrinsics, rig, turns, tiles[0].shape))
     if len(tiles) % 2:
         tiles.append(np.zeros_like(tiles[0]))
     rows = [np.hstack(tiles[k : k + 2]) for k in range(0, len(tiles), 2)]
@@ -84,6 +92,29 @@ def _tile(
         pixels = points[:, :2] / points[:, 2:] * [intrinsics.fx, intrinsics.fy]
         pixels = (pixels + np.array([intrinsics.cx, intrinsics.cy]) + 0.5) * scale
         cv2.polylines(tile, [np.rint(pixels).astype(np.int32)], False, colour, 1, cv2.LINE_AA)
+    return tile
+
+
+def _from_above(
+    cut: CutOut, intrinsics: Intrinsics, rig: Rig, turns: np.ndarray, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Tile of ``shape`` with the cloth of all views as in the first one, its right to the right."""
+    tile = np.full(shape, 255, np.uint8)
+    scale = shape[0] / (2 * _WIDE * (rig.plate_radius + reach(rig)))
+    middle = np.array([shape[1], shape[0]]) / 2
+
+    def pixels(points: np.ndarray) -> np.ndarray:
+        return np.rint(points[:, :2] * [scale, -scale] + middle).astype(int)
+
+    for k, (view, turn) in enumerate(zip(cut.views, turns, strict=True)):
+        points = cut.plate.local(intrinsics.back_project(view)[view > 0])
+        cos, sin = np.cos(turn), np.sin(turn)
+        x, y = points[:, 0] * cos + points[:, 1] * sin, points[:, 1] * cos - points[:, 0] * sin
+        for column, row in pixels(np.column_stack([x, y])):
+            cv2.circle(tile, (int(column), int(row)), 1, _VIEWS[k % len(_VIEWS)], -1)
+    angle = np.linspace(0, 2 * np.pi, 90)
+    rim = rig.plate_radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cv2.polylines(tile, [pixels(rim).astype(np.int32)], True, (0, 0, 0), 1, cv2.LINE_AA)
     return tile
 
 

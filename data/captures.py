@@ -42,6 +42,8 @@ from data.reading import (
 )
 from sim.scene import Rig
 
+MARKS = ("capture.yaml", "density.txt")
+"""Of these files a capture of either format has one."""
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
@@ -115,11 +117,10 @@ def _read(path: Path) -> Capture:
 
 def captures_in(path: Path) -> list[Path]:
     """The captures that ``path`` names: itself, or those in a folder of captures, by name."""
-    marks = ("capture.yaml", "density.txt")
-    if not path.is_dir() or any((path / mark).exists() for mark in marks):
+    if not path.is_dir() or any((path / mark).exists() for mark in MARKS):
         return [path]
     inside = sorted(folder for folder in path.iterdir()
-                    if any((folder / mark).is_file() for mark in marks))
+                    if any((folder / mark).is_file() for mark in MARKS))
     return inside or [path]
 
 
@@ -196,8 +197,8 @@ def _read_metric(path: Path) -> Capture:
             f"known keys: {', '.join(sorted(CAPTURE_KEYS))}"
         )
     density = checked_density(description.get("density_g_m2"), f"{file}: density_g_m2")
-    unit = finite_number(description.get("depth_unit_m", 1e-3), f"{file}: depth_unit_m")
-    if unit <= 0:
+    unit = description.get("depth_unit_m")
+    if unit is not None and (unit := finite_number(unit, f"{file}: depth_unit_m")) <= 0:
         raise InputError(f"{file}: depth_unit_m={unit:g} must be positive, 0.001 for millimetres")
     rig = description.get("rig", DEFAULT_RIG)
     if not isinstance(rig, str):
@@ -209,11 +210,14 @@ def _read_metric(path: Path) -> Capture:
     direction = description.get("warp_direction_deg")
     if direction is not None:
         direction = math.radians(finite_number(direction, f"{file}: warp_direction_deg")) % math.pi
-    views, background = read_frames(
+    found = read_frames(
         path, unit, lambda width, height: _intrinsics(description.get("intrinsics"), file, width,
                                                       height), _size(description, file))
+    views, background = found.frames, found.background
     height, width = views.shape[1:]
-    intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
+    intrinsics = found.intrinsics
+    if intrinsics is None or "intrinsics" in description:
+        intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
     turns = _turns(description.get("turns_deg"), file, len(views))
     step = -(-width // LARGEST_WIDTH)
     if step > 1:

@@ -1,14 +1,15 @@
 """Depth frames of a capture in the kinds of files that people have: m, 0 where nothing is known.
 
 ``view_K.png`` (16-bit), ``view_K_0.png``, ``view_K_1.png`` and so on (several frames of one view),
-``view_K.npy`` (metres) and ``view_K.ply`` (points in camera axes, metres). A capture has one kind.
+``view_K.npy`` and ``view_K.exr`` (metres), ``view_K.ply`` (points in camera axes, metres), or one
+recording (:mod:`data.recordings`). A capture has one kind.
 """
 
 import io
 import math
 import re
-import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +19,20 @@ from data.cameras import Intrinsics
 from data.reading import (
     LARGEST_FILE,
     LARGEST_PICTURE,
+    MILLIMETRE,
     MOST_VIEWS,
-    SMALLEST_PICTURE,
     join_views,
+    median_depth,
     numbered,
     read_picture,
     require_regular,
+    require_size,
     shown,
 )
+from data.recordings import ENDINGS, read_recording
 
 BACKGROUND = "background.png"
+RECORDED = "recording"
 DEEP = {"modes": {"I;16", "I"}, "kind": "16-bit grey"}
 MOST_PIXELS = 64_000_000  # of all frames of one view
 MOST_POINTS = LARGEST_PICTURE[0] * LARGEST_PICTURE[1] // 4
@@ -36,28 +41,42 @@ KINDS = {
     "view_{}.png": r"view_\d+\.png",
     "view_{}_0.png": r"view_\d+_\d+\.png",
     "view_{}.npy": r"view_\d+\.npy",
+    "view_{}.exr": r"view_\d+\.exr",
     "view_{}.ply": r"view_\d+\.ply",
 }
 """Name of a view's first file by kind, and what all files of the kind are called."""
 OTHER = {
-    ".exr": "save its depth as NumPy's npy in metres",
     ".tif": "save its depth as 16-bit PNG in millimetres",
     ".tiff": "save its depth as 16-bit PNG in millimetres",
-    ".bag": "save its depth frames at rest, one 16-bit PNG a view",
     ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 view_%d.png",
     ".r3d": "export its depth frames as npy in metres",
 }
 """What to do with files of other kinds."""
 
 
+@dataclass(frozen=True)
+class Frames:
+    """What a folder of depth frames holds.
+
+    Attributes:
+        frames: (K, H, W) float32, m, one a view.
+        background: (H, W) float32, m, the empty scene; None without one.
+        intrinsics: that the files themselves state; None where they do not.
+    """
+
+    frames: np.ndarray
+    background: np.ndarray | None
+    intrinsics: Intrinsics | None = None
+
+
 def read_frames(
-    folder: Path, unit: float, intrinsics_of: Callable[[int, int], Intrinsics],
+    folder: Path, unit: float | None, intrinsics_of: Callable[[int, int], Intrinsics],
     size: tuple[int, int] | None,
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Frames (K, H, W) float32, m, one a view, and the empty scene (H, W) where the folder has it.
+) -> Frames:
+    """The frames of a folder, of whichever kind of files.
 
     Args:
-        unit: m per count of PNGs.
+        unit: m per count; None: as the files say, or millimetres.
         intrinsics_of: those of pictures of a width and a height.
         size: width and height that point clouds are projected to.
 
@@ -65,44 +84,54 @@ def read_frames(
         InputError: no frames, two kinds of them, one that cannot be read or is too large.
     """
     names = sorted(file.name for file in folder.iterdir())
-    found = [first for first, pattern in KINDS.items()
-             if any(re.fullmatch(pattern, name) for name in names)]
-    if len(found) > 1:
-        raise InputError(f"{folder} holds {found[0].format(0)} and {found[1].format(0)}: give the "
-                         "views in one kind of file")
-    if not found:
-        for name in names:
-            if (ending := Path(name).suffix.lower()) in OTHER:
-                raise InputError(f"{folder / name}: files of this kind are not read; "
-                                 f"{OTHER[ending]}")
-    kind = found[0] if found else "view_{}.png"
-    if kind == "view_{}_0.png":
-        counts = _bursts(names, folder)
-        frames = join_views(folder, [f"view_{k}_*.png" for k in range(len(counts))],
-                            [_median(folder, count, k, unit) for k, count in enumerate(counts)])
+    kind = _kind(folder, names)
+    counted, intrinsics = unit or MILLIMETRE, None
+    if kind == RECORDED:
+        recording = read_recording(folder / next(filter(_recorded, names)), unit)
+        frames, intrinsics = recording.frames, recording.intrinsics
+    elif kind == "view_{}_0.png":
+        bursts = _bursts(names, folder)
+        frames = join_views(folder, [f"view_{k}_*.png" for k in range(len(bursts))], [
+            _median(folder, count, k) * counted for k, count in enumerate(bursts)])
     else:
+        if kind.endswith("ply") and size is None:
+            raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
+                             "capture.yaml, of the picture that the intrinsics are of")
+        readers: dict[str, Callable[[Path], np.ndarray]] = {
+            "view_{}.png": lambda file: read_picture(file, **DEEP) * counted,
+            "view_{}.npy": read_array, "view_{}.exr": read_exr,
+            "view_{}.ply": lambda file: read_points(file, intrinsics_of(*size))}
         files = numbered(folder, kind)
-        if kind.endswith("npy"):
-            read = read_array
-        elif kind.endswith("ply"):
-            if size is None:
-                raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
-                                 "capture.yaml, of the picture that the intrinsics are of")
-            intrinsics = intrinsics_of(*size)
-
-            def read(file: Path) -> np.ndarray:
-                return read_points(file, intrinsics)
-        else:
-            def read(file: Path) -> np.ndarray:
-                return read_picture(file, **DEEP) * unit
-        frames = join_views(folder, [file.name for file in files], [read(file) for file in files])
+        frames = join_views(folder, [file.name for file in files],
+                            [readers[kind](file) for file in files])
     background = None
     if BACKGROUND in names:
-        background = (read_picture(folder / BACKGROUND, **DEEP) * unit).astype(np.float32)
+        background = (read_picture(folder / BACKGROUND, **DEEP) * counted).astype(np.float32)
         if background.shape != frames.shape[1:]:
             raise InputError(f"{folder / BACKGROUND} has {_size(background)} pixels, the views "
                              f"have {_size(frames[0])}; take it with the same camera")
-    return frames.astype(np.float32), background
+    return Frames(frames.astype(np.float32), background, intrinsics)
+
+
+def _recorded(name: str) -> bool:
+    return Path(name).suffix.lower() in ENDINGS
+
+
+def _kind(folder: Path, names: list[str]) -> str:
+    """One of :data:`KINDS`, or :data:`RECORDED`."""
+    found = {first: first.format(0) for first, pattern in KINDS.items()
+             if any(re.fullmatch(pattern, name) for name in names)}
+    recordings = [name for name in names if _recorded(name)]
+    examples = [*found.values(), *recordings]
+    if len(examples) > 1:
+        raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
+                         "kind of file, or one recording")
+    if examples:
+        return next(iter(found), RECORDED)
+    for name in names:
+        if (ending := Path(name).suffix.lower()) in OTHER:
+            raise InputError(f"{folder / name}: files of this kind are not read; {OTHER[ending]}")
+    return "view_{}.png"  # the message that they are missing is the reader's
 
 
 def _size(picture: np.ndarray) -> str:
@@ -125,22 +154,18 @@ def _bursts(names: list[str], folder: Path) -> list[int]:
     return counts
 
 
-def _median(folder: Path, count: int, view: int, unit: float) -> np.ndarray:
-    """Median (H, W), m, of a view's frames, pixel by pixel, of those that saw something."""
+def _median(folder: Path, count: int, view: int) -> np.ndarray:
+    """Median (H, W) counts of a view's frames."""
     frames: list[np.ndarray] = []
     for j in range(count):
-        frames.append(read_picture(folder / f"view_{view}_{j}.png", **DEEP).astype(np.float32))
+        frames.append(read_picture(folder / f"view_{view}_{j}.png", **DEEP))
         if frames[-1].shape != frames[0].shape:
             raise InputError(f"{folder}: view_{view}_{j}.png has {_size(frames[-1])} pixels but "
                              f"view_{view}_0.png has {_size(frames[0])}; all must have one size")
         if count * frames[0].size > MOST_PIXELS:
             raise InputError(f"{folder}: view {view} has {count} frames of {_size(frames[0])} "
                              f"pixels; give at most {MOST_PIXELS // frames[0].size}")
-    stack = np.stack(frames)
-    stack[stack == 0] = np.nan
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of pixels that no frame saw
-        return np.nan_to_num(np.nanmedian(stack, axis=0)) * unit
+    return median_depth(np.stack(frames))
 
 
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
@@ -165,7 +190,7 @@ def read_array(file: Path) -> np.ndarray:
             shape, _, kind = header(stream)
             if len(shape) != 2 or kind.kind != "f" or kind.itemsize > 8:
                 raise InputError(f"{wrong}; it holds {shown(shape)} of {shown(str(kind))}")
-            _check_size(file, shape[1], shape[0])
+            require_size(file, shape[1], shape[0])
             stream.seek(0)
             depth = np.load(stream, allow_pickle=False)
     except InputError:
@@ -175,14 +200,28 @@ def read_array(file: Path) -> np.ndarray:
     return _metres(depth, file)
 
 
-def _check_size(file: Path, width: int, height: int) -> None:
-    """InputError for pictures that a view cannot have."""
-    if not (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]
-            and SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]):
-        raise InputError(
-            f"{file}: wrong size, {width}x{height} pixels; views have from "
-            f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
-            f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")
+def read_exr(file: Path) -> np.ndarray:
+    """Depth (H, W), m, of an OpenEXR file: its channel Z, or its only one."""
+    import OpenEXR
+
+    require_regular(file, LARGEST_FILE, "view")
+    try:
+        # The header first: pixels of a size that no view has are never decoded.
+        with OpenEXR.File(str(file), header_only=True) as header:
+            window = header.header()["dataWindow"]
+            width, height = (int(n) for n in np.asarray(window[1]) - np.asarray(window[0]) + 1)
+        require_size(file, width, height)
+        with OpenEXR.File(str(file), separate_channels=True) as picture:
+            channels = {name: np.array(one.pixels) for name, one in picture.channels().items()}
+    except InputError:
+        raise
+    except Exception as error:  # the library has no error of its own
+        raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
+                         ) from None
+    name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)
+    if name is None and len(channels) != 1:
+        raise InputError(f"{file} has channels {shown(sorted(channels))}; give depth as channel Z")
+    return _metres(channels[name] if name else next(iter(channels.values())), file)
 
 
 def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:

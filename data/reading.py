@@ -19,6 +19,7 @@ LARGEST_PICTURE = (4096, 4096)
 LARGEST_TEXT = 65536  # bytes
 LARGEST_FILE = 160 << 20  # bytes, of a picture
 MOST_VIEWS = 8
+MILLIMETRE = 1e-3  # m, per count unless stated
 
 
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
@@ -26,16 +27,7 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
     require_regular(file, LARGEST_FILE, "picture")
     try:
         with Image.open(file, formats=["PNG"]) as picture:
-            width, height = picture.size
-            bounds = (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]) and (
-                SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]
-            )
-            if not bounds:
-                raise InputError(
-                    f"{file}: wrong size, {width}x{height} pixels; views have from "
-                    f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
-                    f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}"
-                )
+            require_size(file, *picture.size)
             if picture.mode not in modes:
                 raise InputError(f"{file}: picture of kind {picture.mode}; it must be {kind}")
             picture.verify()  # checksums, which reading the pixels does not check
@@ -94,6 +86,27 @@ def join_views(folder: Path, names: list[str], pictures: list[np.ndarray]) -> np
             raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "
                              "be taken anew, after the table has turned on")
     return np.stack(pictures)
+
+
+def median_depth(frames: np.ndarray) -> np.ndarray:
+    """Median (H, W) float32 of frames (N, H, W), pixel by pixel, of those that saw something."""
+    ordered = np.sort(np.where(frames > 0, frames, np.inf).astype(np.float32), axis=0)
+    seen = (frames > 0).sum(axis=0)
+    low, high = np.maximum(seen - 1, 0) // 2, seen // 2
+    high = np.minimum(high, len(frames) - 1)
+    middle = [np.take_along_axis(ordered, at[None], axis=0)[0] for at in (low, high)]
+    with np.errstate(invalid="ignore"):
+        return np.where(seen > 0, (middle[0] + middle[1]) / 2, np.float32(0.0))
+
+
+def require_size(what: str | Path, width: int, height: int) -> None:
+    """InputError for pictures, called ``what``, of a size that no view can have."""
+    if not (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]
+            and SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]):
+        raise InputError(
+            f"{what}: wrong size, {width}x{height} pixels; views have from "
+            f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
+            f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")
 
 
 def require_regular(file: Path, largest: int, kind: str) -> None:

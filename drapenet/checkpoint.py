@@ -71,6 +71,12 @@ class Header:
 
         return Setups.from_config(self.content["config"]["setup"])
 
+    def require_rig(self, rig: str) -> None:
+        """InputError for captures of another rig than the checkpoint's."""
+        if rig != self.rig:
+            raise InputError(f"the capture is of the rig '{rig}' but the checkpoint of "
+                             f"'{self.rig}'; choose a checkpoint trained for this rig")
+
     @property
     def identity(self) -> dict[str, str]:
         """What tells this checkpoint from any other: file name, its hash, the dataset's hash."""

@@ -1,4 +1,6 @@
-"""What ``infer.py`` leaves in its folder: ``estimate.json`` and ``report.png``, of the same run."""
+"""What ``infer.py`` leaves in its folder: ``estimate.json`` and ``report.png``, of the same run; of
+a capture among hundreds also what the tables and pages are made of.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -6,6 +8,7 @@ from typing import Any
 from common.files import remove_file, replace_file, replace_json, require_file, require_folder
 
 ESTIMATE, REPORT = "estimate.json", "report.png"
+DONE, SAMPLES, THUMBNAIL = "done.json", "samples.npz", "view.png"
 
 
 def require_output(out: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import OpenEXR
 import pytest
 import trimesh
 import yaml
@@ -126,7 +127,7 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
     again = read_capture(tmp_path / "out")
     assert again.cut is None and np.abs(again.views - capture.views).max() < 0.06e-3
     with Image.open(tmp_path / "out" / "capture.png") as picture:
-        assert picture.size == (960, 720)
+        assert picture.size == (960, 1080)
     assert "capture.png" in capsys.readouterr().out
     save(scene.background[:90], folder / "background.png")
     with pytest.raises(InputError, match=r"background.png has 240x90 pixels, the views have 240x"):
@@ -139,7 +140,7 @@ def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene)
         for j, step in enumerate((-0.002, 0.0, 0.005)):
             holes = rng.random(frame.shape) < 0.1
             save(np.where(holes | (frame == 0), 0, frame + step), folder / f"view_{k}_{j}.png")
-    frames, _ = data.frames.read_frames(folder, 1e-3, None, None)
+    frames = data.frames.read_frames(folder, None, None, None).frames
     known = scene.frames > 0
     error = (frames - scene.frames)[known & (frames > 0)]
     assert (frames > 0)[known].mean() > 0.998 and (frames[~known] == 0).all()
@@ -157,6 +158,14 @@ def test_arrays_and_points_give_the_same_depth(folder, scene):
         cloud = trimesh.PointCloud(rng.permutation(points[k][frame > 0]))
         cloud.export(folder / f"view_{k}.ply")
     assert np.array_equal(data.frames.read_array(folder / "view_0.npy"), scene.frames[0])
+    pixels = np.where(scene.frames[0] > 0, scene.frames[0], np.inf).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for channels in ({"Z": pixels, "A": 0 * pixels}, {"Y": pixels}):
+        OpenEXR.File(header, channels).write(str(folder / "one.exr"))
+        assert np.array_equal(data.frames.read_exr(folder / "one.exr"), scene.frames[0])
+    OpenEXR.File(header, {"R": pixels, "G": pixels}).write(str(folder / "one.exr"))
+    with pytest.raises(InputError, match="give depth as channel Z"):
+        data.frames.read_exr(folder / "one.exr")
     depth = data.frames.read_points(folder / "view_0.ply", scene.camera.intrinsics)
     assert np.abs(depth - scene.frames[0]).max() < 1e-6
     with pytest.raises(InputError, match=r"holds view_0.npy and view_0.ply"):
@@ -201,7 +210,8 @@ BAD = {
     "half a PLY": ("view_0.ply", lambda f: f.write_text("ply\nelement vertex 5\n"), "damaged"),
     "points behind": ("view_0.ply", lambda f: trimesh.PointCloud(-np.eye(3)).export(f),
                       "no point in front"),
-    "EXR": ("view_0.exr", lambda f: f.write_text(""), "NumPy's npy"),
+    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "cannot be read"),
+    "no recording": ("take.bag", lambda f: f.write_text("no recording"), "as a recording"),
     "a recording": ("take.mkv", lambda f: f.write_text(""), "ffmpeg -i FILE -map 0:1"),
 }
 

@@ -1,0 +1,223 @@
+"""Recordings of a depth camera while the table turns from stop to stop: one frame for each stop.
+
+RealSense's ``.bag`` and ``.db3``, and other ROS 1 and 2 bags with a topic of 16-bit depth, are read
+by the library rosbags. The table is at rest where nothing moves for :data:`LEAST_REST`; a stop's
+frame is the median of those in its middle.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os.path import commonprefix
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from common.errors import InputError, one_line
+from data.cameras import Intrinsics
+from data.reading import MILLIMETRE, MOST_VIEWS, median_depth, require_regular, require_size
+
+ENDINGS = (".bag", ".db3")
+LARGEST_RECORDING = 16 << 30  # bytes
+MOST_FRAMES = 30_000
+LEAST_REST = 0.45  # s, of frames that are as a moment before
+USED = 15  # frames of a stop, at most
+_LATER = 0.25  # s between two frames that are compared
+_STEP = 2  # of the pixels that are compared
+_FARTHEST = 1.5  # m; noise grows with distance, and the background is not compared
+_MOVED = 0.012, 0.02  # m, and share of the depth, from which a pixel has moved
+_STILL = 0.004, 3.0  # share of moved pixels in rest; times that of the stillest quarter
+_SAME_STOP = 0.01  # share of pixels by which one stop, interrupted, may differ from itself
+_PNG = b"\x89PNG"
+_DEPTH16 = ("mono16", "16uc1", "z16")
+_DISTORTED = 1e-3  # largest coefficient that is as good as none
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a recording shows.
+
+    Attributes:
+        frames: (K, H, W) float32, m, one frame for each stop of the table.
+        intrinsics: None where the recording does not say.
+    """
+
+    frames: np.ndarray
+    intrinsics: Intrinsics | None
+
+
+def read_recording(file: Path, unit: float | None = None) -> Recording:
+    """The stops of a recording, in their order.
+
+    Args:
+        unit: m per count; None: as the recording says, or millimetres.
+
+    Raises:
+        InputError: no recording with depth, one that is damaged or too long, lens distortion, or
+            no stops, or more than :data:`data.reading.MOST_VIEWS`.
+    """
+    require_regular(file, LARGEST_RECORDING, "recording")
+    # Loaded late: few captures are recordings.
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    try:
+        with AnyReader([file], default_typestore=store) as reader:
+            topic = _depth_topic(reader, file)
+            scale = unit or _unit(reader, topic) or MILLIMETRE
+            times, moved = _motion(_frames(reader, topic), scale, file)
+            chosen = _median_frames(_frames(reader, topic), rests(times, moved), scale)
+            intrinsics = _camera(reader, topic, chosen.shape[1:], file)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of the library
+        raise InputError(f"{file} cannot be read as a recording ({one_line(error)}); record it "
+                         "again, or save its frames as 16-bit PNG") from None
+    if not 1 <= len(chosen) <= MOST_VIEWS:
+        raise InputError(f"{file}: {len(chosen)} stops of the table found; let it rest for a "
+                         f"second at each of 1 to {MOST_VIEWS} stops, hands out of the picture")
+    return Recording(chosen * np.float32(scale), intrinsics)
+
+
+def rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
+    """First and last frame of each span of rest.
+
+    Args:
+        times: (N,) s. moved: (N,) share of pixels that have moved since a moment before.
+    """
+    if len(times) < 2:
+        return [(0, 0)] if len(times) else []
+    limit = max(_STILL[0], _STILL[1] * float(np.quantile(moved, 0.25)))
+    still = np.concatenate([[False], moved < limit, [False]]).astype(int)
+    edges = np.diff(still)
+    spans = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True)
+    return [(int(first), int(last)) for first, last in spans
+            if times[last] - times[first] >= LEAST_REST]
+
+
+def _depth_topic(reader: Any, file: Path) -> Any:
+    """The connection of 16-bit depth pictures."""
+    pictures = [one for one in reader.connections
+                if one.msgtype.endswith(("/Image", "/CompressedImage")) and "epth" in one.topic]
+    if not pictures:
+        raise InputError(f"{file} holds no depth pictures; record the depth stream")
+    return min(pictures, key=lambda one: one.topic)
+
+
+def _frames(reader: Any, topic: Any) -> Iterator[tuple[float, np.ndarray]]:
+    """Time, s, and counts (H, W) uint16 of every picture."""
+    for number, (_, stamp, raw) in enumerate(reader.messages(connections=[topic])):
+        if number >= MOST_FRAMES:
+            raise InputError(f"the recording has more than {MOST_FRAMES} frames; record the stops "
+                             "alone")
+        yield 1e-9 * stamp, _counts(reader.deserialize(raw, topic.msgtype))
+
+
+def _counts(message: Any) -> np.ndarray:
+    if hasattr(message, "encoding"):
+        if message.encoding.lower() not in _DEPTH16:
+            raise InputError(f"depth of kind {message.encoding[:20]} is not read; record 16-bit "
+                             "depth")
+        require_size("depth pictures", message.width, message.height)
+        order = ">u2" if message.is_bigendian else "<u2"
+        rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
+        return np.ascontiguousarray(rows[:, : 2 * message.width]).view(order).astype(np.uint16)
+    data = bytes(message.data)
+    start = data.find(_PNG, 0, 64)  # behind the header of ROS's compressed depth
+    if start < 0 or "16uc1" not in message.format.lower():
+        raise InputError(f"depth of kind {message.format[:40]} is not read; record 16-bit depth")
+    require_size("depth pictures", *(int.from_bytes(data[start + at : start + at + 4], "big")
+                                     for at in (16, 20)))
+    picture = cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.dtype != np.uint16 or picture.ndim != 2:
+        raise ValueError("a depth picture is damaged")
+    return picture
+
+
+def _motion(
+    frames: Iterator[tuple[float, np.ndarray]], scale: float, file: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) times, s, and shares of pixels that have moved within the moment before."""
+    times: list[float] = []
+    moved: list[float] = []
+    recent: list[tuple[float, np.ndarray]] = []
+    for time, counts in frames:
+        small = counts[::_STEP, ::_STEP].astype(np.float32) * np.float32(scale)
+        if recent and small.shape != recent[0][1].shape:
+            raise InputError(f"{file}: its depth pictures change in size; record again")
+        while len(recent) > 1 and time - recent[1][0] >= _LATER:
+            recent.pop(0)
+        times.append(time)
+        moved.append(_moved_share(small, recent[0][1]) if recent else 0.0)
+        recent.append((time, small))
+    if not times:
+        raise InputError(f"{file} holds no depth pictures; record the depth stream")
+    return np.array(times), np.array(moved)
+
+
+def _moved_share(one: np.ndarray, other: np.ndarray) -> float:
+    near = (one > 0) & (other > 0) & (np.minimum(one, other) < _FARTHEST)
+    gap = np.abs(one - other) > np.maximum(_MOVED[0], _MOVED[1] * one)
+    return float((near & gap).sum() / max(near.sum(), 1))
+
+
+def _median_frames(
+    frames: Iterator[tuple[float, np.ndarray]], stops: list[tuple[int, int]], scale: float
+) -> np.ndarray:
+    """(K, H, W) float32 counts: of each stop the median of its middle frames without zeros."""
+    wanted = {}
+    for stop, (first, last) in enumerate(stops):
+        # The edges of a rest are the ends of a movement.
+        inner = np.linspace(first + 0.3 * (last - first), last - 0.1 * (last - first), USED)
+        wanted |= {int(number): stop for number in np.unique(inner.round())}
+    kept: list[list[np.ndarray]] = [[] for _ in stops]
+    for number, (_, counts) in enumerate(frames):
+        if number in wanted:
+            kept[wanted[number]].append(counts)
+    found: list[np.ndarray] = []
+    for pictures in kept:
+        median = median_depth(np.stack(pictures))
+        if not found or _moved_share(scale * median, scale * found[-1]) > _SAME_STOP:
+            found.append(median)
+    return np.stack(found) if found else np.zeros((0, 1, 1), np.float32)
+
+
+def _messages(reader: Any, topic: str) -> Iterator[Any]:
+    connections = [one for one in reader.connections if one.topic == topic]
+    for connection, _, raw in reader.messages(connections=connections) if connections else ():
+        yield reader.deserialize(raw, connection.msgtype)
+
+
+def _unit(reader: Any, topic: Any) -> float | None:
+    """m per count, as RealSense writes it; the number is a text in newer recordings."""
+    head = "/".join(topic.topic.split("/")[:3])
+    for message in _messages(reader, f"{head}/option/Depth_Units/value"):
+        unit = float(message.data)
+        return unit if 1e-6 < unit < 1e-1 else None
+    return None
+
+
+def _camera(reader: Any, topic: Any, shape: tuple[int, ...], file: Path) -> Intrinsics | None:
+    """Of the camera_info whose topic is most like that of the pictures."""
+    def common(name: str) -> int:
+        return len(commonprefix([name, topic.topic]))  # noqa: RUF071 (topics are no paths)
+
+    infos = [one for one in reader.connections if one.msgtype.endswith("/CameraInfo")]
+    if not infos:
+        return None
+    best = max(infos, key=lambda one: common(one.topic))
+    for message in _messages(reader, best.topic):
+        # ROS 1 writes capitals.
+        matrix, lens = (np.asarray(getattr(message, name, getattr(message, name.upper(), None)))
+                        for name in ("k", "d"))
+        if (message.height, message.width) != tuple(shape):
+            return None
+        if lens.size and np.abs(lens).max() > _DISTORTED:
+            raise InputError(f"{file}: its lens is distorted (coefficient {np.abs(lens).max():.3g}"
+                             "); record undistorted depth")
+        fx, _, cx, _, fy, cy = (float(value) for value in matrix.ravel()[:6])
+        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=int(message.width),
+                          height=int(message.height))
+    return None

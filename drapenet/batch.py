@@ -1,0 +1,148 @@
+"""Hundreds of captures in one command: ``infer.py captures=ROOT out=OUT``.
+
+Each capture is estimated in a worker process and has a folder of its own under OUT; a file
+``done.json`` is written last, with a digest of all that the result depends on. So an interrupted
+run goes on where it stopped, and ends with the same tables as one that was left alone.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from concurrent.futures import as_completed
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+
+from common.errors import InputError, one_line
+from common.files import remove_file, replace_file, replace_json, replacing, require_folder
+from common.provenance import code_state
+from common.workers import worker_pool
+from data.captures import read_capture
+from data.picture import thumbnail
+from data.progress import progress_bar
+from drapenet.checkpoint import Header, bundled, read_header
+from drapenet.output import DONE, ESTIMATE, REPORT, SAMPLES, THUMBNAIL
+from drapenet.overview import write_overview
+from drapenet.tree import entries_of
+
+_PIECE = 1 << 20  # bytes
+
+
+def estimate_tree(
+    source: Path, out: Path, *, checkpoint: str = "", workers: int = 0, **options: Any
+) -> None:
+    """Estimate all captures of ``source`` (:func:`drapenet.tree.entries_of`); write tables, a page
+    of each fabric and one of all to ``out``.
+
+    Args:
+        checkpoint: for all captures; empty: the bundled one of each one's rig.
+        workers: processes, one thread each; 0: one for each core.
+        options: of :func:`drapenet.inference.estimate_capture`, fit for JSON.
+
+    Raises:
+        InputError: no captures, a bad checkpoint, a folder that cannot be written to, or not one
+            capture that can be estimated.
+    """
+    if workers < 0:
+        raise InputError(f"workers={workers} must be 0, one for each core, or more")
+    entries = entries_of(source)
+    require_folder(out)
+    chosen = str(read_header(checkpoint).path) if checkpoint else ""
+    missing = [entry for entry in entries if _failure(out / entry.place, stamp_of(
+        entry.path, chosen, options)) is None]
+    print(f"{len(entries) - len(missing)} of {len(entries)} captures are finished; {len(missing)} "
+          "to go. If interrupted, the same command goes on.", flush=True)
+    if missing:
+        count = min(workers or joblib.cpu_count(), len(missing))
+        with worker_pool(count) as pool, progress_bar(total=len(missing), unit="capture") as bar:
+            futures = {pool.submit(_estimate, entry.path, out / entry.place, chosen, options): entry
+                       for entry in missing}
+            for future in as_completed(futures):
+                if failure := future.result():
+                    bar.write(f"failed: {futures[future].path}: {failure}")
+                bar.update()
+    outcomes = [(entry, _failure(out / entry.place) or "") for entry in entries]
+    failed = write_overview(out, outcomes)
+    print(f"fabrics:  {out / 'fabrics.csv'}\noverview: {out / 'index.html'}")
+    if failed:
+        print(f"failures: {failed}, listed in {out / 'failures.csv'}")
+    if all(failure for _, failure in outcomes):
+        raise InputError(f"none of {len(outcomes)} captures could be estimated; see "
+                         f"{out / 'failures.csv'}")
+
+
+def stamp_of(capture: Path, checkpoint: str, options: Mapping[str, Any]) -> str:
+    """A digest of a capture's files and of all else that its estimate depends on."""
+    digest = hashlib.sha256(json.dumps([_identity(checkpoint), options], sort_keys=True).encode())
+    try:
+        for file in sorted(capture.iterdir()):
+            digest.update(b"\0" + os.fsencode(file.name) + b"\0")
+            if file.is_file():  # neither a pipe nor a device, which may have no end
+                with file.open("rb") as stream:
+                    while piece := stream.read(_PIECE):
+                        digest.update(piece)
+    except OSError as error:  # reading it will fail, and say so
+        digest.update(type(error).__name__.encode())
+    return digest.hexdigest()
+
+
+@cache
+def _identity(checkpoint: str) -> Any:
+    """Of the code and the checkpoint, or of all that are bundled."""
+    files = [Path(checkpoint)] if checkpoint else sorted(
+        (Path(__file__).parent / "weights").glob("*.safetensors"))
+    return [code_state(), *(read_header(file).identity for file in files)]
+
+
+def _failure(folder: Path, stamp: str | None = None) -> str | None:
+    """Why a finished capture has no estimate, empty where it has one; None where it is not
+    finished, or with another ``stamp``.
+    """
+    try:
+        content = json.loads((folder / DONE).read_text(encoding="utf-8"))
+        known = stamp is None or content["stamp"] == stamp
+        return str(content["failure"]) if known else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _estimate(capture: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -> str:
+    """Estimate one capture and write its folder; why not, in one line."""
+    stamp, failure = stamp_of(capture, checkpoint, options), ""
+    for name in (DONE, ESTIMATE, REPORT, SAMPLES, THUMBNAIL):
+        remove_file(folder / name)
+    try:
+        _write(capture, folder, checkpoint, options)
+    except InputError as error:
+        failure = str(error)
+    except Exception as error:  # one capture must not end two hundred others
+        failure = f"{type(error).__name__}: {one_line(error)}; please report this capture"
+    replace_json(folder / DONE, {"stamp": stamp, "failure": failure})
+    return failure
+
+
+def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -> None:
+    from drapenet.inference import estimate_capture
+
+    capture = read_capture(path)
+    header = _header(checkpoint or str(bundled(capture.rig)))
+    header.require_rig(capture.rig)
+    result = estimate_capture(capture, header, **options)
+    found = result.estimate
+    with replacing(folder / SAMPLES) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, samples=found.samples, names=np.array(found.names), axis=found.axis,
+                 certainty=found.certainty, density=found.density, spread=found.spread,
+                 warnings=np.array(found.warnings, dtype=str))
+    replace_file(folder / THUMBNAIL, thumbnail(capture.views[0]))
+    if result.picture is not None:
+        replace_file(folder / REPORT, result.picture)
+    replace_json(folder / ESTIMATE, result.content)
+
+
+@cache
+def _header(checkpoint: str) -> Header:
+    return read_header(checkpoint)

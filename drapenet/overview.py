@@ -1,0 +1,238 @@
+"""Tables and pages of hundreds of captures: ``fabrics.csv``, ``captures.csv``, ``failures.csv``, a
+page of each fabric, and ``index.html``.
+
+All are made from the files of finished captures (:mod:`drapenet.batch`), those of one fabric
+joined (:mod:`drapenet.joint`).
+"""
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from common.errors import InputError
+from common.files import replace_file, replace_json
+from drapenet.convention import LINEAR
+from drapenet.estimate import Estimate
+from drapenet.joint import joint_content
+from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
+from drapenet.table import with_interval
+from drapenet.tree import Entry
+
+ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
+"""Directions in tables whose fabrics need not all have a marked warp."""
+COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")
+SPREAD, PAGE = "captures.png", "index.html"
+_FORMULA = "=+-@\t\r\n"  # a cell that begins like this is computed by spreadsheets
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A capture's estimate, and the content of its ``estimate.json``."""
+
+    entry: Entry
+    estimate: Estimate
+    content: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class FabricResult:
+    """What is known of a fabric, from all its captures.
+
+    Attributes:
+        content: of ``estimate.json``, joint where there are several captures.
+        scatter: factor by which the captures' alpha vary, one standard deviation, by direction;
+            NaN of a single capture.
+    """
+
+    name: str
+    place: Path
+    captures: list[Finished]
+    content: dict[str, Any]
+    scatter: np.ndarray
+
+
+def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
+    """Write all tables and pages; returns the number of failures.
+
+    Args:
+        outcomes: every capture, with the reason why it has no estimate, or ''.
+    """
+    failures = [(entry.fabric, entry.sample, entry.capture, str(entry.path), failure)
+                for entry, failure in outcomes if failure]
+    fabrics = []
+    ordered = sorted((entry for entry, failure in outcomes if not failure),
+                     key=lambda entry: (entry.fabric, entry.place))
+    for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
+        try:
+            fabrics.append(_fabric(name, [_finished(out, entry) for entry in entries]))
+        except InputError as error:
+            failures.append((name, "", "", "", str(error)))
+    _write_csv(out / "fabrics.csv", [_fabric_row(one) for one in fabrics])
+    _write_csv(out / "captures.csv", [_capture_row(one) for fabric in fabrics
+                                      for one in fabric.captures])
+    _write_csv(out / "failures.csv", [
+        dict(zip(("fabric", "sample", "capture", "path", "reason"), row, strict=True))
+        for row in failures] or ["fabric", "sample", "capture", "path", "reason"])
+    pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "pages"), autoescape=True,
+                               undefined=jinja2.StrictUndefined, trim_blocks=True)
+    pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure}
+    for fabric in fabrics:
+        folder = out / fabric.place
+        replace_json(folder / ESTIMATE, fabric.content)
+        replace_file(folder / SPREAD, _spread(fabric))
+        text = pages.get_template("fabric.html").render(
+            fabric=fabric, reports={one.entry.place for one in fabric.captures
+                                    if (out / one.entry.place / REPORT).exists()},
+            estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT, spread=SPREAD)
+        replace_file(folder / PAGE, text.encode())
+    text = pages.get_template("index.html").render(fabrics=fabrics, failures=failures, page=PAGE,
+                                                   thumbnail=THUMBNAIL)
+    replace_file(out / PAGE, text.encode())
+    return len(failures)
+
+
+def _finished(out: Path, entry: Entry) -> Finished:
+    folder = out / entry.place
+    try:
+        content = json.loads((folder / ESTIMATE).read_text(encoding="utf-8"))
+        with np.load(folder / SAMPLES, allow_pickle=False) as file:
+            kept = dict(file)
+        estimate = Estimate(kept["samples"], tuple(kept["names"].tolist()), float(kept["axis"]),
+                            float(kept["certainty"]), float(kept["density"]), kept["spread"],
+                            tuple(kept["warnings"].tolist()))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{folder} is damaged ({type(error).__name__}); remove it and run the "
+                         "same command again") from None
+    return Finished(entry, estimate, content)
+
+
+def _fabric(name: str, captures: list[Finished]) -> FabricResult:
+    for what, values in (("rig", {one.content["capture"]["rig"] for one in captures}),
+                         ("warp_direction_deg", {one.estimate.names for one in captures})):
+        if len(values) > 1:
+            raise InputError(f"captures of one fabric must agree in {what}; give those that do not "
+                             "another fabric's name")
+    place = Path(captures[0].entry.place.parts[0])
+    if len(captures) == 1:
+        return FabricResult(name, place, captures, captures[0].content, np.full(3, np.nan))
+    content = joint_content([one.estimate for one in captures], [one.content for one in captures])
+    middles = [one.estimate.samples[:, LINEAR].mean(axis=0) for one in captures]
+    return FabricResult(name, place, captures, content, np.exp(np.std(middles, axis=0, ddof=1)))
+
+
+def _fabric_row(fabric: FabricResult) -> dict[str, object]:
+    coefficients = [one.content["capture"]["drape_coefficient_percent"] for one in fabric.captures]
+    known = [value for value in coefficients if value is not None]
+    doubted = sum(bool(one.content["warnings"]) for one in fabric.captures)
+    several = len(fabric.captures) > 1
+    return {
+        "fabric": fabric.name,
+        "samples": len({one.entry.sample for one in fabric.captures}),
+        "captures": len(fabric.captures), "captures_with_warnings": doubted,
+        "rig": fabric.content["capture"]["rig"], "directions": fabric.content["convention"],
+        **_figures(fabric.content),
+        "drape_coefficient_percent": _text(np.mean(known)) if known else "",
+        **{f"alpha_{role}_scatter_factor": _text(factor) if several else ""
+           for role, factor in zip(ROLES, fabric.scatter, strict=True)},
+        "poorly_constrained": "; ".join(fabric.content["poorly_constrained"]),
+        "flags": "; ".join(fabric.content["warnings"]),
+    }
+
+
+def _capture_row(one: Finished) -> dict[str, object]:
+    entry, about = one.entry, one.content["capture"]
+    return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
+            "directions": one.content["convention"], **_figures(one.content),
+            "drape_coefficient_percent": about["drape_coefficient_percent"],
+            "flags": "; ".join(one.content["warnings"])}
+
+
+def _figures(content: dict[str, Any]) -> dict[str, object]:
+    """Columns of moduli at the fabric's density and at 300 g/m², and of laboratories' readings."""
+    row: dict[str, object] = {"density_g_m2": _text(content["capture"]["density_g_m2"])}
+    tables = (("", content["moduli"]), ("_at_300_g_m2", content["moduli_at_300_g_m2"]),
+              ("", content["laboratory"]))
+    for suffix, table in tables:
+        for role, quantities in zip(ROLES, table.values(), strict=True):
+            for quantity, value in quantities.items():
+                kind, _, unit = quantity.partition("_")
+                name = f"{role}_{kind}_{unit}{suffix}"
+                if value is None or isinstance(value, dict):
+                    row |= _columns(name, value)
+                else:
+                    row[name] = _text(value)
+    return row
+
+
+def _columns(name: str, quantity: dict[str, Any] | None) -> dict[str, str]:
+    ends = {f"{name}_{end}{level}": (quantity[f"interval_{level}"][k] if quantity else None)
+            for level in (68, 90) for k, end in enumerate(("low", "high"))}
+    return {column: "" if value is None else _text(value) for column, value in
+            {name: quantity["median"] if quantity else None, **ends}.items()}
+
+
+def _text(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, object]] | list[str]) -> None:
+    """A table for spreadsheets; of no rows, given as column names, its head alone."""
+    stream = io.StringIO()
+    head = list(rows[0]) if rows and isinstance(rows[0], dict) else list(rows)
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([[_cell(row[name]) for name in head] for row in rows
+                      if isinstance(row, dict)])
+    replace_file(path, ("\ufeff" + stream.getvalue()).encode())  # Excel takes it for UTF-8
+
+
+def _cell(value: object) -> object:
+    """No formula: names are a user's, and may come from anywhere. Numbers stay numbers."""
+    if not isinstance(value, str) or not value.startswith(tuple(_FORMULA)):
+        return "" if value is None else value
+    try:
+        float(value)
+    except ValueError:
+        return "'" + value
+    return value
+
+
+def _figure(quantity: dict[str, Any]) -> str:
+    """Median and interval for a page."""
+    middle, interval = with_interval(quantity)
+    return f"{middle} ({interval})"
+
+
+def _spread(fabric: FabricResult) -> bytes:
+    """PNG: alpha of every capture with its 68 % interval, and the fabric's as a band."""
+    names = list(fabric.content["moduli"])
+    figure = Figure(figsize=(9, 2.2 + 0.22 * len(fabric.captures)), layout="constrained")
+    for k, (axes, name) in enumerate(zip(figure.subplots(1, 3, sharey=True), names, strict=True)):
+        joint = fabric.content["moduli"][name]["alpha_uN_m"]
+        axes.axvspan(*joint["interval_68"], color=COLOURS[k], alpha=0.2, lw=0)
+        axes.axvline(joint["median"], color=COLOURS[k], lw=1)
+        for row, one in enumerate(fabric.captures):
+            each = one.content["moduli"][list(one.content["moduli"])[k]]["alpha_uN_m"]
+            axes.plot(each["interval_68"], [row, row], color=COLOURS[k], lw=1.5)
+            axes.plot(each["median"], row, "o", color=COLOURS[k], ms=4)
+        axes.set(title=f"alpha {name} [µN·m]", ylim=(len(fabric.captures) - 0.4, -0.6))
+        axes.set_yticks(range(len(fabric.captures)), [
+            _short(one.entry) for one in fabric.captures], fontsize=8, parse_math=False)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=100, metadata={"Software": None})
+    return picture.getvalue()
+
+
+def _short(entry: Entry) -> str:
+    text = f"{entry.sample}/{entry.capture}".strip("/")
+    return text if len(text) <= 28 else "…" + text[-27:]

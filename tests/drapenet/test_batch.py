@@ -1,0 +1,137 @@
+"""Trees of captures: what is found, what survives interruption, what reaches a spreadsheet."""
+
+import csv
+from pathlib import Path
+
+import pytest
+from cloths import capture_views
+
+import infer
+from common.errors import InputError
+from data.captures import write_capture
+from drapenet.overview import _cell, _write_csv
+from drapenet.tree import entries_of, plain_name
+
+NAMES = [("=cmd|' /C calc'!A0", "1", "a"), ("=cmd|' /C calc'!A0", "2", "a"),
+         ("<script>alert(1)</script>", "$x^", "b")]
+
+
+@pytest.fixture(scope="module")
+def captured() -> tuple:
+    return capture_views(orientation=0.4)
+
+
+def write(folder: Path, captured: tuple, density: float = 0.15) -> Path:
+    views, intrinsics = captured
+    write_capture(folder, views=views, intrinsics=intrinsics, density=density)
+    return folder
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(file.read_text("utf-8-sig").splitlines()))
+
+
+def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_checkpoint, capsys):
+    root, out = tmp_path / "root", tmp_path / "out"
+    lines = ["fabric,sample,capture"]
+    for k, (fabric, sample, _) in enumerate(NAMES):
+        write(root / str(k), captured)
+        quoted = fabric.replace('"', '""')
+        lines.append(f'"{quoted}",{sample},{k}')
+    lines.append("gone,,nowhere")
+    (root / "list.csv").write_text("\n".join(lines), "utf-8")
+    words = [f"captures={root / 'list.csv'}", f"out={out}", f"checkpoint={untrained_checkpoint}",
+             "workers=2"]
+    infer.main(words)
+    tables = {name: (out / name).read_bytes() for name in ("fabrics.csv", "captures.csv",
+                                                           "failures.csv")}
+    fabrics = rows(out / "fabrics.csv")
+    assert [row["fabric"] for row in fabrics] == ["<script>alert(1)</script>",
+                                                  "'" + NAMES[0][0]]
+    assert [row["captures"] for row in fabrics] == ["1", "2"]
+    assert float(fabrics[1]["warp_or_stiff_alpha_uN_m"]) > 0
+    # The fabric's density is half of 300 g/m², and so are its moduli; equal drapes do not vary.
+    assert float(fabrics[0]["bias_alpha_uN_m_at_300_g_m2"]) == pytest.approx(
+        2 * float(fabrics[0]["bias_alpha_uN_m"]), rel=1e-4)
+    assert float(fabrics[1]["alpha_bias_scatter_factor"]) == pytest.approx(1.0)
+    failure, = rows(out / "failures.csv")
+    assert failure["fabric"] == "gone" and "does not exist" in failure["reason"]
+    pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
+    assert len(pages) == 3 and not any("<script>" in page for page in pages)
+    assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
+    # What was finished stays; what is not, or has changed, is done again; tables are the same.
+    done = sorted(out.rglob("done.json"))
+    times = {file: file.stat().st_mtime_ns for file in done}
+    done[0].unlink()
+    capsys.readouterr()
+    infer.main(words)
+    assert "3 of 4 captures are finished; 1 to go" in capsys.readouterr().out
+    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
+    assert {name: (out / name).read_bytes() for name in tables} == tables
+    file = root / "2" / "capture.yaml"
+    file.write_text(file.read_text().replace("150.0", "300.0"))
+    infer.main(words)
+    assert rows(out / "fabrics.csv")[0]["density_g_m2"] == "300"
+
+
+def test_a_tree_of_broken_captures_ends_with_an_error_and_a_list(tmp_path, untrained_checkpoint):
+    (tmp_path / "root" / "a" / "b").mkdir(parents=True)
+    (tmp_path / "root" / "a" / "b" / "view_0.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="none of 1 captures"):
+        infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}",
+                    f"checkpoint={untrained_checkpoint}", "workers=1"])
+    assert "neither capture.yaml" in rows(tmp_path / "out" / "failures.csv")[0]["reason"]
+    assert rows(tmp_path / "out" / "fabrics.csv") == []
+
+
+def test_trees_of_every_depth_are_found(tmp_path):
+    for place in ("denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "capture.yaml").touch()
+    (tmp_path / ".hidden").mkdir()
+    (tmp_path / ".hidden" / "capture.yaml").touch()
+    (tmp_path / "denim" / "notes.txt").touch()
+    (tmp_path / "denim" / "empty").mkdir()
+    found = {(one.fabric, one.sample, one.capture) for one in entries_of(tmp_path)}
+    assert found == {("denim", "1", "first"), ("denim", "1", "second"), ("silk", "", "only"),
+                     ("wool", "", "wool"), ("felt", "2/side", "third")}
+    with pytest.raises(InputError, match=r"is one capture: give capture="):
+        entries_of(tmp_path / "wool")
+    with pytest.raises(InputError, match="holds no captures"):
+        entries_of(tmp_path / "denim" / "empty")
+
+
+def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_path):
+    names = ["Silk", "silk", "a/b", "a:b", "../../up", "..", "con\nsole", "  "]
+    text = "fabric,capture\n" + "".join(f'"{name}",x\n' for name in names[:-2])
+    file = tmp_path / "list.csv"
+    file.write_text(text + "Silk,x\n", "utf-8")
+    places = [one.place for one in entries_of(file)]
+    assert len({str(place).casefold() for place in places}) == len(places)
+    assert places[-1].parent == places[0].parent  # the same fabric
+    assert all(not place.is_absolute() and ".." not in place.parts for place in places)
+    assert all(plain_name(name) not in ("", ".", "..") for name in names)
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("name,capture\na,b\n", "no column 'fabric'"),
+    ("fabric,capture\na,\n", "line 2"),
+    ("fabric,capture\n", "holds no captures"),
+    ("fabric,capture\n\"a,b\n", "cannot be read"),
+    (b"\xff\xfe\x00", "UTF-8"),
+])
+def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
+    file = tmp_path / "list.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=message) as raised:
+        entries_of(file)
+    assert "\n" not in str(raised.value)
+
+
+def test_cells_are_no_formulas_but_numbers_stay(tmp_path):
+    assert [_cell(value) for value in ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain")] == [
+        "'=1+1", "'@x", "'\tx", "-2.5", "+3", -2.5, "", "plain"]
+    _write_csv(tmp_path / "t.csv", [{"a": 'x,"y"\nz', "b": -1}])
+    assert rows(tmp_path / "t.csv") is not None
+    with (tmp_path / "t.csv").open(encoding="utf-8-sig", newline="") as stream:
+        assert list(csv.reader(stream)) == [["a", "b"], ['x,"y"\nz', "-1"]]
