@@ -8,8 +8,10 @@ of two colours lie apart, the table had not turned as stated, or the cloth has m
 
 import   folder of the frames
 out      new or empty folder of the capture
+board    alone: PNG of a ChArUco board for the turntable, to print on A4 at its true size
 """
 
+from pathlib import Path
 from typing import NoReturn
 
 import cv2
@@ -18,6 +20,7 @@ import numpy as np
 from common.cli import parse_overrides, run_command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
+from data.board import SQUARE, board_picture
 from data.cameras import Intrinsics
 from data.captures import read_capture, write_capture
 from data.cutout import CutOut, cut_out
@@ -35,8 +38,13 @@ _AXES = (60, 60, 255), (60, 200, 60), (255, 120, 60)
 
 
 def main(argv: list[str]) -> None:
-    """The command line: ``import=PATH out=DIR``."""
-    config = parse_overrides({"import": "", "out": ""}, argv)
+    """The command line: ``import=PATH out=DIR``, or ``board=FILE``."""
+    config = parse_overrides({"import": "", "out": "", "board": ""}, argv)
+    if config["board"]:
+        replace_file(Path(config["board"]), board_picture())
+        print(f"board: {config['board']}; print it on A4 at 100 %: squares of "
+              f"{1e3 * SQUARE:g} mm")
+        return
     if not config["import"]:
         raise InputError("import= needs the folder of the frames")
     out = folder_named(config["out"])

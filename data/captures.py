@@ -27,6 +27,7 @@ from PIL import Image
 from scipy import ndimage
 
 from common.errors import InputError, one_line
+from data.board import board_intrinsics, board_turns, shows_board
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
 from data.cutout import CutOut, cut_out, is_raw
 from data.frames import read_frames
@@ -216,9 +217,14 @@ def _read_metric(path: Path) -> Capture:
     views, background = found.frames, found.background
     height, width = views.shape[1:]
     intrinsics = found.intrinsics
-    if intrinsics is None or "intrinsics" in description:
+    board = found.color is not None and shows_board(found.color)
+    if board and intrinsics is None and "intrinsics" not in description:
+        intrinsics = board_intrinsics(found.color)
+    elif intrinsics is None or "intrinsics" in description:
         intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
     turns = _turns(description.get("turns_deg"), file, len(views))
+    if board and "turns_deg" not in description:
+        turns = board_turns(found.color, intrinsics)
     step = -(-width // LARGEST_WIDTH)
     if step > 1:
         views = views[:, ::step, ::step]

@@ -62,11 +62,13 @@ class Frames:
         frames: (K, H, W) float32, m, one a view.
         background: (H, W) float32, m, the empty scene; None without one.
         intrinsics: that the files themselves state; None where they do not.
+        color: (K, H, W) uint8 grey, pictures of a board; None without them.
     """
 
     frames: np.ndarray
     background: np.ndarray | None
     intrinsics: Intrinsics | None = None
+    color: np.ndarray | None = None
 
 
 def read_frames(
@@ -110,7 +112,22 @@ def read_frames(
         if background.shape != frames.shape[1:]:
             raise InputError(f"{folder / BACKGROUND} has {_size(background)} pixels, the views "
                              f"have {_size(frames[0])}; take it with the same camera")
-    return Frames(frames.astype(np.float32), background, intrinsics)
+    color = None
+    if any(re.fullmatch(r"color_\d+\.png", name) for name in names):
+        files = numbered(folder, "color_{}.png")
+        pictures = [_grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
+                    for file in files]
+        color = join_views(folder, [file.name for file in files], pictures)
+        if color.shape != frames.shape:
+            raise InputError(f"{folder}: {len(color)} color pictures of {_size(color[0])} pixels "
+                             f"do not fit {len(frames)} views of {_size(frames[0])}; give as many "
+                             "of the same pixels (the SDK's color aligned to depth)")
+    return Frames(frames.astype(np.float32), background, intrinsics, color)
+
+
+def _grey(picture: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 of a picture in grey or colour."""
+    return picture if picture.ndim == 2 else picture[..., :3].mean(axis=2).astype(np.uint8)
 
 
 def _recorded(name: str) -> bool:
