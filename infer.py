@@ -19,7 +19,7 @@ from common.cli import parse_overrides, run_command
 from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
-from data.captures import Capture, captures_in, checked_density, read_capture
+from data.captures import Capture, captures_in, checked_density, read_capture, require_alike
 from data.configs import read_config
 from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.output import require_output, write_estimate, write_report
@@ -117,10 +117,8 @@ def header_for(captures: list[Capture], checkpoint: str) -> Header:
         InputError: several rigs, some captures with a marked warp and some without, or a checkpoint
             of another rig.
     """
-    for what, values in (("rig", {one.rig for one in captures}),
-                         ("warp_direction_deg", {one.warp_direction is None for one in captures})):
-        if len(values) > 1:
-            raise InputError(f"captures of one fabric must agree in {what}; give them one by one")
+    require_alike([one.rig for one in captures],
+                  [one.warp_direction is not None for one in captures])
     header = read_header(checkpoint or bundled(captures[0].rig))
     header.require_rig(captures[0].rig)
     return header

@@ -24,10 +24,9 @@ from data.board import SQUARE, board_picture
 from data.cameras import Intrinsics
 from data.captures import read_capture, write_capture
 from data.cutout import CutOut, cut_out
-from data.plate import reach
 from sim.scene import Rig
 
-DEPTH_UNIT = 1e-4  # m per count: no file's depth is rounded anew
+DEPTH_UNIT = 1e-4  # m per count, finer than any file's
 PICTURE = "capture.png"
 _AXIS = 0.04  # m, length of the axes drawn
 _SMALLEST = 480  # pixels, width of a frame in the picture
@@ -108,7 +107,7 @@ def _from_above(
 ) -> np.ndarray:
     """Tile of ``shape`` with the cloth of all views as in the first one, its right to the right."""
     tile = np.full(shape, 255, np.uint8)
-    scale = shape[0] / (2 * _WIDE * (rig.plate_radius + reach(rig)))
+    scale = shape[0] / (2 * _WIDE * rig.reach)
     middle = np.array([shape[1], shape[0]]) / 2
 
     def pixels(points: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ InputError of one line that names the file.
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -123,6 +123,19 @@ def captures_in(path: Path) -> list[Path]:
     inside = sorted(folder for folder in path.iterdir()
                     if any((folder / mark).is_file() for mark in MARKS))
     return inside or [path]
+
+
+def require_alike(rigs: Iterable[str], marked: Iterable[bool]) -> None:
+    """InputError for captures that cannot be of one fabric's estimate.
+
+    Args:
+        rigs: of the captures.
+        marked: whether each says where the warp lies.
+    """
+    for what, values in (("rig", set(rigs)), ("warp_direction_deg", set(marked))):
+        if len(values) > 1:
+            raise InputError(f"captures of one fabric must agree in {what}; give those that do not "
+                             "as another fabric")
 
 
 def write_capture(

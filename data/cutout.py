@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from common.errors import InputError
 from data.cameras import Intrinsics
-from data.plate import Plate, find_plate, reach
+from data.plate import Plate, find_plate
 from sim.scene import Rig
 
 MOST_CLOTH = 0.9  # of a picture's pixels
@@ -63,16 +63,16 @@ def is_raw(frame: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> bool:
     much that is farther away than cloth is large.
     """
     seen = frame > 0
-    # In a wrong unit nothing can be told; the reader says so.
+    # Depth in a wrong unit is the reader's to report.
     if not seen.any() or not SCENE[0] < np.median(frame[seen]) < SCENE[1]:
         return False
     border = np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]])
     if seen.mean() > MOST_CLOTH or border.mean() > _MOST_BORDER:
         return True
     points = intrinsics.back_project(frame)[seen]
-    size = 2 * (rig.plate_radius + reach(rig))
+    size = 2 * rig.reach
     away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    # A far piece that somebody forgot to cut away is left to the reader to tell.
+    # A far piece that somebody forgot to cut away is the reader's to report.
     return bool((away > size).mean() > _OUTSIDE)
 
 
@@ -152,7 +152,7 @@ def cut_out(
 def _within_reach(radius: np.ndarray, height: np.ndarray, rig: Rig) -> np.ndarray:
     """Where cloth that the plate holds can be; ``radius`` from its axis, ``height`` above it, m."""
     beyond = np.maximum(radius - rig.plate_radius, 0.0)
-    return (np.hypot(beyond, height) < reach(rig) + _SLACK) & (height < _ABOVE)
+    return (np.hypot(beyond, height) < rig.overhang + _SLACK) & (height < _ABOVE)
 
 
 def _on_surface(frames: np.ndarray) -> np.ndarray:
@@ -170,7 +170,7 @@ def _on_surface(frames: np.ndarray) -> np.ndarray:
 
 def _column_radius(radius: np.ndarray, height: np.ndarray, rig: Rig) -> float | None:
     """m, of the column, from points on surfaces: inside the plate's rim, or below all cloth."""
-    low = reach(rig) + _SLACK
+    low = rig.overhang + _SLACK
     inside = (height < -_COLUMN_BELOW) & (radius < rig.plate_radius - _COLUMN_NEAR[1])
     below = (height < -low) & (height > -low - 0.1) & (
         radius < rig.plate_radius + 2 * _COLUMN_NEAR[1])

@@ -48,7 +48,8 @@ KINDS = {
 OTHER = {
     ".tif": "save its depth as 16-bit PNG in millimetres",
     ".tiff": "save its depth as 16-bit PNG in millimetres",
-    ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 view_%d.png",
+    ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 frame_%d.png, and "
+            "keep one of each stop, view_0.png and so on",
     ".r3d": "export its depth frames as npy in metres",
 }
 """What to do with files of other kinds."""
@@ -188,9 +189,13 @@ def _median(folder: Path, count: int, view: int) -> np.ndarray:
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
     """``depth``, m, with 0 for all that is no depth."""
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-    if depth.any() and (middle := float(np.median(depth[depth > 0]))) > FARTHEST:
-        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
+    _require_metres(depth[depth > 0], file)
     return depth
+
+
+def _require_metres(depths: np.ndarray, file: Path) -> None:
+    if depths.size and (middle := float(np.median(depths))) > FARTHEST:
+        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
 
 
 def read_array(file: Path) -> np.ndarray:
@@ -276,8 +281,7 @@ def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
     if not len(points):
         raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
                          "y down, z forward")
-    if (middle := float(np.median(points[:, 2]))) > FARTHEST:
-        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
+    _require_metres(points[:, 2], file)
     u = np.rint(intrinsics.fx * points[:, 0] / points[:, 2] + intrinsics.cx)
     v = np.rint(intrinsics.fy * points[:, 1] / points[:, 2] + intrinsics.cy)
     inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)

@@ -64,12 +64,6 @@ class Plate:
         return (points - self.centre) @ _axes(self.normal)
 
 
-def reach(rig: Rig) -> float:
-    """m, how far the specimen extends beyond the plate's rim where it extends farthest."""
-    half = rig.specimen_size / 2
-    return half * (1.0 if rig.specimen == "disc" else np.sqrt(2.0)) - rig.plate_radius
-
-
 def find_plate(points: np.ndarray, rig: Rig) -> Plate | None:
     """The plate under the cloth in points (N, 3), m, camera axes, of all frames; None without one.
     """
@@ -171,7 +165,7 @@ def _hanging(local: np.ndarray, rig: Rig) -> float:
 
     ``local`` (N, 3), m, of the would-be plate's axes.
     """
-    beyond, longest = np.hypot(local[:, 0], local[:, 1]) - rig.plate_radius, reach(rig)
+    beyond, longest = np.hypot(local[:, 0], local[:, 1]) - rig.plate_radius, rig.overhang
     away = np.hypot(beyond, local[:, 2])
     hanging = (beyond > 0) & (local[:, 2] < 0) & (local[:, 1] < 0)
     seen = np.ones(_SECTORS, bool)

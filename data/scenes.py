@@ -128,7 +128,6 @@ def _with_thing(
     """The empty scene (H, W) with one more box or cylinder, that hides no cloth in any view and
     stays out of the cloth's reach; as it was where no such place is found.
     """
-    reach = rig.specimen_size / (2 if rig.specimen == "disc" else np.sqrt(2))
     for _ in range(_TRIES):
         away, azimuth = rng.uniform(*_BESIDE), rng.uniform(-np.pi / 3, 4 / 3 * np.pi)
         x, y = away * np.cos(azimuth), away * np.sin(azimuth)
@@ -139,7 +138,7 @@ def _with_thing(
             size = [2 * wide, 2 * rng.uniform(0.02, 0.08), high - table]
             thing = _box([x, y, (table + high) / 2], size, rng.uniform(0, np.pi))
         nearest = np.linalg.norm(thing.vertices[:, :2], axis=1).min()
-        if nearest < reach + _CLEAR and high > rig.plate_radius - reach - _CLEAR:
+        if nearest < rig.reach + _CLEAR and high > -rig.overhang - _CLEAR:
             continue
         depth = _distance(_depth([thing], camera))
         if (np.isfinite(depth) & (depth < clean)).any():

@@ -52,15 +52,16 @@ def estimate_tree(
     entries = entries_of(source)
     require_folder(out)
     chosen = str(read_header(checkpoint).path) if checkpoint else ""
-    missing = [entry for entry in entries if _failure(out / entry.place, stamp_of(
-        entry.path, chosen, options)) is None]
+    stamps = {entry.place: stamp_of(entry.path, chosen, options) for entry in entries}
+    missing = [entry for entry in entries
+               if _failure(out / entry.place, stamps[entry.place]) is None]
     print(f"{len(entries) - len(missing)} of {len(entries)} captures are finished; {len(missing)} "
           "to go. If interrupted, the same command goes on.", flush=True)
     if missing:
         count = min(workers or joblib.cpu_count(), len(missing))
         with worker_pool(count) as pool, progress_bar(total=len(missing), unit="capture") as bar:
-            futures = {pool.submit(_estimate, entry.path, out / entry.place, chosen, options): entry
-                       for entry in missing}
+            futures = {pool.submit(_estimate, entry.path, out / entry.place, stamps[entry.place],
+                                   chosen, options): entry for entry in missing}
             for future in as_completed(futures):
                 if failure := future.result():
                     bar.write(f"failed: {futures[future].path}: {failure}")
@@ -110,9 +111,14 @@ def _failure(folder: Path, stamp: str | None = None) -> str | None:
         return None
 
 
-def _estimate(capture: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -> str:
-    """Estimate one capture and write its folder; why not, in one line."""
-    stamp, failure = stamp_of(capture, checkpoint, options), ""
+def _estimate(
+    capture: Path, folder: Path, stamp: str, checkpoint: str, options: dict[str, Any]
+) -> str:
+    """Estimate one capture and write its folder; why not, in one line.
+
+    ``stamp`` is from before: of a capture that changes meanwhile, the next run sees it.
+    """
+    failure = ""
     for name in (DONE, ESTIMATE, REPORT, SAMPLES, THUMBNAIL):
         remove_file(folder / name)
     try:

@@ -73,8 +73,7 @@ def elevations(rig: Rig) -> np.ndarray:
     plate's rim.
     """
     depth = -centre_height(rig)
-    reach = rig.specimen_size / (2 if rig.specimen == "disc" else np.sqrt(2)) - rig.plate_radius
-    return np.linspace(np.arctan2(depth - reach, _UNDER * rig.plate_radius),
+    return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),
                        np.arctan2(depth, rig.plate_radius), ELEVATIONS + 1)
 
 

@@ -33,7 +33,7 @@ _HEADER_KEYS = {"rig", "model", "targets", "fabrics", "dataset", "weights", "val
 _TARGETS = {6, 8}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Header:
     """A checkpoint's JSON file, validated.
 

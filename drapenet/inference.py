@@ -1,6 +1,7 @@
 """One capture: from views to an estimate, its JSON and its report."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts
 from drapenet.registration import camera_doubts
 from sim.scene import Rig
+
+_network = lru_cache(maxsize=1)(load_model)  # of many captures, one header
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def infer_capture(
     rig = Rig.from_name(header.rig)
     camera = located_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
-    draws, = predict(load_model(header), header, [found], membrane=membrane, friction=friction)
+    draws, = predict(_network(header), header, [found], membrane=membrane, friction=friction)
     return Inferred(make_estimate(draws, capture=capture, header=header), camera, found)
 
 

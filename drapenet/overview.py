@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from common.files import replace_file, replace_json
-from drapenet.convention import LINEAR
+from data.captures import require_alike
+from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from drapenet.estimate import Estimate
 from drapenet.joint import joint_content
 from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
@@ -30,7 +31,7 @@ from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
-COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")
+FAILURE = ("fabric", "sample", "capture", "path", "reason")
 SPREAD, PAGE = "captures.png", "index.html"
 _FORMULA = "=+-@\t\r\n"  # a cell that begins like this is computed by spreadsheets
 
@@ -67,7 +68,8 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
     Args:
         outcomes: every capture, with the reason why it has no estimate, or ''.
     """
-    failures = [(entry.fabric, entry.sample, entry.capture, str(entry.path), failure)
+    failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
+                                   failure), strict=True))
                 for entry, failure in outcomes if failure]
     fabrics = []
     ordered = sorted((entry for entry, failure in outcomes if not failure),
@@ -76,13 +78,11 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
         try:
             fabrics.append(_fabric(name, [_finished(out, entry) for entry in entries]))
         except InputError as error:
-            failures.append((name, "", "", "", str(error)))
+            failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     _write_csv(out / "fabrics.csv", [_fabric_row(one) for one in fabrics])
     _write_csv(out / "captures.csv", [_capture_row(one) for fabric in fabrics
                                       for one in fabric.captures])
-    _write_csv(out / "failures.csv", [
-        dict(zip(("fabric", "sample", "capture", "path", "reason"), row, strict=True))
-        for row in failures] or ["fabric", "sample", "capture", "path", "reason"])
+    _write_csv(out / "failures.csv", failures, FAILURE)
     pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "pages"), autoescape=True,
                                undefined=jinja2.StrictUndefined, trim_blocks=True)
     pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure}
@@ -117,11 +117,8 @@ def _finished(out: Path, entry: Entry) -> Finished:
 
 
 def _fabric(name: str, captures: list[Finished]) -> FabricResult:
-    for what, values in (("rig", {one.content["capture"]["rig"] for one in captures}),
-                         ("warp_direction_deg", {one.estimate.names for one in captures})):
-        if len(values) > 1:
-            raise InputError(f"captures of one fabric must agree in {what}; give those that do not "
-                             "another fabric's name")
+    require_alike([one.content["capture"]["rig"] for one in captures],
+                  [one.estimate.names == WARP_WEFT for one in captures])
     place = Path(captures[0].entry.place.parts[0])
     if len(captures) == 1:
         return FabricResult(name, place, captures, captures[0].content, np.full(3, np.nan))
@@ -165,34 +162,37 @@ def _figures(content: dict[str, Any]) -> dict[str, object]:
     for suffix, table in tables:
         for role, quantities in zip(ROLES, table.values(), strict=True):
             for quantity, value in quantities.items():
-                kind, _, unit = quantity.partition("_")
-                name = f"{role}_{kind}_{unit}{suffix}"
-                if value is None or isinstance(value, dict):
-                    row |= _columns(name, value)
-                else:
+                name = f"{role}_{quantity}{suffix}"
+                if isinstance(value, float):
                     row[name] = _text(value)
+                else:
+                    row |= _columns(name, value)
     return row
 
 
 def _columns(name: str, quantity: dict[str, Any] | None) -> dict[str, str]:
-    ends = {f"{name}_{end}{level}": (quantity[f"interval_{level}"][k] if quantity else None)
-            for level in (68, 90) for k, end in enumerate(("low", "high"))}
-    return {column: "" if value is None else _text(value) for column, value in
-            {name: quantity["median"] if quantity else None, **ends}.items()}
+    """Median and intervals; empty where there is no value."""
+    columns = {name: "", **{f"{name}_{end}{level}": "" for level in (68, 90)
+                            for end in ("low", "high")}}
+    if quantity:
+        values = [quantity["median"], *quantity["interval_68"], *quantity["interval_90"]]
+        columns = dict(zip(columns, map(_text, values), strict=True))
+    return columns
 
 
 def _text(value: float) -> str:
     return f"{value:.6g}"
 
 
-def _write_csv(path: Path, rows: Sequence[dict[str, object]] | list[str]) -> None:
-    """A table for spreadsheets; of no rows, given as column names, its head alone."""
+def _write_csv(
+    path: Path, rows: Sequence[dict[str, object]], columns: Sequence[str] = ()
+) -> None:
+    """A table for spreadsheets; ``columns`` are those of a table that may have no rows."""
     stream = io.StringIO()
-    head = list(rows[0]) if rows and isinstance(rows[0], dict) else list(rows)
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([[_cell(row[name]) for name in head] for row in rows
-                      if isinstance(row, dict)])
+    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
+                            lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     replace_file(path, ("\ufeff" + stream.getvalue()).encode())  # Excel takes it for UTF-8
 
 

@@ -119,7 +119,7 @@ def quality_doubts(quality: Quality) -> list[str]:
                       "scale, fx and fy, the specimen's size and the cut-out")
     if q.offset > LARGEST_OFFSET:
         doubts.append(f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis "
-                      f"(at most {1e3 * LARGEST_OFFSET:g} mm): lay it on the plate anew")
+                      f"(at most {1e3 * LARGEST_OFFSET:g} mm): place it on the plate again")
     if abs(q.bulge) > LARGEST_BULGE:
         doubts.append(f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
                       f"{1e3 * LARGEST_BULGE:g} mm): depth must be along the optical axis, not the "

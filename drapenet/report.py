@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from drapenet.content import interval_table, torque_samples
+from drapenet.convention import COLOURS
 from drapenet.estimate import Estimate
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
 from drapenet.table import with_interval
 
 LARGEST_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
-COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # first yarns, bias, other yarns
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 

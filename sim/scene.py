@@ -75,6 +75,16 @@ class Rig:
         return self.plate_diameter / 2
 
     @property
+    def reach(self) -> float:
+        """Distance of the flat specimen's farthest point from its centre, m."""
+        return self.specimen_size / (2 if self.specimen == "disc" else np.sqrt(2))
+
+    @property
+    def overhang(self) -> float:
+        """Largest distance of a centred specimen's border beyond the plate's rim, m."""
+        return self.reach - self.plate_radius
+
+    @property
     def has_plate(self) -> bool:
         """Whether the specimen is draped over a plate, so that it has a drape coefficient."""
         return self.plate_diameter > 0

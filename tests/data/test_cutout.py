@@ -71,7 +71,7 @@ def test_the_column_is_measured_and_removed():
     assert not (cut.masks & column).any()
 
 
-def test_the_empty_scene_helps_and_a_moved_camera_is_told(scene):
+def test_the_empty_scene_helps_and_a_moved_camera_is_reported(scene):
     intrinsics = scene.camera.intrinsics
     cut = cut_out(scene.frames, intrinsics, Rig(), scene.background)
     assert overlaps(cut.masks, scene.cloth).min() > 0.98 and not cut.doubts
