@@ -27,7 +27,9 @@ _LATER = 0.25  # s between two frames that are compared
 _STEP = 2  # of the pixels that are compared
 _FARTHEST = 1.5  # m; noise grows with distance, and the background is not compared
 _MOVED = 0.012, 0.02  # m, and share of the depth, from which a pixel has moved
-_STILL = 0.004, 3.0  # share of moved pixels in rest; times that of the stillest quarter
+_STILL = 0.004, 3.0, 0.02
+"""Share of moved pixels in rest: at least; times that of the stillest quarter, for noisy sensors;
+at most, or a table that never rests would be at rest."""
 _SAME_STOP = 0.01  # share of pixels by which one stop, interrupted, may differ from itself
 _PNG = b"\x89PNG"
 _DEPTH16 = ("mono16", "16uc1", "z16")
@@ -89,7 +91,8 @@ def rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
     """
     if len(times) < 2:
         return [(0, 0)] if len(times) else []
-    limit = max(_STILL[0], _STILL[1] * float(np.quantile(moved, 0.25)))
+    least, times_stillest, most = _STILL
+    limit = float(np.clip(times_stillest * np.quantile(moved, 0.25), least, most))
     still = np.concatenate([[False], moved < limit, [False]]).astype(int)
     edges = np.diff(still)
     spans = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True)

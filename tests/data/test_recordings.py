@@ -85,6 +85,7 @@ def never_still(file: Path, table: tuple) -> None:
 
 
 @pytest.mark.parametrize(("name", "make", "message"), [
+    ("a.bag", never_still, "0 stops of the table found"),
     ("a.bag", cut_short, "cannot be read as a recording"),
     ("a.bag", lambda file, table: write_bag(file, table[0], table[2], lens=0.1), "distorted"),
     ("a.bag", lambda file, table: write_bag(file, table[0][:0], table[2]), "no depth pictures"),

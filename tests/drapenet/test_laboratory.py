@@ -6,6 +6,7 @@ import pytest
 from drapenet.laboratory import (
     GF_CM,
     INCLINE,
+    KES_CURVATURES,
     MG_CM,
     bending_length,
     flexural_rigidity,
@@ -14,6 +15,7 @@ from drapenet.laboratory import (
 )
 from sim.cantilever import hang
 from sim.cantilever.elastica import aspect_ratio, heavy_elastica
+from sim.energies import plate_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
 from sim.scene import GRAVITY
 
@@ -50,6 +52,19 @@ def test_so_does_a_simulated_specimen(beta):
     strip = hang(fabric, length=length, width=0.03, edge=length / 24, diagonals="random")
     end = strip.curve[-1] - strip.curve[0]
     assert np.degrees(np.arctan2(end[1], end[0])) == pytest.approx(41.5, abs=0.4)
+
+
+def test_kes_reads_the_secant_of_the_simulated_cloth():
+    fabric = Fabric(alpha=np.array([60.0, 40.0, 20.0]) * MICRO,
+                    beta=np.array([-100.0, -70.0, -20.0]) * NANO)
+    law = plate_law.constants(fabric)
+    for k, way in enumerate(([1.0, 0, 0], [0.5, 0.5, 0.5], [0, 1.0, 0])):
+        # Torque of a cylinder: derivative of the energy per area that the simulator minimises.
+        torques = [(plate_law.energy(np.array(way) * (kappa + 1e-2), law)
+                    - plate_law.energy(np.array(way) * (kappa - 1e-2), law)) / 2e-2
+                   for kappa in KES_CURVATURES]
+        expected = (torques[1] - torques[0]) / (KES_CURVATURES[1] - KES_CURVATURES[0])
+        assert kes_bending(fabric.alpha[k], fabric.beta[k]) == pytest.approx(expected, rel=1e-6)
 
 
 def test_kes_is_the_secant_and_knows_where_the_law_ends():
