@@ -1,19 +1,16 @@
 """Recordings of a turntable: stops are found, and what the files say is read."""
 
 import sqlite3
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from turntable import FILE, turntable, write_bag
 
 from common.errors import InputError
 from data.captures import read_capture
 from data.reading import median_depth
 from data.recordings import read_recording, rests
-
-sys.path.append(str(Path(__file__).parent))
-from turntable import FILE, turntable, write_bag
 
 
 @pytest.fixture(scope="module")
