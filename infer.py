@@ -4,6 +4,7 @@
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
     python infer.py scan=FILE [refine=scan] [out=DIR]
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
+    ... export=jfab,usd                        files for other tools as well, or export=all
 
 Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. What a capture
 consists of is described in ``README.md``, "Your own fabric", all keys in ``configs/infer.yaml``.
@@ -22,7 +23,7 @@ from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture, require_alike
 from data.configs import read_config
 from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.output import require_output, write_estimate, write_report
+from drapenet.output import ESTIMATE, require_output, write_estimate, write_report
 from drapenet.table import format_table
 
 DRAPES = 2  # of the report of a single capture
@@ -38,9 +39,11 @@ def main(argv: list[str]) -> None:
     if config["captures"]:
         from drapenet.batch import estimate_tree
 
-        estimate_tree(Path(config["captures"]), folder_named(config["out"]),
+        root = folder_named(config["out"])
+        estimate_tree(Path(config["captures"]), root,
                       checkpoint=config["checkpoint"], workers=config["workers"],
                       **options | {"drapes": max(config["drapes"], 0)})
+        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), config["export"])
         return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
@@ -67,6 +70,18 @@ def main(argv: list[str]) -> None:
 
         content = joint_content([one.estimate for one in found], [one.content for one in found])
         write_estimate(out, content, format_table(content))
+    export_estimates([out / ESTIMATE], config["export"])
+
+
+def export_estimates(files: list[Path], names: str) -> None:
+    """Write the exports ``names`` beside each ``estimate.json`` of ``files``."""
+    if not names:
+        return
+    from drapenet.export import export_all, read_material, targets_named
+
+    for file in files:
+        written = export_all(read_material(file), targets_named(names, "export"), file.parent)
+        print(f"exports:  {', '.join(str(path) for path in written)}")
 
 
 def known(config: dict[str, Any]) -> dict[str, float]:
@@ -86,6 +101,10 @@ def check(config: dict[str, Any]) -> None:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
         raise InputError("no capture; give capture=DIR, a folder with depth images")
+    if config["export"]:
+        from drapenet.export import targets_named
+
+        targets_named(config["export"], "export")
     if not -1 <= config["drapes"] <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
     if config["membrane_n_per_m"] < 0:

@@ -61,6 +61,14 @@ def test_a_doubtful_capture_is_refused_where_that_is_wanted(
     assert not (capture.parent / "out" / "estimate.json").exists()
 
 
+def test_exports_stand_beside_the_estimate(capture: Path, checkpoint: Path) -> None:
+    infer.main(words(capture, checkpoint, "drapes=0", "export=jfab,torque"))
+    names = {file.name for file in (capture.parent / "out").iterdir()}
+    assert names == {"estimate.json", "fabric.jfab", "torque.csv"}
+    with pytest.raises(InputError, match="export=zfab: unknown"):
+        infer.main(words(capture, checkpoint, "export=zfab"))
+
+
 def spoil_yaml(**changes: object) -> Callable[[Path, Path], None]:
     def change(capture: Path, _: Path) -> None:
         file = capture / "capture.yaml"

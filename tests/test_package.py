@@ -24,7 +24,7 @@ def test_imports_from_outside_the_repository(tmp_path):
 
 def test_console_scripts_answer(tmp_path):
     scripts = Path(sys.executable).parent
-    for name in ("sim", "generate", "train", "infer", "evaluate"):
+    for name in ("sim", "generate", "train", "infer", "evaluate", "export"):
         script = scripts / f"drapenet-{name}"
         done = subprocess.run([script, "nonsense=1"], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 2, (name, done.stderr)

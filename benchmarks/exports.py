@@ -1,0 +1,141 @@
+"""Do exported materials bend as the fabric does? ``python -m benchmarks.exports``
+
+Strips hang in Newton's Style3D, on the CPU, along the warp, the bias and the weft, with the
+material that :mod:`drapenet.export` writes, of a fabric with one modulus and of one with three.
+Their drop over reach is compared with the heavy elastica's, and given as the modulus that the strip
+seems to have, over the fabric's. VBD is left out: with the steps that a strip needs to hang at rest
+there (above 4 000 a second) it takes minutes for each second.
+
+Needs ``pip install newton==1.8.0 warp-lang==1.19.0``. Keys (``key=value``):
+
+    edge_mm   of the strips' mesh
+    mesh      its kind, :data:`drapenet.export.MESHES`
+    seconds   of simulated time, after which the strip should have come to rest
+    out       the report, JSON
+"""
+
+import json
+import runpy
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.common import REPORTS, parse_settings, table, write_report
+from common.cli import run_command
+from common.errors import InputError
+from drapenet.export import GAMMA, MESHES, export, read_material
+from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
+from sim.material import DIRECTIONS, MICRO
+from sim.mesh import Mesh, strip
+from sim.scene import GRAVITY
+
+FABRICS = {"one modulus": (40.0, 40.0, 40.0), "three moduli": (60.0, 40.0, 20.0)}  # µN·m
+DENSITY = 200.0  # g/m²
+STEP = 1 / 120  # s
+MEMBRANE = 400.0  # N/m
+
+ITERATIONS = 400  # of its linear solver; fewer damp the motion
+
+DEFAULTS = {"edge_mm": 5.0, "mesh": "alternating", "seconds": 1.5,
+            "out": str(REPORTS / "exports.json")}
+
+
+def estimate_file(folder: Path, alphas: tuple[float, ...]) -> Path:
+    """An ``estimate.json`` of the fabric, without intervals' width."""
+    def exact(value: float) -> dict:
+        return {"median": value, "interval_68": [value] * 2, "interval_90": [value] * 2}
+
+    content = {
+        "schema": "drapenet-estimate", "schema_version": 2, "convention": "warp/weft",
+        "capture": {"source": "benchmarks.exports", "density_g_m2": DENSITY},
+        "moduli": {name: {"alpha_uN_m": exact(alpha), "beta_nN_m2": exact(0.0)}
+                   for name, alpha in zip(DIRECTIONS, alphas, strict=True)},
+        "warnings": []}
+    path = folder / "estimate.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def hang(
+    material: dict, mesh: Mesh, held: np.ndarray, *, angle: float, seconds: float
+) -> tuple[np.ndarray, float]:
+    """(V, 3) m, where the strip along +x comes to rest, and its greatest speed, m/s, at the end.
+
+    Args:
+        material: ``MATERIAL`` of the exported module.
+        angle: rad, from the strip's length to the warp.
+    """
+    import newton
+    import warp as wp
+    from newton.solvers import SolverStyle3D, style3d
+
+    wp.config.quiet = True
+    wp.set_device("cpu")
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, -GRAVITY))
+    SolverStyle3D.register_custom_attributes(builder)
+    points = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
+    warp = np.array([np.cos(angle), np.sin(angle)])
+    weft = np.array([warp[1], -warp[0]])
+    style3d.add_cloth_mesh(
+        builder, pos=wp.vec3(0, 0, 0), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0, 0, 0),
+        vertices=[wp.vec3(*point) for point in points], indices=mesh.faces.ravel().tolist(),
+        density=material["density_kg_m2"], particle_radius=1e-4,
+        panel_verts=np.column_stack([mesh.rest @ weft, mesh.rest @ warp]).tolist(),
+        panel_indices=mesh.faces.tolist(),
+        tri_aniso_ke=wp.vec3(MEMBRANE, MEMBRANE, MEMBRANE / 4),
+        edge_aniso_ke=wp.vec3(*material["edge_aniso_ke"]))
+    for k in np.flatnonzero(held):
+        builder.particle_mass[k] = 0.0
+        builder.particle_flags[k] = builder.particle_flags[k] & ~newton.ParticleFlags.ACTIVE
+    model = builder.finalize()
+    solver = SolverStyle3D(model=model, iterations=ITERATIONS)
+    solver.collision = None  # nothing to touch
+    now, then, control = model.state(), model.state(), model.control()
+    for _ in range(round(seconds / STEP)):
+        now.clear_forces()
+        solver.step(now, then, control, None, STEP)
+        now, then = then, now
+    return now.particle_q.numpy(), float(np.abs(now.particle_qd.numpy()).max())
+
+
+def main(argv: list[str]) -> None:
+    """Hang all strips and write the report."""
+    settings = parse_settings(DEFAULTS, argv)
+    try:
+        import newton
+    except ImportError:
+        raise InputError("Newton is not installed: pip install newton==1.8.0 warp-lang==1.19.0"
+                         ) from None
+    edge, rows = 1e-3 * settings["edge_mm"], []
+    for fabric, alphas in FABRICS.items():
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            material = read_material(estimate_file(folder, alphas), edge=edge,
+                                     mesh=settings["mesh"])
+            export(material, "newton", folder / "fabric.py")
+            module = runpy.run_path(str(folder / "fabric.py"))
+        diagonals, jitter = MESHES[material.mesh]
+        for name, alpha, angle in zip(DIRECTIONS, alphas, (0.0, np.pi / 4, np.pi / 2),
+                                      strict=True):
+            weight = 1e-3 * DENSITY * GRAVITY
+            length = np.ceil(np.cbrt(GAMMA * alpha * MICRO / weight) / edge) * edge
+            mesh, held = strip(length=length, width=round(length / edge / 2) * edge, edge=edge,
+                               clamp=2 * edge, diagonals=diagonals, jitter=jitter)
+            positions, speed = hang(module["MATERIAL"], mesh, held, angle=angle,
+                                    seconds=settings["seconds"])
+            x = mesh.rest[:, 0]
+            end = positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
+            gamma = gamma_of_aspect_ratio(aspect_ratio(np.array([end[0], -end[2]])))
+            expected = weight * length**3 / (alpha * MICRO)
+            rows.append({"fabric": fabric, "strip": name, "alpha_uN_m": alpha,
+                         "modulus_over_alpha": round(float(expected / gamma), 3),
+                         "speed_mm_s": round(1e3 * speed, 2)})
+            print(rows[-1], flush=True)
+    print(table(list(rows[0]), [list(row.values()) for row in rows]))
+    write_report(Path(settings["out"]), {"newton": newton.__version__, "ratio": material.ratio,
+                                         **settings, "strips": rows})
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

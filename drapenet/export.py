@@ -1,0 +1,473 @@
+"""Files of an estimate for other tools.
+
+    python -m drapenet.export ESTIMATE.json to=NAME [out=FILE] [mesh=KIND edge_mm=N]
+    python -m drapenet.export ESTIMATE.json to=all [out=FOLDER]
+    python -m drapenet.export list
+
+:data:`TARGETS` says what each tool gets, in which unit, by which relation, from which source, and
+what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction gets alpha, or the
+secant of the torque at a stated curvature.
+"""
+
+import hashlib
+import io
+import json
+import pprint
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from common.cli import parse_overrides, run_command
+from common.errors import InputError
+from common.files import replace_file, require_file, require_folder
+from data.configs import read_config
+from data.reading import finite_number, require_regular, shown
+from drapenet.content import SCHEMA, SCHEMA_VERSION
+from drapenet.convention import STIFF_SOFT, WARP_WEFT
+from sim.cantilever.equivalent import equivalent_modulus
+from sim.hinge_laws import mean_modulus
+from sim.hinge_units import ARCSIM
+from sim.material import BIAS, MICRO, NANO, WARP, WEFT, torque
+from sim.mesh import strip
+from sim.scene import GRAVITY
+
+LARGEST_ESTIMATE = 8 << 20  # bytes
+CLO = 1e9  # g·mm²/s² per N·m
+CLO_MOST = 2e6  # g·mm²/s², CLO's largest bending stiffness
+BROWZWEAR = 1e7  # dyn·cm per N·m
+PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
+STYLE3D = 3.0  # Newton's quadratic hinges: plate of modulus 3 ke
+ARCSIM_CURVATURES = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
+"""1/m, of ARCSim's table: theta l/(A0 + A1) is twice the number that its columns count in steps of
+5/m (``dde.cpp``, ``bending_stiffness``); beyond the last it stays."""
+CURVE = np.linspace(0.0, 400.0, 81)  # 1/m, of the torque's table
+MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
+          "equal": ("equal", 0.0), "random": ("random", 0.0)}
+"""Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
+FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
+SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
+GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
+
+
+@dataclass(frozen=True)
+class Material:
+    """What an estimate says of a fabric, as a tool takes it.
+
+    Attributes:
+        alpha: (3,) N·m, median linear moduli of the first yarns (warp), bias, second yarns (weft).
+        beta: (3,) N·m², quadratic.
+        density: kg/m².
+        curvature: 1/m, at which one modulus stands for the law.
+        mesh: name of :data:`MESHES`; edge: m.
+        content: of ``estimate.json``.
+        identity: SHA-256 of that file.
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    density: float
+    curvature: float
+    mesh: str
+    edge: float
+    content: dict[str, Any]
+    identity: str
+
+    @property
+    def modulus(self) -> np.ndarray:
+        """(3,) N·m: alpha, or the secant of the torque at :attr:`curvature`."""
+        if not self.curvature:
+            return self.alpha
+        return torque(np.array(self.curvature), self.alpha, self.beta) / self.curvature
+
+    @property
+    def ratio(self) -> float:
+        """Modulus of hinges on the mesh over the plate's that they hang like."""
+        natural = np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
+        cells = round(natural / self.edge)
+        if cells < FEWEST_CELLS:
+            raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
+                             f"folds are about {1e3 * natural:.0f} mm long; at most "
+                             f"{1e3 * natural / FEWEST_CELLS:.1f}")
+        return _ratio(self.mesh, min(cells, MOST_CELLS))
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Identity, intervals and circumstances, for files that have room, in JSON's types."""
+        capture = self.content["capture"]
+        first = self.content["convention"].partition("/")[0]
+        notes = [] if first == WARP_WEFT[0] else [
+            "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
+            "the warp"]
+        return {
+            "made_by": "drapenet", "estimate_sha256": self.identity,
+            "source": capture.get("source") or capture.get("sources"),
+            "density_g_m2": capture["density_g_m2"], "directions": self.content["convention"],
+            "moduli": self.content["moduli"], "modulus_at_curvature_1_m": self.curvature,
+            "warnings": [*self.content["warnings"], *notes],
+        }
+
+    @property
+    def about_hinges(self) -> dict[str, Any]:
+        """:attr:`about`, with the mesh that the figures belong to."""
+        return self.about | {"mesh": self.mesh, "edge_mm": round(1e3 * self.edge, 6),
+                             "hinge_over_plate_modulus": round(self.ratio, 4)}
+
+
+@dataclass(frozen=True)
+class Target:
+    """A tool's file.
+
+    Attributes:
+        file: its usual name.
+        tool, fields, relation, source, lost: for people.
+        write: the bytes of the files by their names, the first for the name given.
+    """
+
+    file: str
+    tool: str
+    fields: str
+    relation: str
+    source: str
+    lost: str
+    write: Callable[[Material, str], dict[str, bytes]]
+
+
+def read_material(
+    path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3
+) -> Material:
+    """The fabric of an ``estimate.json``; arguments as the attributes of :class:`Material`.
+
+    Raises:
+        InputError: no such file, another one, or an argument out of range.
+    """
+    if mesh not in MESHES:
+        raise InputError(f"mesh={mesh} is unknown; choose from {', '.join(MESHES)}")
+    if not 1e-4 <= edge <= 0.1:
+        raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
+    if not 0 <= curvature <= 1000:
+        raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
+    require_regular(path, LARGEST_ESTIMATE, "estimate")
+    try:
+        data = path.read_bytes()
+        content = json.loads(data)
+        if content["schema"] != SCHEMA or content["schema_version"] != SCHEMA_VERSION:
+            raise InputError(f"{path} is not of version {SCHEMA_VERSION}; estimate the capture "
+                             "again")
+        names = tuple(content["moduli"])
+        if names not in (WARP_WEFT, STIFF_SOFT):
+            raise InputError(f"{path}: directions {shown(names)} are unknown; estimate the "
+                             "capture again")
+        alpha, beta = (np.array([finite_number(content["moduli"][name][key]["median"],
+                                               f"{path}: {key}") for name in names]) * unit
+                       for key, unit in (("alpha_uN_m", MICRO), ("beta_nN_m2", NANO)))
+        density = 1e-3 * finite_number(content["capture"]["density_g_m2"], f"{path}: density_g_m2")
+        if not (alpha.min() > 0 and density > 0):
+            raise InputError(f"{path}: moduli and density must be positive; estimate the capture "
+                             "again")
+        material = Material(alpha, beta, density, curvature, mesh, edge, content,
+                            hashlib.sha256(data).hexdigest())
+        material.about  # what a file must have besides  # noqa: B018
+        return material
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise InputError(f"{path} is no estimate; give the estimate.json that infer.py writes"
+                         ) from None
+
+
+@cache
+def _ratio(mesh: str, cells: int) -> float:
+    diagonals, jitter = MESHES[mesh]
+    length = 0.09
+    edge = length / cells
+    ratios = []
+    for seed in range(SAMPLES if jitter or diagonals == "random" else 1):
+        found = equivalent_modulus(*strip(
+            length=length, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
+            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA)
+        if not found.found:
+            raise InputError(f"no strip on the mesh '{mesh}' came to rest ({found.message}); "
+                             "choose another mesh or edge_mm")
+        ratios.append(found.ratio)
+    return float(np.mean(ratios))
+
+
+def _json(content: object) -> bytes:
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _clo_bending(material: Material) -> np.ndarray:
+    """(3,) bending stiffness as CLO counts it, g·mm²/s²."""
+    return np.minimum(material.modulus * CLO, CLO_MOST)
+
+
+def _jfab(material: Material, name: str) -> dict[str, bytes]:
+    warp, bias, weft = _clo_bending(material).tolist()
+    label = Path(name).stem
+    physical = {
+        "enFabricType": 0, "fBuK": weft, "fBvK": warp, "fBhK": bias,
+        "fDensity": 1e-3 * material.density,
+        # CLO resets what is missing to these; no drape identifies them.
+        "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
+        "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5,
+        "fHK": 1e4, "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4,
+        "listNonlinearSuK": [], "listNonlinearSvK": [], "listNonlinearHK": [],
+        "qsPhysicalPropertyName": label, "qsPhysicalPropertyNameUTF8": label,
+    }
+    return {name: _json({"qsFabricName": label, "qsFabricNameUTF8": label,
+                         "uiFabricVersion": 100, "uiVersion": 100, "mapPhysical": physical,
+                         "drapenet": material.about})}
+
+
+def _u3m(material: Material, name: str) -> dict[str, bytes]:
+    warp, _, weft = (material.modulus * BROWZWEAR).tolist()
+    label = Path(name).stem
+    measured = f"{label}.fab.json"
+    weight = round(1e3 * material.density, 6)
+    moment = "1970-01-01T00:00:00Z"  # an estimate has no date, and the schema wants one
+    bend = {"length": repr(warp), "width": repr(weft)}
+    physics = {"schema": "1.1", "raw_data": None, "custom": {
+        "browzwear": {"version": "1.1", "name": label, "bend": bend, "mass": repr(weight)},
+        "drapenet": material.about}}
+    identity = uuid.UUID(bytes=bytes.fromhex(material.identity[:32]), version=4)
+    main = {"schema": "1.1", "custom": None, "material": {
+        "id": str(identity), "name": label, "description": "bending from a drape",
+        "created": moment, "modified": moment, "front": None, "back": None, "side": None,
+        "metadata": None, "physics": {
+            "thickness": None, "weight": weight, "devices": {"fab": measured},
+            "composition": None, "material_type": None, "construction": None}}}
+    return {name: _json(main), measured: _json(physics)}
+
+
+def _usd(material: Material, name: str) -> dict[str, bytes]:
+    from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    shade = UsdShade.Material.Define(stage, "/Fabric").GetPrim()
+    stage.SetDefaultPrim(shade)
+    shade.AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
+    shade.AddAppliedSchema("CloFabricAPI")
+    shade.CreateAttribute("physics:surfaceBendStiffness", Sdf.ValueTypeNames.Float).Set(
+        mean_modulus(material.modulus))
+    warp, bias, weft = _clo_bending(material).tolist()
+    primvars = UsdGeom.PrimvarsAPI(shade)
+    for key, value in (("bendingWarp", warp), ("bendingWeft", weft), ("bendingBiasLeft", bias),
+                       ("bendingBiasRight", bias), ("density", 1e-3 * material.density)):
+        primvars.CreatePrimvar(f"clo:{key}", Sdf.ValueTypeNames.FloatArray,
+                               UsdGeom.Tokens.constant).Set([value])
+    shade.SetCustomDataByKey("drapenet", json.dumps(material.about, ensure_ascii=False))
+    return {name: stage.GetRootLayer().ExportToString().encode()}
+
+
+def _arcsim(material: Material, name: str) -> dict[str, bytes]:
+    alpha, beta = (part * material.ratio for part in (material.alpha, material.beta))
+    kappa = np.maximum(ARCSIM_CURVATURES, 1e-9)
+    secants = torque(kappa, alpha[:, None], beta[:, None]) / kappa
+    rows = secants / ARCSIM.curvature  # over the curvature: 4 alpha + 4 beta kappa
+    # A row belongs to the direction of the edge in material axes; cloth bends across it.
+    return {name: _json({"density": material.density,
+                         "bending": rows[[WEFT, BIAS, WARP]].tolist(),
+                         "drapenet": material.about_hinges})}
+
+
+def _ppf(material: Material, name: str) -> dict[str, bytes]:
+    warp, _, weft = (material.modulus * material.ratio / (PPF * material.density)).tolist()
+    base = min(warp, weft)
+    lines = [f"# {line}" for line in json.dumps(material.about_hinges, indent=1).splitlines()]
+    lines += [f"bend = {base!r}", f"bend-warp = {warp - base!r}", f"bend-weft = {weft - base!r}",
+              f"shell_density = {material.density!r}"]
+    return {name: ("\n".join(lines) + "\n").encode()}
+
+
+def _newton(material: Material, name: str) -> dict[str, bytes]:
+    modulus = material.modulus * material.ratio
+    content = {"density_kg_m2": material.density, "alpha_N_m": modulus.tolist(),
+               "edge_aniso_ke": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
+               "about": material.about_hinges}
+    text = _NEWTON.replace("{MATERIAL}", pprint.pformat(content, width=96, sort_dicts=False))
+    return {name: text.encode()}
+
+
+_NEWTON = '''"""A fabric for Newton (1.8), from an estimate of drapenet.
+
+SolverStyle3D: newton.solvers.style3d.add_cloth_mesh(builder, ..., edge_aniso_ke=
+MATERIAL["edge_aniso_ke"]), with the panel's x along the weft and y along the warp.
+
+SolverVBD: add the flat cloth (add_cloth_mesh or add_cloth_grid), then call set_bending(builder)
+before builder.color() and builder.finalize().
+"""
+
+import numpy as np
+
+MATERIAL = {MATERIAL}
+
+
+def set_bending(builder, warp=(1.0, 0.0, 0.0)):
+    """Give every edge of the flat cloth in ``builder`` its stiffness, 2 alpha / (h0 + h1), in N.
+
+    alpha is that across the edge, h are the heights of its triangles; ``warp`` is a unit vector.
+    """
+    points = np.array([tuple(point) for point in builder.particle_q])
+    warp_modulus, bias, weft = MATERIAL["alpha_N_m"]
+    for k, (first, second, start, end) in enumerate(np.array(builder.edge_indices)):
+        if min(first, second) < 0:
+            continue
+        edge = points[end] - points[start]
+        edge /= np.linalg.norm(edge)
+        height = sum(np.linalg.norm(np.cross(edge, points[apex] - points[start]))
+                     for apex in (first, second))
+        c = 1 - 2 * (edge @ np.asarray(warp)) ** 2  # cosine of twice the angle of bending
+        alpha = bias + max(c, 0) * (warp_modulus - bias) + max(-c, 0) * (weft - bias)
+        damping = builder.edge_bending_properties[k][1]
+        builder.edge_bending_properties[k] = (2 * alpha / height, damping)
+'''
+
+
+def _neutral(material: Material, name: str) -> dict[str, bytes]:
+    return {name: _json({
+        "schema": "drapenet-material", "schema_version": 1,
+        "directions": ["warp", "bias", "weft"], "alpha_N_m": material.alpha.tolist(),
+        "beta_N_m2": material.beta.tolist(), "density_kg_m2": material.density,
+        "drapenet": material.about})}
+
+
+def _table(material: Material, name: str) -> dict[str, bytes]:
+    rows = ["direction,alpha_uN_m,alpha_low68,alpha_high68,alpha_low90,alpha_high90,"
+            "beta_nN_m2,beta_low68,beta_high68,beta_low90,beta_high90,density_g_m2"]
+    for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(), strict=True):
+        values = [value for key in ("alpha_uN_m", "beta_nN_m2") for value in (
+            moduli[key]["median"], *moduli[key]["interval_68"], *moduli[key]["interval_90"])]
+        rows.append(",".join([direction, *(f"{value:.6g}" for value in values),
+                              f"{1e3 * material.density:.6g}"]))
+    return {name: ("\n".join(rows) + "\n").encode()}
+
+
+def _torque(material: Material, name: str) -> dict[str, bytes]:
+    curves = 1e3 * torque(CURVE, material.alpha[:, None], material.beta[:, None])
+    stream = io.StringIO()
+    np.savetxt(stream, np.column_stack([CURVE, curves.T]), fmt="%.6g", delimiter=",", comments="",
+               header="curvature_1_m,torque_warp_mN,torque_bias_mN,torque_weft_mN")
+    return {name: stream.getvalue().encode()}
+
+
+TARGETS = {
+    "jfab": Target(
+        "fabric.jfab", "CLO, Marvelous Designer",
+        "`mapPhysical`: `fBuK` weft, `fBvK` warp, `fBhK` bias, `fDensity` g/mm²",
+        "g·mm²/s²: α · 10⁹, at most 2 · 10⁶",
+        "keys and defaults as written by ttiimmaacc/mcp-for-clo3d; unit from Unreal's importer of "
+        "CLO's USD",
+        "β; stretch, shear, thickness and friction are CLO's defaults; not opened in CLO",
+        _jfab),
+    "u3m": Target(
+        "fabric.u3m", "Browzwear, U3M 1.1",
+        "`custom.browzwear.bend.length` warp, `.width` weft, `mass` g/m², in `fabric.fab.json` "
+        "beside it", "dyn·cm: α · 10⁷", "vizoogmbh/u3m, `u3m1.1/physics`; unit derived from FAB's "
+        "loads", "bias, β, stretch; not opened in VStitcher", _u3m),
+    "usd": Target(
+        "fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
+        "`primvars:clo:bendingWarp`, `Weft`, `BiasLeft`, `BiasRight`, `density`; "
+        "`physics:surfaceBendStiffness`",
+        "α · 10⁹; mean of α over all directions, N·m",
+        "Unreal's `InterchangeOpenUSDChaosCloth`; AOUSD proposal `wp_deformable_physics`",
+        "β; the proposal's names may change; not opened in Unreal", _usd),
+    "arcsim": Target(
+        "arcsim.json", "ARCSim", "`bending` [3][5], `density` kg/m²",
+        "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; rows: edges along warp, bias, weft bend "
+        "weft, bias, warp", "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
+        "β beyond 40 m⁻¹; `stretching` and damping are yours", _arcsim),
+    "newton": Target(
+        "newton_fabric.py", "Newton 1.8",
+        "Style3D `edge_aniso_ke`; VBD `edge_bending_properties`",
+        "(weft, warp, bias) · ratio / 3; 2α · ratio / (h₀ + h₁) an edge",
+        "newton 1.8: `style3d/kernels.py`, `style3d/cloth.py`, `vbd/particle_vbd_kernels.py`",
+        "β; Style3D's own law between the directions", _newton),
+    "ppf": Target(
+        "ppf.toml", "ppf-contact-solver", "`bend`, `bend-warp`, `bend-weft`, `shell_density`",
+        "α · ratio / (1.28 · 10⁻⁵ ρ)", "st-tech/ppf-contact-solver, `energy.cu`, `data.hpp`",
+        "β; bias, which is the mean of warp and weft there", _ppf),
+    "json": Target(
+        "material.json", "any", "SI moduli, density, intervals", "as estimated", "this project",
+        "nothing", _neutral),
+    "csv": Target(
+        "material.csv", "spreadsheets", "moduli with intervals, µN·m and nN·m²", "as estimated",
+        "this project", "identity", _table),
+    "torque": Target(
+        "torque.csv", "tools with a curve", "torque per width, mN, over curvature, 1/m",
+        "ακ + βκ², straight beyond the law's limit", "`docs/physics.md`", "intervals", _torque),
+}
+
+
+def table() -> str:
+    """:data:`TARGETS` as Markdown."""
+    lines = ["| `to=` | tool | fields | relation | source | lost |", "|" + " --- |" * 6]
+    return "\n".join(lines + [f"| `{name}` | {t.tool} | {t.fields} | {t.relation} | {t.source} | "
+                              f"{t.lost} |" for name, t in TARGETS.items()])
+
+
+def targets_named(words: str, key: str = "to") -> list[str]:
+    """Names of targets that ``words``, the value of ``key``, lists, or all of them.
+
+    Raises:
+        InputError: an unknown one, or none.
+    """
+    names = list(TARGETS) if words == "all" else [word.strip() for word in
+                                                  words.strip("[]").split(",")]
+    for name in names:
+        if name not in TARGETS:
+            raise InputError(f"{key}={name}: unknown; choose from "
+                             f"{', '.join(TARGETS)} or all")
+    return names
+
+
+def export(material: Material, name: str, out: Path) -> list[Path]:
+    """Write a target's file to ``out``, and what belongs beside it; returns all paths."""
+    files = TARGETS[name].write(material, out.name)
+    for file, data in files.items():
+        replace_file(out.parent / file, data)
+    return [out.parent / file for file in files]
+
+
+def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:
+    """Write the targets ``names`` to a folder, by their usual names."""
+    return [path for name in names for path in export(material, name,
+                                                      folder / TARGETS[name].file)]
+
+
+def main(argv: list[str]) -> None:
+    """The command line; keys in ``configs/export.yaml``."""
+    if argv == ["list"]:
+        print(table())
+        return
+    if not argv or "=" in Path(argv[0]).name:
+        raise InputError("give an estimate first: python -m drapenet.export ESTIMATE.json to=NAME"
+                         + (f"; '{argv[0]}' is none" if argv else ""))
+    config = parse_overrides(read_config("export"), argv[1:])
+    names, path = targets_named(config["to"]), Path(argv[0])
+    material = read_material(path, curvature=config["curvature_1_m"], mesh=config["mesh"],
+                             edge=1e-3 * config["edge_mm"])
+    if len(names) == 1 and config["out"]:
+        require_file(Path(config["out"]))
+        written = export(material, names[0], Path(config["out"]))
+    else:
+        folder = Path(config["out"] or path.parent)
+        require_folder(folder)
+        written = export_all(material, names, folder)
+    for file in written:
+        print(file)
+
+
+def entry() -> NoReturn:
+    """Console script."""
+    run_command(main, usage=__doc__)
+
+
+if __name__ == "__main__":
+    entry()

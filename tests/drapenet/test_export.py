@@ -1,0 +1,206 @@
+"""Exported files: their numbers, turned back into moduli by each tool's own rules."""
+
+import json
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from common.errors import InputError
+from drapenet.export import MESHES, TARGETS, export, export_all, main, read_material, table
+from sim.hinge_laws import HingeLaw, mean_modulus
+from sim.material import MICRO, NANO, Fabric, torque
+from sim.mesh import strip
+
+ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
+BETA = np.array([-158.0, -101.0, -69.0]) * NANO
+DENSITY = 0.21
+
+
+def summary(value: float) -> dict:
+    return {"median": value, "interval_68": [0.9 * value, 1.1 * value],
+            "interval_90": [0.8 * value, 1.2 * value]}
+
+
+def write(path: Path, names: tuple[str, ...] = ("warp", "bias", "weft"), **changes: object) -> Path:
+    content = {
+        "schema": "drapenet-estimate", "schema_version": 2, "convention": f"{names[0]}/{names[2]}",
+        "capture": {"source": "twill", "density_g_m2": 210.0}, "warnings": ["holes"],
+        "moduli": {name: {"alpha_uN_m": summary(a / MICRO), "beta_nN_m2": summary(b / NANO)}
+                   for name, a, b in zip(names, ALPHA, BETA, strict=True)}} | changes
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def estimate(tmp_path: Path) -> Path:
+    return write(tmp_path / "estimate.json")
+
+
+def exported(estimate: Path, name: str, **options: object) -> Path:
+    return export(read_material(estimate, **options), name,
+                  estimate.parent / TARGETS[name].file)[0]
+
+
+def test_clo_gets_the_weft_along_u(estimate: Path) -> None:
+    physical = json.loads(exported(estimate, "jfab").read_text())["mapPhysical"]
+    found = [physical[key] for key in ("fBvK", "fBhK", "fBuK")]
+    assert np.array(found) * 1e-3 * 1e-6 == pytest.approx(ALPHA)  # g to kg, mm² to m²
+    assert physical["fDensity"] * 1e-3 / 1e-6 == pytest.approx(DENSITY)
+
+
+def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimate: Path) -> None:
+    file = exported(estimate, "u3m")
+    physics = json.loads(file.read_text())["material"]["physics"]
+    assert physics["weight"] == 210
+    fab = json.loads((file.parent / physics["devices"]["fab"]).read_text())
+    assert set(fab) == {"schema", "raw_data", "custom"} and fab["raw_data"] is None
+    bend = fab["custom"]["browzwear"]["bend"]
+    assert float(bend["length"]) * 1e-5 * 1e-2 == pytest.approx(ALPHA[0])
+    assert float(bend["width"]) * 1e-5 * 1e-2 == pytest.approx(ALPHA[2])
+
+
+def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate: Path) -> None:
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.Open(str(exported(estimate, "usd")))
+    prim = stage.GetDefaultPrim()
+    applied = prim.GetPrimTypeInfo().GetAppliedAPISchemas()  # known to this USD or not
+    assert applied == ["PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI"]
+    for key, alpha in (("Warp", ALPHA[0]), ("Weft", ALPHA[2]), ("BiasLeft", ALPHA[1]),
+                       ("BiasRight", ALPHA[1])):
+        value = prim.GetAttribute(f"primvars:clo:bending{key}").Get()[0]
+        # Unreal's importer: 1e-5 from g·mm²/s² to kg·cm²/s².
+        assert value * 1e-5 * 1e-4 == pytest.approx(alpha, rel=1e-6)
+    mean = prim.GetAttribute("physics:surfaceBendStiffness").Get()
+    assert mean == pytest.approx(mean_modulus(ALPHA), rel=1e-6)
+    about = json.loads(prim.GetCustomDataByKey("drapenet"))
+    assert about["moduli"]["warp"]["beta_nN_m2"]["interval_68"][0] == pytest.approx(-142.2)
+
+
+def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate: Path) -> None:
+    """Linear interpolation over the curvature's half in steps of 5/m, rows by the edge's angle."""
+    material = read_material(estimate, mesh="alternating")
+    data = json.loads(export(material, "arcsim", estimate.parent / "a.json")[0].read_text())
+    assert material.ratio == pytest.approx(1.21, abs=0.03)  # docs/validation.md
+    for row, direction in ((0, 2), (1, 1), (2, 0)):  # an edge along the warp bends the weft
+        for kappa in (0.5, 17.0, 39.0):
+            at = min(kappa / 2 / 5, 4)
+            low = min(int(at), 3)
+            ke = (1 - at + low) * data["bending"][row][low] + (at - low) * data["bending"][row][
+                low + 1]
+            assert ke * kappa / 4 / material.ratio == pytest.approx(
+                torque(np.array(kappa), ALPHA[direction], BETA[direction]), rel=1e-6)
+
+
+def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate: Path) -> None:
+    material = read_material(estimate, mesh="equal", edge=4e-3)
+    file = export(material, "ppf", estimate.parent / "p.toml")[0]
+    data = {key: float(value) for key, value in (
+        line.split(" = ") for line in file.read_text().splitlines() if not line.startswith("#"))}
+    for sine, direction in ((1.0, 0), (0.0, 2)):  # of an edge's angle to the warp, squared
+        bend = data["bend"] + data["bend-warp"] * sine + data["bend-weft"] * (1 - sine)
+        assert 1.28e-5 * bend * data["shell_density"] == pytest.approx(
+            ALPHA[direction] * material.ratio)
+    assert "hinge_over_plate_modulus" in file.read_text()
+
+
+def test_newton_s_edges_store_the_energy_of_hinges(estimate: Path) -> None:
+    """1/2 ke l theta² of every edge against the hinge law, on a bent strip."""
+    material = read_material(estimate)
+    module = runpy.run_path(str(export(material, "newton", estimate.parent / "n.py")[0]))
+    assert np.array(module["MATERIAL"]["edge_aniso_ke"]) * 3 / material.ratio == pytest.approx(
+        ALPHA[[2, 0, 1]])
+    mesh, _ = strip(length=0.03, width=0.01, edge=2e-3, clamp=0.0, diagonals="random", jitter=0.2)
+    inner = np.flatnonzero(mesh.edge_faces.min(axis=1) >= 0)
+    apexes = np.array([[(set(mesh.faces[f].tolist()) - set(mesh.edges[e].tolist())).pop()
+                        for f in mesh.edge_faces[e]] for e in inner])
+    builder = SimpleNamespace(
+        particle_q=np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]),
+        edge_indices=np.column_stack([apexes, mesh.edges[inner]]),
+        edge_bending_properties=[(0.0, 0.0)] * len(inner))
+    module["set_bending"](builder)
+    bend = 8.0  # 1/m
+    x, y = mesh.rest.T
+    bent = np.column_stack([np.sin(bend * x) / bend, y, (1 - np.cos(bend * x)) / bend])
+    normal = np.cross(*(bent[mesh.faces[:, k]] - bent[mesh.faces[:, 0]] for k in (1, 2)))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    pairs = mesh.edge_faces[inner]
+    theta = np.arccos(np.clip((normal[pairs[:, 0]] * normal[pairs[:, 1]]).sum(axis=1), -1, 1))
+    lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges[inner]], axis=1)[:, 0], axis=1)
+    stiffness = np.array(builder.edge_bending_properties)[:, 0]
+    law = HingeLaw("hinge_linear", "edge")(mesh, np.ones(len(mesh.faces), bool),
+                                           fabric=Fabric(ALPHA * material.ratio))
+    unknowns = np.concatenate([bent.ravel(), np.zeros(len(mesh.edges))])
+    assert 0.5 * (stiffness * lengths * theta**2).sum() == pytest.approx(
+        law.value(unknowns), rel=1e-5)
+
+
+def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate: Path) -> None:
+    physical = json.loads(exported(estimate, "jfab", curvature=50.0).read_text())["mapPhysical"]
+    assert physical["fBvK"] * 1e-9 == pytest.approx(ALPHA[0] + 50 * BETA[0])
+
+
+def test_neutral_files_return_what_was_estimated(estimate: Path) -> None:
+    data = json.loads(exported(estimate, "json").read_text())
+    assert data["alpha_N_m"] == pytest.approx(ALPHA) and data["beta_N_m2"] == pytest.approx(BETA)
+    rows = [line.split(",") for line in exported(estimate, "csv").read_text().splitlines()]
+    assert [row[0] for row in rows[1:]] == ["warp", "bias", "weft"]
+    assert [float(row[1]) * MICRO for row in rows[1:]] == pytest.approx(ALPHA)
+    curve = np.loadtxt(exported(estimate, "torque"), delimiter=",", skiprows=1)
+    assert curve[20, 1:] * 1e-3 == pytest.approx(torque(curve[20, 0], ALPHA, BETA), rel=1e-4)
+
+
+def test_stiff_and_soft_yarns_stand_for_warp_and_weft_with_a_word(tmp_path: Path) -> None:
+    path = write(tmp_path / "estimate.json", ("stiff", "bias", "soft"))
+    data = json.loads(exported(path, "json").read_text())
+    assert any("does not mark the warp" in line for line in data["drapenet"]["warnings"])
+
+
+def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -> None:
+    folders = [estimate.parent / name for name in ("first", "second")]
+    for folder in folders:
+        main([str(estimate), "to=all", f"out={folder}"])
+    names = sorted(file.name for file in folders[0].iterdir())
+    assert len(names) == len(TARGETS) + 1
+    for name in names:
+        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
+
+
+@pytest.mark.parametrize(("words", "complaint"), [
+    (["to=zfab"], "to=zfab: unknown; choose from jfab"),
+    (["to=ppf", "mesh=hexagons"], "mesh=hexagons is unknown"),
+    (["to=ppf", "edge_mm=40"], "edge_mm=40 is too coarse for this fabric"),
+    (["to=jfab", "curvature_1_m=-5"], "must lie between 0 and 1000"),
+])
+def test_wrong_wishes_have_one_line(estimate: Path, words: list[str], complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        main([str(estimate), *words])
+    assert [file.name for file in estimate.parent.iterdir()] == ["estimate.json"]
+
+
+@pytest.mark.parametrize(("changes", "complaint"), [
+    ({"schema": "other"}, "is not of version 2"),
+    ({"moduli": {}}, "directions"),
+    ({"moduli": {name: {"alpha_uN_m": summary(-1.0), "beta_nN_m2": summary(0.0)}
+                 for name in ("warp", "bias", "weft")}}, "must be positive"),
+    ({"capture": None}, "is no estimate"),
+])
+def test_other_files_are_refused(tmp_path: Path, changes: dict, complaint: str) -> None:
+    path = write(tmp_path / "estimate.json", **changes)
+    with pytest.raises(InputError, match=complaint):
+        read_material(path)
+
+
+def test_the_docs_show_the_table_of_the_code() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+    assert table() in text
+
+
+def test_a_mesh_of_every_kind_has_a_ratio_near_the_validation_s(estimate: Path) -> None:
+    ratios = {mesh: read_material(estimate, mesh=mesh).ratio for mesh in MESHES}
+    for mesh, low, high in (("unstructured", 1.0, 1.1), ("alternating", 1.18, 1.24),
+                            ("equal", 1.15, 1.25), ("random", 1.08, 1.2)):
+        assert low < ratios[mesh] < high
+    assert export_all(read_material(estimate), [], estimate.parent) == []
