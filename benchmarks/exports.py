@@ -101,18 +101,18 @@ def hang(
 
 def main(argv: list[str]) -> None:
     """Hang all strips and write the report."""
-    settings = parse_settings(DEFAULTS, argv)
+    config = parse_settings(DEFAULTS, argv)
     try:
         import newton
     except ImportError:
         raise InputError("Newton is not installed: pip install newton==1.8.0 warp-lang==1.19.0"
                          ) from None
-    edge, rows = 1e-3 * settings["edge_mm"], []
+    edge, rows = 1e-3 * config["edge_mm"], []
     for fabric, alphas in FABRICS.items():
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             material = read_material(estimate_file(folder, alphas), edge=edge,
-                                     mesh=settings["mesh"])
+                                     mesh=config["mesh"])
             export(material, "newton", folder / "fabric.py")
             module = runpy.run_path(str(folder / "fabric.py"))
         diagonals, jitter = MESHES[material.mesh]
@@ -123,7 +123,7 @@ def main(argv: list[str]) -> None:
             mesh, held = strip(length=length, width=round(length / edge / 2) * edge, edge=edge,
                                clamp=2 * edge, diagonals=diagonals, jitter=jitter)
             positions, speed = hang(module["MATERIAL"], mesh, held, angle=angle,
-                                    seconds=settings["seconds"])
+                                    seconds=config["seconds"])
             x = mesh.rest[:, 0]
             end = positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
             gamma = gamma_of_aspect_ratio(aspect_ratio(np.array([end[0], -end[2]])))
@@ -133,8 +133,8 @@ def main(argv: list[str]) -> None:
                          "speed_mm_s": round(1e3 * speed, 2)})
             print(rows[-1], flush=True)
     print(table(list(rows[0]), [list(row.values()) for row in rows]))
-    write_report(Path(settings["out"]), {"newton": newton.__version__, "ratio": material.ratio,
-                                         **settings, "strips": rows})
+    write_report(Path(config["out"]), {"newton": newton.__version__, "ratio": material.ratio,
+                                         **config, "strips": rows})
 
 
 if __name__ == "__main__":

@@ -103,7 +103,12 @@ def _misread(
                 swapped[[earlier, later]] = turns[[later, earlier]]
                 readings[f"views {earlier} and {later} are swapped; number them as they were taken"
                          ] = swapped - swapped[0]
-    gaps = {name: disagreement(clouds, other, rig) for name, other in readings.items()}
+    distinct: dict[str, np.ndarray] = {}
+    for name, other in readings.items():  # four quarter turns backwards are views 1 and 3 swapped
+        if not any(np.allclose(np.exp(1j * other), np.exp(1j * known))
+                   for known in distinct.values()):
+            distinct[name] = other
+    gaps = {name: disagreement(clouds, other, rig) for name, other in distinct.items()}
     along = views / np.linalg.norm(camera.directions(), axis=2)
     gaps[RAYS] = disagreement([camera.cloth_points(view) for view in along], turns, rig)
     name = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
