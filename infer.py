@@ -79,8 +79,9 @@ def export_estimates(files: list[Path], names: str) -> None:
         return
     from drapenet.export import export_all, read_material, targets_named
 
+    targets = targets_named(names, "export")
     for file in files:
-        written = export_all(read_material(file), targets_named(names, "export"), file.parent)
+        written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
 

@@ -24,11 +24,14 @@ import numpy as np
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from common.cli import run_command
 from common.errors import InputError
+from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.export import GAMMA, MESHES, export, read_material
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
+from sim.cantilever.equivalent import free_end
 from sim.material import DIRECTIONS, MICRO
 from sim.mesh import Mesh, strip
 from sim.scene import GRAVITY
+from sim.state import State
 
 FABRICS = {"one modulus": (40.0, 40.0, 40.0), "three moduli": (60.0, 40.0, 20.0)}  # µN·m
 DENSITY = 200.0  # g/m²
@@ -47,7 +50,7 @@ def estimate_file(folder: Path, alphas: tuple[float, ...]) -> Path:
         return {"median": value, "interval_68": [value] * 2, "interval_90": [value] * 2}
 
     content = {
-        "schema": "drapenet-estimate", "schema_version": 2, "convention": "warp/weft",
+        "schema": SCHEMA, "schema_version": SCHEMA_VERSION, "convention": "warp/weft",
         "capture": {"source": "benchmarks.exports", "density_g_m2": DENSITY},
         "moduli": {name: {"alpha_uN_m": exact(alpha), "beta_nN_m2": exact(0.0)}
                    for name, alpha in zip(DIRECTIONS, alphas, strict=True)},
@@ -124,17 +127,17 @@ def main(argv: list[str]) -> None:
                                clamp=2 * edge, diagonals=diagonals, jitter=jitter)
             positions, speed = hang(module["MATERIAL"], mesh, held, angle=angle,
                                     seconds=config["seconds"])
-            x = mesh.rest[:, 0]
-            end = positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
-            gamma = gamma_of_aspect_ratio(aspect_ratio(np.array([end[0], -end[2]])))
+            end = free_end(mesh, State.at(mesh, positions))
+            gamma = gamma_of_aspect_ratio(aspect_ratio(end))
             expected = weight * length**3 / (alpha * MICRO)
             rows.append({"fabric": fabric, "strip": name, "alpha_uN_m": alpha,
                          "modulus_over_alpha": round(float(expected / gamma), 3),
                          "speed_mm_s": round(1e3 * speed, 2)})
             print(rows[-1], flush=True)
     print(table(list(rows[0]), [list(row.values()) for row in rows]))
-    write_report(Path(config["out"]), {"newton": newton.__version__, "ratio": material.ratio,
-                                         **config, "strips": rows})
+    out = Path(config.pop("out"))
+    write_report(out, {"newton": newton.__version__, "ratio": material.ratio, **config,
+                       "strips": rows})
 
 
 if __name__ == "__main__":
