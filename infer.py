@@ -6,8 +6,9 @@
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
     ... export=jfab,usd                        files for other tools as well, or export=all
 
-Prints the moduli and writes ``estimate.json`` and ``report.png`` to ``out``. What a capture
-consists of is described in ``README.md``, "Your own fabric", all keys in ``configs/infer.yaml``.
+Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``, ``drape.glb`` and
+``torque.svg`` to ``out``. What a capture consists of is described in ``README.md``, "Your own
+fabric", all keys in ``configs/infer.yaml``.
 """
 
 import common.interrupt  # noqa: F401
@@ -20,10 +21,10 @@ from common.cli import parse_overrides, run_command
 from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
-from data.captures import Capture, captures_in, checked_density, read_capture, require_alike
+from data.captures import Capture, captures_in, checked_density, read_capture
 from data.configs import read_config
-from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.output import ESTIMATE, require_output, write_estimate, write_report
+from drapenet.output import ESTIMATE, require_output, write_estimate, write_files
+from drapenet.sources import header_for, read_scan_capture
 from drapenet.table import format_table
 
 DRAPES = 2  # of the report of a single capture
@@ -62,8 +63,7 @@ def main(argv: list[str]) -> None:
     for (capture, seen), folder in zip(sources, folders, strict=True):
         one = estimate_capture(capture, header, seen=seen, **options)
         write_estimate(folder, one.content, format_table(one.content))
-        if one.picture is not None:
-            write_report(folder, one.picture)
+        write_files(folder, one.files)
         found.append(one)
     if len(found) > 1:
         from drapenet.joint import joint_content
@@ -119,29 +119,8 @@ def read_sources(config: dict[str, Any]) -> list[tuple[Capture, Any]]:
     if key == "capture":
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
-    with deferred():
-        from drapenet.refine.scans import read_shape, scan_capture
-        from drapenet.refine.search import CapturedScan
-        from sim.scene import DISC_RIG
-
     density = checked_density(config["density_g_m2"], "density_g_m2")
-    shapes = [read_shape(path, DISC_RIG, held=config["held"]).shape for path in paths]
-    return [(scan_capture(path, shape, density), CapturedScan(shape))
-            for path, shape in zip(paths, shapes, strict=True)]
-
-
-def header_for(captures: list[Capture], checkpoint: str) -> Header:
-    """The checkpoint for captures of one rig, and of one naming.
-
-    Raises:
-        InputError: several rigs, some captures with a marked warp and some without, or a checkpoint
-            of another rig.
-    """
-    require_alike([one.rig for one in captures],
-                  [one.warp_direction is not None for one in captures])
-    header = read_header(checkpoint or bundled(captures[0].rig))
-    header.require_rig(captures[0].rig)
-    return header
+    return [read_scan_capture(path, density=density, held=config["held"]) for path in paths]
 
 
 def entry() -> NoReturn:

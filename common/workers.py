@@ -86,10 +86,14 @@ def worker_pool(
         _kept[key] = pool
 
 
-def _start(parent: int, initializer: Callable[..., None] | None, arguments: tuple) -> None:
-    """Prepare a worker of the process ``parent``."""
+def follow(parent: int) -> None:
+    """Prepare this process as a worker of the process ``parent``: it ends when that one does."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     keep_freed_memory()
+
+
+def _start(parent: int, initializer: Callable[..., None] | None, arguments: tuple) -> None:
+    follow(parent)
     # Loky takes large arrays for a leak, and a process that has made one for spent.
     process_executor._MAX_MEMORY_LEAK_SIZE = math.inf
     if initializer is not None:

@@ -138,14 +138,18 @@ def read_text(file: Path) -> str:
 
 def read_mapping(file: Path) -> Mapping:
     """A YAML file of ``key: value`` lines."""
-    text = read_text(file)
+    return parse_mapping(read_text(file), file)
+
+
+def parse_mapping(text: str, what: str | Path) -> Mapping:
+    """A YAML text of ``key: value`` lines, called ``what`` in messages."""
     try:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
         # LookupError and AttributeError come from values that contradict their tag: "!!int ''".
-        raise InputError(f"{file} is not valid YAML ({one_line(error)})") from None
+        raise InputError(f"{what} is not valid YAML ({one_line(error)})") from None
     if not isinstance(content, Mapping):
-        raise InputError(f"{file} must hold 'key: value' lines, such as 'density_g_m2: 150'")
+        raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
     return content
 
 

@@ -25,7 +25,7 @@ from data.captures import read_capture
 from data.picture import thumbnail
 from data.progress import progress_bar
 from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.output import DONE, ESTIMATE, REPORT, SAMPLES, THUMBNAIL
+from drapenet.output import DONE, ESTIMATE, SAMPLES, SHOWN, THUMBNAIL
 from drapenet.overview import write_overview
 from drapenet.tree import entries_of
 
@@ -119,7 +119,7 @@ def _estimate(
     ``stamp`` is from before: of a capture that changes meanwhile, the next run sees it.
     """
     failure = ""
-    for name in (DONE, ESTIMATE, REPORT, SAMPLES, THUMBNAIL):
+    for name in (DONE, ESTIMATE, SAMPLES, THUMBNAIL, *SHOWN):
         remove_file(folder / name)
     try:
         _write(capture, folder, checkpoint, options)
@@ -144,8 +144,8 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
                  certainty=found.certainty, density=found.density, spread=found.spread,
                  warnings=np.array(found.warnings, dtype=str))
     replace_file(folder / THUMBNAIL, thumbnail(capture.views[0]))
-    if result.picture is not None:
-        replace_file(folder / REPORT, result.picture)
+    for name, data in result.files.items():
+        replace_file(folder / name, data)
     replace_json(folder / ESTIMATE, result.content)
 
 

@@ -1,6 +1,7 @@
-"""One capture: from views to an estimate, its JSON and its report."""
+"""One capture: from views to an estimate, its JSON and the files that show it."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -15,11 +16,15 @@ from drapenet.checkpoint import Header, load_model
 from drapenet.content import interval_table, to_json
 from drapenet.estimate import Estimate, make_estimate
 from drapenet.maps import located_camera
+from drapenet.output import PAGE, REPORT, SHAPES, TORQUES
+from drapenet.pages import render
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts
 from drapenet.registration import camera_doubts
 from sim.scene import Rig
 
+Progress = Callable[[int, int, float], None]
+"""Called with drapes made, drapes expected, and the misfit so far."""
 _network = lru_cache(maxsize=1)(load_model)  # of many captures, one header
 
 
@@ -62,17 +67,19 @@ class Result:
     Attributes:
         estimate: with its own warnings.
         content: of ``estimate.json``.
-        picture: the bytes of ``report.png``; None without one.
+        files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
+            was wanted.
     """
 
     estimate: Estimate
     content: dict[str, Any]
-    picture: bytes | None
+    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def estimate_capture(
     capture: Capture, header: Header, *, seen: Any = None, refine: bool = False, drapes: int = 2,
     edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
+    first: Callable[[dict[str, Any]], None] | None = None, progress: Progress | None = None,
 ) -> Result:
     """Estimate, and refine if wanted.
 
@@ -84,6 +91,9 @@ def estimate_capture(
         edge: m, of the meshes for both; 0: as each has it.
         known: ``membrane``, N/m, and ``friction``, N·m per metre, where the user knows them.
         strict: whether to refuse what is else doubted.
+        first: called with the content of ``estimate.json`` as the network alone has it, before
+            anything is simulated.
+        progress: of the refinement, :func:`drapenet.refine.refined.refined_capture`.
 
     Raises:
         InputError: strict, and something is wrong with the capture.
@@ -98,19 +108,23 @@ def estimate_capture(
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
         raise InputError(f"{capture.path}: refused, for {wrong[0]}{more}; strict=false estimates "
                          "it nevertheless")
-    content: dict[str, Any] = {}
-    drape, picture = None, None
+    source: dict[str, Any] = {"checkpoint": header.identity}
+    about = _about(capture, found, rig)
+    if first:
+        content = to_json(estimate, capture=about, source=source)
+        first(content | {"warnings": content["warnings"] + doubts})
+    drape, files = None, {}
     if refine:
         from drapenet.refine.refined import refined_capture
 
         result = refined_capture(estimate, capture, camera, rig=rig, turns=found.turns, seen=seen,
-                                 edge=edge, known=known)
+                                 edge=edge, known=known, progress=progress)
         if result is None:
             doubts.append("no drape of the estimate converged; it is not refined")
         else:
             doubts += result.doubts
             before = interval_table(estimate, estimate.density)
-            content["refined"], drape = result.content | {"before": before}, result.resimulation
+            source["refined"], drape = result.content | {"before": before}, result.resimulation
             if result.draws:
                 estimate = make_estimate(result.draws, capture=capture, header=header)
     try:
@@ -121,23 +135,35 @@ def estimate_capture(
                                edge=edge or EDGE, drapes=drapes, turns=found.turns)
             doubts += [] if drape else ["no drape of the estimate converged; the report shows none"]
         if drape:
-            content["resimulation"] = drape.as_dict()
+            source["resimulation"] = drape.as_dict()
             doubts += drape.doubts
         if drapes:
-            from drapenet.report import draw_report
+            from drapenet.report import draw_report, draw_torques
+            from drapenet.shapes import drape_glb
 
-            picture = draw_report(
-                estimate, capture.views, drape, warnings=[*estimate.warnings, *doubts],
-                title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²")
+            files = {
+                REPORT: draw_report(
+                    estimate, capture.views, drape, warnings=[*estimate.warnings, *doubts],
+                    title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²"),
+                TORQUES: draw_torques(estimate),
+                SHAPES: drape_glb(capture.views, camera, found, rig, drape)}
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
         # A minute of refinement must not be lost for it.
         doubts.append("interrupted: there is no report")
-    share = drape_coefficient(found, rig)
-    about = {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
-             "rig": capture.rig, "views": len(capture.views),
-             "turns_deg": (np.degrees(found.turns).round(1) + 0.0).tolist(),  # no -0.0
-             "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}
-    content = to_json(estimate, capture=about, source={"checkpoint": header.identity, **content})
+        files = {}
+    content = to_json(estimate, capture=about, source=source)
     content["warnings"] += doubts
-    return Result(estimate, content, picture)
+    if files:
+        files[PAGE] = render("report.html", name=capture.path.resolve().name, content=content,
+                             report=files[REPORT])
+    return Result(estimate, content, files)
+
+
+def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:
+    """What was captured, for ``estimate.json``."""
+    share = drape_coefficient(found, rig)
+    return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
+            "rig": capture.rig, "views": len(capture.views),
+            "turns_deg": (np.degrees(found.turns).round(1) + 0.0).tolist(),  # no -0.0
+            "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}

@@ -1,31 +1,38 @@
-"""What ``infer.py`` leaves in its folder: ``estimate.json`` and ``report.png``, of the same run; of
-a capture among hundreds also what the tables and pages are made of.
+"""What ``infer.py`` leaves in its folder: ``estimate.json`` and the files that show it, of the same
+run; of a capture among hundreds also what the tables and pages are made of.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from common.files import remove_file, replace_file, replace_json, require_file, require_folder
 
-ESTIMATE, REPORT = "estimate.json", "report.png"
+ESTIMATE = "estimate.json"
+REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
+SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
 DONE, SAMPLES, THUMBNAIL = "done.json", "samples.npz", "view.png"
 
 
 def require_output(out: Path) -> None:
-    """InputError where the two files cannot be written to ``out``; to be told before long work."""
+    """InputError where the files cannot be written to ``out``; to be known before long work."""
     require_folder(out)
-    require_file(out / REPORT)
+    for name in SHOWN:
+        require_file(out / name)
 
 
 def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
-    """Write ``content``, and print it as ``lines``; the report of an earlier run goes."""
+    """Write ``content``, and print it as ``lines``; what shows an earlier one goes."""
     replace_json(out / ESTIMATE, content)
-    remove_file(out / REPORT)
+    for name in SHOWN:
+        remove_file(out / name)
     print(lines)
     print(f"estimate: {out / ESTIMATE}")
 
 
-def write_report(out: Path, picture: bytes) -> None:
-    """Write a ``picture``, the bytes of a PNG."""
-    replace_file(out / REPORT, picture)
-    print(f"report:   {out / REPORT}")
+def write_files(out: Path, files: Mapping[str, bytes]) -> None:
+    """Write what shows an estimate (:class:`drapenet.inference.Result`)."""
+    for name, data in files.items():
+        replace_file(out / name, data)
+    if files:
+        print(f"report:   {', '.join(str(out / name) for name in files)}")

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
-import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -26,13 +24,13 @@ from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from drapenet.estimate import Estimate
 from drapenet.joint import joint_content
 from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
-from drapenet.table import with_interval
+from drapenet.pages import render
 from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
-SPREAD, PAGE = "captures.png", "index.html"
+SPREAD, INDEX = "captures.png", "index.html"
 _FORMULA = "=+-@\t\r\n"  # a cell that begins like this is computed by spreadsheets
 
 
@@ -83,21 +81,16 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
     _write_csv(out / "captures.csv", [_capture_row(one) for fabric in fabrics
                                       for one in fabric.captures])
     _write_csv(out / "failures.csv", failures, FAILURE)
-    pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "pages"), autoescape=True,
-                               undefined=jinja2.StrictUndefined, trim_blocks=True)
-    pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure}
     for fabric in fabrics:
         folder = out / fabric.place
         replace_json(folder / ESTIMATE, fabric.content)
         replace_file(folder / SPREAD, _spread(fabric))
-        text = pages.get_template("fabric.html").render(
-            fabric=fabric, reports={one.entry.place for one in fabric.captures
-                                    if (out / one.entry.place / REPORT).exists()},
-            estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT, spread=SPREAD)
-        replace_file(folder / PAGE, text.encode())
-    text = pages.get_template("index.html").render(fabrics=fabrics, failures=failures, page=PAGE,
-                                                   thumbnail=THUMBNAIL)
-    replace_file(out / PAGE, text.encode())
+        replace_file(folder / INDEX, render(
+            "fabric.html", fabric=fabric, estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT,
+            spread=SPREAD, reports={one.entry.place for one in fabric.captures
+                                    if (out / one.entry.place / REPORT).exists()}))
+    replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
+                                     thumbnail=THUMBNAIL))
     return len(failures)
 
 
@@ -205,12 +198,6 @@ def _cell(value: object) -> object:
     except ValueError:
         return "'" + value
     return value
-
-
-def _figure(quantity: dict[str, Any]) -> str:
-    """Median and interval for a page."""
-    middle, interval = with_interval(quantity)
-    return f"{middle} ({interval})"
 
 
 def _spread(fabric: FabricResult) -> bytes:

@@ -1,10 +1,13 @@
-"""``report.png``: the capture, the estimated laws, and the drape that they give."""
+"""``report.png``: the capture, the estimated laws, and the drape that they give; ``torque.svg``:
+the laws alone.
+"""
 
 import io
 import math
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -58,12 +61,23 @@ def draw_report(
     _torques(lower.add_subplot(grid[0]), estimate)
     _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
     _figures(lower.add_subplot(grid[2]), estimate, resimulation)
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(title, fontsize=14, parse_math=False)
     if warnings:
         figure.supxlabel("\n".join(f"warning: {line}" for line in warnings),
                          x=0.01, ha="left", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
+    return picture.getvalue()
+
+
+def draw_torques(estimate: Estimate) -> bytes:
+    """Torque over curvature of the three directions as SVG, its text as text."""
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "drapenet"}):
+        figure = Figure(figsize=(6.5, 4), layout="constrained")
+        _torques(figure.subplots(), estimate)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="svg", transparent=True,
+                       metadata={"Date": None, "Creator": None})
     return picture.getvalue()
 
 

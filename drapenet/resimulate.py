@@ -40,7 +40,7 @@ class Resimulation:
         overlap: mean intersection over union of the silhouettes.
         statuses: of all drapes made, in the order of :data:`STARTS`.
         drape: the one shown, or its mirror image.
-        camera: that sees it, and turn: rad, how ``drape`` lies in the first view.
+        positions: (V, 3) m, of the one shown, as it lies in the first view.
     """
 
     views: np.ndarray
@@ -49,8 +49,7 @@ class Resimulation:
     overlap: float
     statuses: tuple[str, ...]
     drape: DrapeResult
-    camera: Camera
-    turn: float
+    positions: np.ndarray
 
     @property
     def doubts(self) -> list[str]:
@@ -105,14 +104,20 @@ def resimulate(
     if best is None:
         return None
     _, renderer, orientation, side, result = best
-    # The camera looks along y: mirrored in x, a drape that is turned back looks the same.
     return beside(views, renderer.views(camera, orientation, turns), camera, turns=turns,
-                  drape=result, turn=side * orientation, statuses=statuses)
+                  drape=result, positions=turned(result.positions * [side, 1, 1], orientation),
+                  statuses=statuses)
+
+
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    """Points (N, 3) turned by ``angle``, rad, about the table's axis, counter-clockwise."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def beside(
     views: np.ndarray, simulated: np.ndarray, camera: Camera, *, turns: Sequence[float],
-    drape: DrapeResult, turn: float, statuses: Sequence[str],
+    drape: DrapeResult, positions: np.ndarray, statuses: Sequence[str],
 ) -> Resimulation:
     """A drape whose views (K, H, W) are ``simulated`` beside the captured ``views``; other
     arguments as for :class:`Resimulation`.
@@ -122,7 +127,7 @@ def beside(
     return Resimulation(
         views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
         overlap=silhouette_overlap(views, simulated), statuses=tuple(statuses), drape=drape,
-        camera=camera, turn=turn)
+        positions=positions)
 
 
 def _fit_orientation(

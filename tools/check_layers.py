@@ -10,7 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 PACKAGES = ("apps", "common", "data", "drapenet", "sim")
-SCRIPTS = ("train", "infer")
+SCRIPTS = ("train", "infer", "serve")
 ABOVE = {
     "common": ("apps", "data", "drapenet", "sim", *SCRIPTS),
     "sim": ("apps", "data", "drapenet", *SCRIPTS),

@@ -6,7 +6,7 @@ does not count as a measurement beside the pixels that it saw.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -28,7 +28,7 @@ from drapenet.refine.fidelity import fidelity
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.scans import flat_turn
 from drapenet.refine.search import FINE, CapturedScan, CapturedViews, Found, Seen, search
-from drapenet.resimulate import Resimulation, beside
+from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
 from sim.material import MICRO, is_admissible
 from sim.scene import Rig
@@ -67,6 +67,7 @@ class Refined:
 def refined_capture(
     estimate: Estimate, capture: Capture, camera: Camera, *, rig: Rig, turns: np.ndarray,
     seen: CapturedScan | None, edge: float, known: Mapping[str, float],
+    progress: Callable[[int, int, float], None] | None = None,
 ) -> Refined | None:
     """Search from an ``estimate`` for the specimen that a capture shows, with a progress bar.
 
@@ -77,6 +78,7 @@ def refined_capture(
         seen: the scan that the capture is of; None for views.
         edge: m, of the last mesh for views; 0 for the usual one.
         known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate.
+        progress: called with drapes made, drapes expected, and the misfit so far.
     """
     axis = 0.0
     if seen is None:
@@ -84,16 +86,18 @@ def refined_capture(
                                      rig=rig, edge=edge or FINE)
     else:
         source, axis = seen, flat_turn(seen.shape)
-    found = _search(estimate, source, axis=axis, known=known)
+    found = _search(estimate, source, axis=axis, known=known, progress=progress)
     if found is None:
         return None
     theta, best = _samples(found), found.best
     drape = found.released or best.drape
     if seen is None:
         turn = float(best.nuisance[0])
+        positions = turned(drape.positions, turn)
         simulated = best_view(found, drape)
     else:
         turn = axis + best.cloth["warp"]
+        positions = drape.positions
         simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
     draws = None
     if theta is not None and found.improved and found.uncertainty.reduced_chi2 < WORST:
@@ -101,15 +105,16 @@ def refined_capture(
         kept = possible if possible.any() else ~possible
         draws = Draws(theta[kept], np.full(int(kept.sum()), turn), float(1 - possible.mean()))
     shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
-                   turn=turn, statuses=[drape.status.value])
+                   positions=positions, statuses=[drape.status.value])
     return Refined(draws, _content(found, source), found, shown,
                    tuple(_doubts(found, theta, source)))
 
 
 def _search(
-    estimate: Estimate, seen: Seen, *, axis: float, known: Mapping[str, float]
+    estimate: Estimate, seen: Seen, *, axis: float, known: Mapping[str, float],
+    progress: Callable[[int, int, float], None] | None,
 ) -> Found | None:
-    """The search with a progress bar; ``axis`` as in :func:`refined_capture`."""
+    """The search with a progress bar; arguments as in :func:`refined_capture`."""
     spread = specimen_spread()
     beforehand = Knowledge.of(fabric_prior(estimate.names), spread)
     scan = isinstance(seen, CapturedScan)
@@ -125,11 +130,13 @@ def _search(
     starts = [Cloth(first).with_theta(theta) for theta in (estimate.theta, *estimate.samples[rows])]
     total = STARTS + 2 + sum((level.evaluations + 1) * len(level.pulls) for level in seen.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
-        def progress(simulations: int, value: float) -> None:
+        def show(simulations: int, value: float) -> None:
             bar.update(simulations - bar.n)
             bar.set_postfix(misfit=f"{value:.0f}")
+            if progress:
+                progress(simulations, total, value)
 
-        return search(seen, starts, free=free, known=beforehand, progress=progress)
+        return search(seen, starts, free=free, known=beforehand, progress=show)
 
 
 def best_view(found: Found, drape: DrapeResult) -> np.ndarray:

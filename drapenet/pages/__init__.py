@@ -1,0 +1,31 @@
+"""Pages made of the templates in this folder."""
+
+from base64 import b64encode
+from functools import cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+
+from drapenet.table import with_interval
+
+
+def render(template: str, **values: object) -> bytes:
+    """A page in UTF-8. What is not marked as safe is escaped; a missing name is an error."""
+    return _environment().get_template(template).render(values).encode()
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "pages"), autoescape=True,
+                               undefined=jinja2.StrictUndefined, trim_blocks=True)
+    pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure,
+                      "base64": lambda data: b64encode(data).decode()}
+    return pages
+
+
+def _figure(quantity: dict[str, Any], level: str = "68") -> str:
+    """Median and interval."""
+    middle, interval = with_interval(quantity, f"interval_{level}")
+    return f"{middle} ({interval})"

@@ -1,0 +1,340 @@
+"""Requests: the page, and the HTTP interface that it uses and others may."""
+
+import asyncio
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import swagger_ui_bundle
+import uvicorn
+from fastapi import FastAPI, Request
+from fastapi.middleware.trustedhost import TrustedHostMiddleware
+from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from fastapi.staticfiles import StaticFiles
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+
+from common.errors import InputError, one_line
+from data.captures import MARKS
+from drapenet.export import MESHES, TARGETS, read_material, targets_named
+from drapenet.output import ESTIMATE, SHOWN
+from drapenet.pages import render
+from drapenet.service.jobs import Jobs
+from drapenet.service.settings import Settings
+from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
+from drapenet.service.work import PREVIEW, read_state
+from drapenet.tree import plain_name
+
+FILES = (ESTIMATE, PREVIEW, *SHOWN)
+STATIC = Path(__file__).parent / "static"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "captures" / "twill"
+_TIDY = 600.0  # s between two looks for results that are too old
+_SECURE = {
+    "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src "
+                               "'self' data: blob:; connect-src 'self' data: blob:; "
+                               "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"}
+_DRAIN = 1 << 20  # bytes, of a refused upload that are read so that its sender reads the answer
+_PATIENCE = 2.0  # s, for them
+_ANSWERS = {404: "no such estimate, or file of it", 408: "the upload paused or took too long",
+            409: "not there yet", 413: "too many or too large files", 415: "a kind of file that "
+            "is not taken", 422: "not a capture", 429: "the queue is full: try again"}
+_FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
+    "type": "object", "required": ["files"],
+    "properties": {
+        "files": {"type": "array", "items": {"type": "string", "format": "binary"},
+                  "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"},
+        **{name: {"type": "number"} for name in NUMBERS},
+        **{name: {"type": "string"} for name in TEXTS}}}}}}
+
+
+def serve(config: Mapping[str, Any]) -> None:
+    """Serve until interrupted; keys in ``configs/serve.yaml``.
+
+    Raises:
+        InputError: settings out of range, or an address that cannot be listened at.
+    """
+    settings = Settings.of(config)
+    server = uvicorn.Server(uvicorn.Config(
+        create_app(settings), host=settings.host, port=settings.port, log_level="warning",
+        limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
+        timeout_graceful_shutdown=3, server_header=False))
+    try:
+        listening = server.config.bind_socket()
+    except SystemExit:
+        raise InputError(f"cannot listen at {settings.host}:{settings.port}; choose another port="
+                         ) from None
+    port = listening.getsockname()[1]
+    print(f"http://{settings.host}:{port}   (results in {settings.results}; Ctrl-C ends)",
+          flush=True)
+    server.run(sockets=[listening])
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The application."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        incoming = settings.results / ".incoming"
+        incoming.mkdir(parents=True, exist_ok=True)
+        tempfile.tempdir = str(incoming)  # large uploads are spooled there
+        app.state.jobs = await run_in_threadpool(Jobs, settings)
+        tidying = asyncio.create_task(_tidy(app.state.jobs))
+        yield
+        tidying.cancel()
+        await run_in_threadpool(app.state.jobs.close)
+
+    app = FastAPI(title="DrapeNet", version=version("drapenet"), lifespan=lifespan, docs_url=None,
+                  redoc_url=None, description=render("service.md", settings=settings).decode())
+    app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
+    allowed = [settings.host, "localhost", "127.0.0.1", "[::1]", *settings.names]
+    app.add_middleware(TrustedHostMiddleware,
+                       allowed_hosts=["*"] if settings.host in ("0.0.0.0", "::") else allowed)
+    app.middleware("http")(_guarded)
+    app.exception_handler(RequestError)(_refused)
+    app.exception_handler(HTTPException)(_plain_error)
+    app.mount("/static", StaticFiles(directory=STATIC), name="static")
+    app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
+    _add_pages(app, settings)
+    _add_interface(app, settings)
+    return app
+
+
+def _add_pages(app: FastAPI, settings: Settings) -> None:
+    @app.get("/", include_in_schema=False)
+    def page() -> HTMLResponse:
+        return HTMLResponse(_page(settings))
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> HTMLResponse:
+        answer = get_swagger_ui_html(
+            openapi_url="/openapi.json", title="DrapeNet: HTTP interface",
+            swagger_js_url="/swagger/swagger-ui-bundle.js",
+            swagger_css_url="/swagger/swagger-ui.css",
+            swagger_favicon_url="/swagger/favicon-32x32.png")
+        answer.headers["Content-Security-Policy"] = (  # its page has a script inside
+            _SECURE["Content-Security-Policy"] + "; script-src 'self' 'unsafe-inline'")
+        return answer
+
+    @app.get("/example.zip", include_in_schema=False)
+    def example() -> Response:
+        if not EXAMPLE.is_dir():
+            raise RequestError(404, "the example is not installed")
+        return Response(_example(), media_type="application/zip")
+
+
+@cache
+def _page(settings: Settings) -> bytes:
+    return render("service.html", settings=settings, targets=TARGETS, meshes=MESHES, kinds=KINDS,
+                  example=EXAMPLE.is_dir())
+
+
+@cache
+def _example() -> bytes:
+    return _zipped({file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
+                    if file.suffix == ".png" or file.name in MARKS})
+
+
+def _add_interface(app: FastAPI, settings: Settings) -> None:
+    answers = {status: {"description": text} for status, text in _ANSWERS.items()}
+
+    @app.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
+              responses={key: answers[key] for key in (408, 413, 415, 422, 429)})
+    async def begin(request: Request) -> dict[str, str]:
+        """Upload a capture or a scan, and begin to estimate it."""
+        jobs: Jobs = request.app.state.jobs
+        try:
+            jobs.reserve()
+        except RequestError:
+            await _drain(request)
+            raise
+        try:
+            files, texts = await _form(request, settings)
+            upload = await run_in_threadpool(checked_upload, files, texts, settings)
+            identity = await run_in_threadpool(jobs.submit, upload)
+        except BaseException:
+            jobs.release()
+            raise
+        return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
+
+    @app.get("/estimates/{identity}", responses={404: answers[404]})
+    def state(identity: str, request: Request) -> JSONResponse:
+        """How far an estimate is, and what is known: `state` is queued, running, done, failed or
+        interrupted; `estimate` has the content of estimate.json as soon as the network has seen the
+        capture.
+        """
+        folder = request.app.state.jobs.folder(identity)
+        found = request.app.state.jobs.state(identity)
+        content = _read_json(folder / ESTIMATE)
+        files = [name for name in FILES if (folder / name).is_file()]
+        return JSONResponse(found | {"estimate": content, "files": files},
+                            headers={"Cache-Control": "no-store"})
+
+    @app.get("/estimates/{identity}/{file}", responses={key: answers[key] for key in (404, 409)},
+             response_class=FileResponse)
+    def file(identity: str, file: str, request: Request) -> FileResponse:
+        """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
+        preview.png.
+        """
+        folder = request.app.state.jobs.folder(identity)
+        if file not in FILES:
+            raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
+        if not (folder / file).is_file():
+            raise RequestError(409, f"{file} is not there yet")
+        return FileResponse(folder / file, headers={"Cache-Control": "no-store"})
+
+    @app.get("/estimates/{identity}/export/{name}", response_class=Response,
+             responses={key: answers[key] for key in (404, 409, 422)})
+    def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
+               edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
+        """A file for another tool, or a zip where there are several; `mesh` and `edge_mm` for tools
+        made of hinges, `curvature_1_m` at which one modulus stands for the law.
+        """
+        folder = request.app.state.jobs.folder(identity)
+        if name not in TARGETS:
+            raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
+        found = read_state(folder)
+        if not found or found["state"] != "done":
+            raise RequestError(409, "the estimate is not finished")
+        try:
+            targets_named(name)
+            material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
+                                     edge=1e-3 * edge_mm)
+            target = TARGETS[name]
+            title = f"{plain_name(found['name'])}-{target.file}"
+            files = target.write(material, title)
+        except InputError as error:
+            raise RequestError(422, str(error).replace(str(folder), "")) from None
+        several = len(files) > 1
+        title = f"{Path(title).stem}.zip" if several else title
+        return Response(_zipped(files) if several else files[title],
+                        media_type="application/octet-stream",
+                        headers={"Content-Disposition": _attachment(title)})
+
+
+def _attachment(name: str) -> str:
+    ascii_name = name.encode("ascii", "replace").decode().replace("?", "_")
+    return f"attachment; filename=\"{ascii_name}\""
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+    return stream.getvalue()
+
+
+def _read_json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+async def _form(
+    request: Request, settings: Settings
+) -> tuple[list[tuple[str, bytes]], dict[str, str]]:
+    """Files, names and bytes, and texts of a multipart request, within the limits."""
+    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+        await _drain(request)
+        raise RequestError(415, "send the files as multipart/form-data, in the field files")
+    stated = request.headers.get("content-length", "0")
+    if stated.isdigit() and int(stated) > settings.bytes + _DRAIN:
+        raise RequestError(413, f"the upload has {int(stated) / 1e6:.0f} MB; at most "
+                           f"{settings.bytes / 1e6:g}")
+    _limit(request, settings)
+    try:
+        form = await request.form(max_files=settings.files, max_fields=32, max_part_size=1 << 16)
+    except HTTPException as error:
+        raise RequestError(422 if error.status_code == 400 else error.status_code,
+                      one_line(Exception(error.detail))) from None
+    files, texts = [], {}
+    try:
+        for key, value in form.multi_items():
+            if isinstance(value, UploadFile):
+                if key != "files":
+                    raise RequestError(422, f"unknown field {key[:60]!r} with a file; give files")
+                files.append((value.filename or "unnamed", await value.read()))
+            else:
+                texts[key] = value
+    finally:
+        await form.close()
+    return files, texts
+
+
+def _limit(request: Request, settings: Settings) -> None:
+    """Bound the bytes that a request may send, and its pauses."""
+    receive, total = request._receive, 0
+    end = asyncio.get_running_loop().time() + settings.upload_seconds
+
+    async def limited() -> Any:
+        nonlocal total
+        left = end - asyncio.get_running_loop().time()
+        try:
+            message = await asyncio.wait_for(receive(), max(0.0, min(left, settings.idle_seconds)))
+        except asyncio.TimeoutError:
+            raise RequestError(408, f"the upload paused for {settings.idle_seconds:g} s or took "
+                               f"more than {settings.upload_seconds:g} s; try again") from None
+        total += len(message.get("body", b""))
+        if total > settings.bytes + _DRAIN:
+            raise RequestError(413, f"the upload has more than {settings.bytes / 1e6:g} MB")
+        return message
+
+    request._receive = limited
+
+
+async def _drain(request: Request) -> None:
+    """Read what a refused request sends, so that its sender is ready for the answer."""
+    async def read() -> None:
+        total = 0
+        async for part in request.stream():
+            total += len(part)
+            if total > _DRAIN:
+                return
+
+    with suppress(Exception):  # it is refused anyway
+        await asyncio.wait_for(read(), _PATIENCE)
+
+
+async def _guarded(
+    request: Request, call_next: Callable[[Request], Awaitable[Response]]
+) -> Response:
+    """Other sites' pages may not send requests here; headers that browsers heed go out."""
+    origin = request.headers.get("origin")
+    if request.method not in ("GET", "HEAD") and origin is not None:
+        if urlsplit(origin).netloc != request.headers.get("host"):
+            return _answer(403, "requests from other sites' pages are not taken")
+    answer = await call_next(request)
+    for name, value in _SECURE.items():
+        answer.headers.setdefault(name, value)
+    return answer
+
+
+def _answer(status: int, sentence: str) -> JSONResponse:
+    headers = {"Retry-After": "30"} if status == 429 else {}
+    return JSONResponse({"error": sentence}, status_code=status, headers=headers)
+
+
+async def _refused(request: Request, error: RequestError) -> JSONResponse:
+    return _answer(error.status, error.sentence)
+
+
+async def _plain_error(request: Request, error: HTTPException) -> JSONResponse:
+    return _answer(error.status_code, str(error.detail))
+
+
+async def _tidy(jobs: Jobs) -> None:
+    while True:
+        await run_in_threadpool(jobs.tidy)
+        await asyncio.sleep(_TIDY)

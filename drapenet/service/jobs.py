@@ -1,0 +1,152 @@
+"""Estimates under way and finished: a bounded queue, worker processes, a folder of results."""
+
+import multiprocessing
+import os
+import re
+import secrets
+import shutil
+import threading
+import time
+from concurrent import futures
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pebble import ProcessPool
+
+from common.errors import one_line
+from drapenet.service.settings import Settings
+from drapenet.service.uploads import RequestError, Upload, write_upload
+from drapenet.service.work import (
+    ENDED,
+    FAILED,
+    LOST,
+    QUEUED,
+    STATE,
+    UPLOADED,
+    change_state,
+    estimate_upload,
+    read_state,
+    warm_up,
+)
+
+_ID = re.compile(r"[A-Za-z0-9_-]{22}")
+_SPENT = 500  # estimates after which a worker process makes room for a fresh one
+_RESTARTED = ("the service was started again before this estimate was finished; upload the capture "
+              "again")
+
+
+class Jobs:
+    """The estimates of one service.
+
+    What was under way when an earlier service ended is marked as interrupted; what it finished is
+    there.
+    """
+
+    def __init__(self, settings: Settings):
+        self.settings = settings
+        self._taken = 0
+        self._lock = threading.Lock()
+        settings.results.mkdir(parents=True, exist_ok=True)
+        for folder in self._folders():
+            state = read_state(folder)
+            if state is None:
+                shutil.rmtree(folder, ignore_errors=True)  # an upload that was never complete
+            elif state["state"] not in ENDED:
+                self._end(folder, LOST, _RESTARTED)
+        self._pool = ProcessPool(
+            max_workers=settings.workers, max_tasks=_SPENT, initializer=warm_up,
+            initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
+        for _ in range(settings.workers):
+            self._pool.schedule(os.getpid)  # starts them
+
+    def close(self) -> None:
+        """End all worker processes; what they were at is marked as interrupted by the next."""
+        self._pool.stop()
+        self._pool.join(timeout=5)
+
+    def reserve(self) -> None:
+        """Take a place in the queue, to be given back by :meth:`release` unless :meth:`submit`
+        follows; RequestError with the status 429 where none is free.
+        """
+        with self._lock:
+            if self._taken >= self.settings.queue:
+                raise RequestError(429, f"{self._taken} estimates are waiting or under way, as "
+                                   "many as this service takes; try again in a minute")
+            self._taken += 1
+
+    def release(self) -> None:
+        """Give a place in the queue back."""
+        with self._lock:
+            self._taken -= 1
+
+    def submit(self, upload: Upload) -> str:
+        """Begin to estimate an upload, in the place that :meth:`reserve` took; its identity."""
+        identity = secrets.token_urlsafe(16)
+        folder = self.settings.results / identity
+        try:
+            write_upload(upload, folder / UPLOADED)
+            change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
+                         refine=upload.refine, progress=None, error=None, warnings=[],
+                         created=time.time(), ended=None)
+            density = upload.fields.get("density_g_m2")
+            future = self._pool.schedule(
+                estimate_upload, args=[folder], timeout=self.settings.job_seconds,
+                kwargs={"refine": upload.refine, "scan": upload.scan, "name": upload.name,
+                        "density": density and 1e-3 * density})
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        future.add_done_callback(lambda done: self._ended(folder, done))
+        return identity
+
+    def folder(self, identity: str) -> Path:
+        """The folder of an estimate; RequestError with the status 404 where there is none."""
+        folder = self.settings.results / identity
+        if not (_ID.fullmatch(identity) and (folder / STATE).is_file()):
+            raise RequestError(404, "no such estimate; it may have been removed for its age")
+        return folder
+
+    def state(self, identity: str) -> dict[str, Any]:
+        """The state of an estimate."""
+        found = read_state(self.folder(identity))
+        if found is None:
+            raise RequestError(404, "no such estimate; it may have been removed for its age")
+        return found
+
+    def tidy(self) -> None:
+        """Remove results that are too old or too many."""
+        now, ended = time.time(), []
+        for folder in self._folders():
+            state = read_state(folder)
+            if state is not None and state["state"] in ENDED:
+                ended.append((state.get("ended") or 0.0, folder))
+        ended.sort(key=lambda item: item[0])
+        for k, (moment, folder) in enumerate(ended):
+            if now - moment > self.settings.keep_seconds or len(ended) - k > self.settings.keep:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _folders(self) -> list[Path]:
+        return [folder for folder in self.settings.results.iterdir()
+                if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
+
+    def _ended(self, folder: Path, done: Any) -> None:
+        """See to what a worker left: pebble calls this however the work ended."""
+        self.release()
+        if done.cancelled():
+            return
+        if (error := done.exception()) is not None:
+            if isinstance(error, futures.TimeoutError):
+                sentence = (f"not finished in {self.settings.job_seconds:g} s, as long as an "
+                            "estimate may take here")
+            else:
+                sentence = (f"the estimate failed ({type(error).__name__}: {one_line(error)}); "
+                            "please report this capture")
+            self._end(folder, FAILED, sentence)
+        shutil.rmtree(folder / UPLOADED, ignore_errors=True)
+
+    def _end(self, folder: Path, state: str, sentence: str) -> None:
+        with suppress(Exception):  # a full disk must not end the thread that serves all others
+            change_state(folder, state=state, stage=None, progress=None, error=sentence,
+                         ended=time.time())
+        shutil.rmtree(folder / UPLOADED, ignore_errors=True)

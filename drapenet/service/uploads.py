@@ -1,0 +1,242 @@
+"""What a request brings, checked and written as a capture folder or a scan.
+
+Names of files are those of this module's own choice or plain ones of known kinds; nothing of an
+upload is run, unpickled, or used as a path.
+"""
+
+import io
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from PIL import Image
+
+from common.errors import InputError, one_line
+from data.captures import INTRINSICS_KEYS, MARKS, checked_density
+from data.frames import BACKGROUND
+from data.reading import LARGEST_TEXT, finite_number, parse_mapping, shown
+from drapenet.service.settings import Settings
+from drapenet.tree import plain_name
+
+PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
+KINDS = (*PICTURES, *SCANS, ".yaml", ".txt", ".zip")
+NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m", *INTRINSICS_KEYS)
+"""Fields of the form that are numbers; those left empty are taken from ``capture.yaml``."""
+TEXTS = ("rig", "refine", "name")
+LONGEST_FIELD = 200  # characters
+REFINE = ("no", "yes")
+_NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
+
+
+class RequestError(Exception):
+    """A request that is not taken: an HTTP status and a sentence."""
+
+    def __init__(self, status: int, sentence: str):
+        super().__init__(sentence)
+        self.status, self.sentence = status, sentence
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A request to estimate.
+
+    Attributes:
+        files: bytes by name; plain names.
+        fields: of the form.
+        scan: name of the file that is a scan; None where the files are a capture.
+        name: what the user calls it.
+    """
+
+    files: dict[str, bytes]
+    fields: dict[str, Any]
+    scan: str | None
+    name: str
+
+    @property
+    def refine(self) -> bool:
+        """Whether the simulator is to decide."""
+        return self.fields.get("refine") == "yes"
+
+
+def checked_upload(
+    files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
+) -> Upload:
+    """The upload that a form's ``files``, names and bytes, and ``texts`` make.
+
+    Raises:
+        RequestError: with the status 413, 415 or 422.
+    """
+    fields = _fields(texts)
+    if not files:
+        raise RequestError(422, "no files; give the views of a drape, a zip with them, or a scan")
+    title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
+    found = _unpacked(files, settings)
+    scans = [name for name in found if Path(name).suffix in SCANS
+             or (Path(name).suffix == ".ply" and not _NAMED.fullmatch(name))]
+    if scans and len(found) > 1:
+        raise RequestError(422, f"{scans[0]} is a scan and must come alone; views are called "
+                           "view_0.png and so on")
+    for name, data in found.items():
+        _require_pixels(name, data, settings.pixels)
+    return Upload(found, fields, scans[0] if scans else None,
+                  plain_name(fields.get("name") or title)[:40])
+
+
+def write_upload(upload: Upload, folder: Path) -> None:
+    """Write an upload to a new ``folder``, a capture with its description, or the scan alone.
+
+    Raises:
+        RequestError: fields and files that do not make a capture.
+    """
+    folder.mkdir(parents=True)
+    files = dict(upload.files)
+    if upload.scan is None:
+        if not any(mark in files for mark in MARKS) or "capture.yaml" in files:
+            files = _numbered(files)
+            files["capture.yaml"] = _description(files.pop("capture.yaml", None), upload.fields)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+
+
+def _fields(texts: Mapping[str, str]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for key, text in texts.items():
+        if key not in (*NUMBERS, *TEXTS):
+            raise RequestError(422, f"unknown field {shown(key)}; known fields: files, "
+                               f"{', '.join((*NUMBERS, *TEXTS))}")
+        if len(text) > LONGEST_FIELD:
+            raise RequestError(422, f"{key} has {len(text)} characters; at most {LONGEST_FIELD}")
+        if not (text := text.strip()):
+            continue
+        fields[key] = text
+        if key in NUMBERS:
+            try:
+                fields[key] = finite_number(float(text.replace(",", ".")), key)
+            except ValueError:
+                raise RequestError(422, f"{key}={shown(text)} is not a number") from None
+    if fields.get("refine", "no") not in REFINE:
+        raise RequestError(422, f"refine={shown(fields['refine'])}: give yes or no")
+    return fields
+
+
+def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
+    """Files by plain name, zips unpacked."""
+    found: dict[str, bytes] = {}
+    for name, data in files:
+        for inner, content in (_members(data, settings) if _suffix(name) == ".zip"
+                               else [(name, data)]):
+            plain = plain_name(Path(inner.replace("\\", "/")).name)
+            plain = Path(plain).stem + _suffix(inner)
+            if plain in found:
+                raise RequestError(422, f"two files are called {plain}; give one capture at a time")
+            found[plain] = content
+    if not found:
+        raise RequestError(422, f"the zip holds no files of the kinds {', '.join(KINDS[:-1])}")
+    if len(found) > settings.files:
+        raise RequestError(413, f"{len(found)} files; at most {settings.files}")
+    return found
+
+
+def _suffix(name: str) -> str:
+    suffix = Path(name.replace("\\", "/")).suffix.lower()
+    suffix = ".yaml" if suffix == ".yml" else suffix
+    if suffix not in KINDS:
+        raise RequestError(415, f"{shown(name)}: files of this kind are not taken; give "
+                           f"{', '.join(KINDS)}")
+    return suffix
+
+
+def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
+    """Names and contents of a zip's files, without those of other kinds and hidden ones."""
+    found, left = [], settings.bytes
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            if len(entries) > 4 * settings.files:
+                raise RequestError(413, f"the zip has {len(entries)} entries; at most "
+                                   f"{settings.files} files")
+            for entry in entries:
+                hidden = any(part.startswith((".", "__")) for part in entry.filename.split("/"))
+                known = Path(entry.filename).suffix.lower() in (*KINDS, ".yml")
+                if entry.is_dir() or hidden or not known or entry.filename.endswith(".zip"):
+                    continue
+                with archive.open(entry) as stream:  # the stated size may be wrong
+                    content = stream.read(left + 1)
+                left -= len(content)
+                if left < 0:
+                    raise RequestError(413, "the zip unpacks to more than "
+                                       f"{settings.bytes / 1e6:g} MB")
+                found.append((entry.filename, content))
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError,
+            zipfile.zlib.error) as error:
+        raise RequestError(422, f"the zip cannot be read ({one_line(error)}); pack it again"
+                           ) from None
+    return found
+
+
+def _require_pixels(name: str, data: bytes, most: int) -> None:
+    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked."""
+    suffix = Path(name).suffix
+    try:
+        if suffix == ".png":
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+                    size = picture.size
+        elif suffix == ".npy":
+            stream = io.BytesIO(data)
+            version = np.lib.format.read_magic(stream)
+            read = {(1, 0): np.lib.format.read_array_header_1_0,
+                    (2, 0): np.lib.format.read_array_header_2_0}[version]
+            size = read(stream)[0]
+        else:
+            if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
+                raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
+            return
+    except RequestError:
+        raise
+    except Exception as error:  # whatever a library makes of a hostile header
+        raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
+                      ) from None
+    count = int(np.prod([int(side) for side in size], dtype=object))
+    if count > most:
+        raise RequestError(413, f"{name} has {count} pixels; at most {most / 1e6:g} million, "
+                           "save it smaller")
+
+
+def _numbered(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Pictures called view_0 and so on, in the order of their names, unless they are already."""
+    others = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
+    if not others or any(_NAMED.fullmatch(name) for name in others):
+        return files
+    others.sort(key=lambda name: [int(part) if part.isdigit() else part
+                                  for part in re.split(r"(\d+)", name)])
+    renamed = {old: f"view_{k}{Path(old).suffix}" for k, old in enumerate(others)}
+    return {renamed.get(name, name): data for name, data in files.items()}
+
+
+def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
+    """``capture.yaml``: the given one with what the form's fields state in its place."""
+    try:
+        text = (given or b"{}").decode("utf-8")
+        content = dict(parse_mapping(text, "capture.yaml"))
+        content |= {key: fields[key] for key in (*NUMBERS[:3], "rig") if key in fields}
+        intrinsics = {key: fields[key] for key in INTRINSICS_KEYS if key in fields}
+        if missing := [key for key in INTRINSICS_KEYS if intrinsics and key not in intrinsics]:
+            raise RequestError(422, f"{missing[0]} is missing; give fx, fy, cx and cy, in pixels")
+        if intrinsics:
+            content["intrinsics"] = intrinsics
+        checked_density(content.get("density_g_m2"), "density_g_m2")
+        return yaml.safe_dump(content).encode()
+    except UnicodeDecodeError:
+        raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
+    except (yaml.YAMLError, RecursionError) as error:
+        raise RequestError(422, f"capture.yaml cannot be read ({one_line(error)})") from None

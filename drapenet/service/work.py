@@ -1,0 +1,122 @@
+"""What a worker process does for one estimate; how far it is stands in its folder's state.json."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from common.errors import InputError
+from common.files import replace_file, replace_json
+from common.workers import follow
+from drapenet.output import ESTIMATE
+
+STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
+QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
+ENDED = (DONE, FAILED, LOST)
+_PAUSE = 0.25  # s between two reports of progress
+
+
+def read_state(folder: Path) -> dict[str, Any] | None:
+    """The state of an estimate; None where there is none."""
+    try:
+        found = json.loads((folder / STATE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and "state" in found else None
+
+
+def change_state(folder: Path, **values: object) -> None:
+    """Change keys of an estimate's state."""
+    replace_json(folder / STATE, (read_state(folder) or {}) | values)
+
+
+def warm_up(parent: int) -> None:
+    """Prepare a worker of the process ``parent``: what the first estimate would wait for."""
+    follow(parent)
+    from data.cameras import DEFAULT_RIG
+    from data.render import import_open3d
+    from drapenet.checkpoint import bundled, load_model, read_header
+    from drapenet.report import draw_report  # noqa: F401
+    from drapenet.resimulate import EDGE
+    from sim.drape import drape
+    from sim.material import MICRO, Fabric
+
+    load_model(read_header(bundled(DEFAULT_RIG)))
+    import_open3d()
+    drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
+
+
+def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
+                    density: float | None) -> None:
+    """Estimate what was uploaded to ``folder``, and remove it; a failure is a state.
+
+    Args:
+        scan: file of a scan; None for a capture.
+        name: of the capture, for people. density: kg/m², of a scan.
+    """
+    from data.captures import read_capture
+    from drapenet.inference import estimate_capture
+    from drapenet.sources import header_for, read_scan_capture
+
+    uploaded = folder / UPLOADED
+    change_state(folder, state=RUNNING, stage="reading")
+    try:
+        seen = None
+        if scan:
+            capture, seen = read_scan_capture(uploaded / scan, density=density)
+        else:
+            capture = read_capture(uploaded)
+        replace_file(folder / PREVIEW, preview(capture))
+        # Where the service keeps it is nobody's business.
+        capture = replace(capture, path=Path(name))
+        change_state(folder, stage="estimating", warnings=list(capture.warnings))
+
+        def first(content: dict[str, Any]) -> None:
+            replace_json(folder / ESTIMATE, content)
+            change_state(folder, stage="refining" if refine else "simulating")
+
+        result = estimate_capture(capture, header_for([capture]), seen=seen, refine=refine,
+                                  first=first, progress=_throttled(folder))
+        for file, data in result.files.items():
+            replace_file(folder / file, data)
+        replace_json(folder / ESTIMATE, result.content)
+        change_state(folder, state=DONE, stage=None, progress=None, ended=time.time())
+    except InputError as error:
+        sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)
+        change_state(folder, state=FAILED, stage=None, progress=None, error=sentence,
+                     ended=time.time())
+
+
+def preview(capture: Any) -> bytes:
+    """PNG of what was captured: frames with the cloth outlined, or the cloth of each view."""
+    import cv2
+    import numpy as np
+
+    from data.capture import picture
+    from data.picture import thumbnail
+    from sim.scene import Rig
+
+    if capture.cut:
+        return picture(capture.cut, capture.intrinsics, Rig.from_name(capture.rig),
+                       turns=capture.turns)
+    tiles = [cv2.imdecode(np.frombuffer(thumbnail(view), np.uint8), cv2.IMREAD_COLOR)
+             for view in capture.views]
+    gap = np.full((tiles[0].shape[0], 12, 3), 255, np.uint8)
+    row = [part for tile in tiles for part in (tile, gap)][:-1]
+    return cv2.imencode(".png", np.hstack(row))[1].tobytes()
+
+
+def _throttled(folder: Path) -> Callable[[int, int, float], None]:
+    """Writes the refinement's progress into a folder's state, a few times a second."""
+    last = 0.0
+
+    def progress(made: int, expected: int, misfit: float) -> None:
+        nonlocal last
+        if time.monotonic() - last > _PAUSE:
+            change_state(folder, progress={"made": made, "expected": max(expected, made),
+                                           "misfit": misfit})
+            last = time.monotonic()
+
+    return progress
