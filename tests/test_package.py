@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_imports_from_outside_the_repository(tmp_path):
     code = (
-        "import sim.drape, data.captures, drapenet.checkpoint, train, infer;"
+        "import sim.drape, data.captures, drapenet.checkpoint, train, infer, serve;"
         "from data.configs import CONFIG_DIR;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file();"
         "assert drapenet.checkpoint.bundled('square300_cylinder100').is_file()"
@@ -24,7 +24,7 @@ def test_imports_from_outside_the_repository(tmp_path):
 
 def test_console_scripts_answer(tmp_path):
     scripts = Path(sys.executable).parent
-    for name in ("sim", "generate", "train", "infer", "evaluate", "export"):
+    for name in ("sim", "generate", "train", "infer", "evaluate", "export", "serve"):
         script = scripts / f"drapenet-{name}"
         done = subprocess.run([script, "nonsense=1"], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 2, (name, done.stderr)
@@ -40,7 +40,8 @@ def test_wheel_holds_every_package_config_and_weight(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     tracked = subprocess.run(
-        ["git", "ls-files", "sim", "data", "drapenet", "configs", "train.py", "infer.py"],
+        ["git", "ls-files", "sim", "data", "drapenet", "configs", "train.py", "infer.py",
+         "serve.py"],
         cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout.split()
     assert set(tracked) <= names

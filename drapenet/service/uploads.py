@@ -84,6 +84,8 @@ def checked_upload(
                            "view_0.png and so on")
     for name, data in found.items():
         _require_pixels(name, data, settings.pixels)
+    if scans:
+        _require_density(fields.get("density_g_m2"))
     return Upload(found, fields, scans[0] if scans else None,
                   plain_name(fields.get("name") or title)[:40])
 
@@ -125,6 +127,13 @@ def _fields(texts: Mapping[str, str]) -> dict[str, Any]:
     return fields
 
 
+def _require_density(value: object) -> None:
+    try:
+        checked_density(value, "density_g_m2")
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
+
+
 def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
     """Files by plain name, zips unpacked."""
     found: dict[str, bytes] = {}
@@ -162,9 +171,9 @@ def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
                 raise RequestError(413, f"the zip has {len(entries)} entries; at most "
                                    f"{settings.files} files")
             for entry in entries:
-                hidden = any(part.startswith((".", "__")) for part in entry.filename.split("/"))
-                known = Path(entry.filename).suffix.lower() in (*KINDS, ".yml")
-                if entry.is_dir() or hidden or not known or entry.filename.endswith(".zip"):
+                path = Path(entry.filename.replace("\\", "/"))
+                known = path.suffix.lower() in (*PICTURES, *SCANS, ".yaml", ".yml", ".txt")
+                if entry.is_dir() or not known or path.name.startswith((".", "_")):
                     continue
                 with archive.open(entry) as stream:  # the stated size may be wrong
                     content = stream.read(left + 1)
@@ -201,6 +210,9 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
             return
     except RequestError:
         raise
+    except Image.DecompressionBombError:
+        raise RequestError(413, f"{name} has too many pixels; at most {most / 1e6:g} million"
+                           ) from None
     except Exception as error:  # whatever a library makes of a hostile header
         raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
                       ) from None
@@ -232,7 +244,7 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
             raise RequestError(422, f"{missing[0]} is missing; give fx, fy, cx and cy, in pixels")
         if intrinsics:
             content["intrinsics"] = intrinsics
-        checked_density(content.get("density_g_m2"), "density_g_m2")
+        _require_density(content.get("density_g_m2"))
         return yaml.safe_dump(content).encode()
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None

@@ -31,8 +31,6 @@ const isDescribed = () => chosen.some((file) => ['.zip', '.yaml', '.txt'].includ
 function choose(files) {
   chosen = [...files];
   at('error-files').textContent = '';
-  at('chosen').textContent = chosen.length > 4 ? `${chosen.length} files`
-    : chosen.map((file) => file.name).join(', ');
   if (chosen.length && !isDescribed()) at('camera').open = true;
 }
 
@@ -273,6 +271,7 @@ document.addEventListener('dragleave', (event) => event.relatedTarget ?? at('dro
 document.addEventListener('drop', (event) => {
   event.preventDefault();
   at('drop').classList.remove('over');
+  at('files').files = event.dataTransfer.files;
   choose(event.dataTransfer.files);
 });
 at('form').addEventListener('submit', (event) => {

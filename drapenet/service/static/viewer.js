@@ -29,7 +29,7 @@ export async function view(address, canvas, overlay) {
   const box = new Box3().setFromObject(parts.captured);
   const controls = new OrbitControls(camera, canvas);
   box.getCenter(controls.target);
-  camera.position.set(0, 0.32, 0.78).add(controls.target); // as the rig's camera stands
+  camera.position.set(0, 0.27, 0.58).add(controls.target); // as the rig's camera stands
   controls.enablePan = false;
   controls.minDistance = 0.25;
   controls.maxDistance = 2;

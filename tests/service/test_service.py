@@ -1,0 +1,216 @@
+"""The service: from an upload to numbers and files, its limits, and what survives a restart."""
+
+import io
+import json
+import os
+import time
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from fastapi.testclient import TestClient
+
+from data.captures import read_capture
+from data.configs import read_config
+from drapenet.export import TARGETS
+from drapenet.inference import infer_capture
+from drapenet.service.app import create_app
+from drapenet.service.jobs import Jobs
+from drapenet.service.settings import Settings
+from drapenet.service.uploads import RequestError
+from drapenet.service.work import change_state
+from drapenet.sources import header_for
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
+PICTURES = sorted(EXAMPLE.glob("*.png"))
+
+
+def settings_for(results: Path) -> Settings:
+    return Settings.of(read_config("serve") | {
+        "results": str(results), "workers": 1, "queue": 3, "idle_seconds": 0.5})
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    app = create_app(settings_for(results))
+    with TestClient(app, base_url="http://localhost") as client:
+        yield client
+
+
+def post(client: TestClient, files: list[Path], **fields: str):
+    parts = [("files", (file.name, file.read_bytes())) for file in files]
+    return client.post("/estimates", files=parts, data=fields)
+
+
+def ended(client: TestClient, identity: str) -> dict:
+    for _ in range(1200):
+        found = client.get(f"/estimates/{identity}").json()
+        if found["state"] in ("done", "failed", "interrupted"):
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"not finished: {found}")
+
+
+@pytest.fixture(scope="module")
+def finished(client) -> dict:
+    begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], name="Twill <b> 7")
+    assert begun.status_code == 202
+    return ended(client, begun.json()["id"])
+
+
+def test_numbers_are_those_of_the_command(finished):
+    capture = read_capture(EXAMPLE)
+    expected = infer_capture(capture, header_for([capture])).estimate
+    assert finished["state"] == "done" and finished["error"] is None
+    moduli = finished["estimate"]["moduli"]
+    for k, direction in enumerate(("warp", "bias", "weft")):
+        assert moduli[direction]["alpha_uN_m"]["median"] == pytest.approx(
+            np.median(expected.moduli(capture.density)[0][:, k]) * 1e6, rel=1e-3)
+
+
+def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
+    results = str(client.app.state.jobs.settings.results)
+    for name in ("estimate.json", "report.html", "report.png", "preview.png", "drape.glb",
+                 "torque.svg"):
+        answer = client.get(f"/estimates/{finished['id']}/{name}")
+        assert answer.status_code == 200 and len(answer.content) > 1000, name
+        assert results.encode() not in answer.content, name
+    page = client.get(f"/estimates/{finished['id']}/report.html").text
+    assert "<b>" not in page and "Twill" in page
+    scene = trimesh.load(io.BytesIO(client.get(f"/estimates/{finished['id']}/drape.glb").content),
+                         file_type="glb")
+    assert set(scene.geometry) == {"captured", "simulated", "support"}
+    folder = client.app.state.jobs.folder(finished["id"])
+    assert not (folder / "uploaded").exists()
+
+
+def test_exports_can_be_fetched(client, finished):
+    for name in ("jfab", "u3m", "usd", "json", "csv", "torque"):  # others hang strips for seconds
+        target = TARGETS[name]
+        answer = client.get(f"/estimates/{finished['id']}/export/{name}")
+        assert answer.status_code == 200, (name, answer.text)
+        title = answer.headers["content-disposition"].partition("filename=")[2].strip('"')
+        if title.endswith(".zip"):
+            inside = zipfile.ZipFile(io.BytesIO(answer.content)).namelist()
+            assert any(one.endswith(target.file) for one in inside) and len(inside) > 1
+        else:
+            assert title == f"Twill_b_7-{target.file}"
+    answer = client.get(f"/estimates/{finished['id']}/export/newton?edge_mm=500")
+    assert answer.status_code == 422 and "edge_mm" in answer.json()["error"]
+
+
+def test_bad_capture_fails_with_its_sentence(client):
+    begun = post(client, [PICTURES[0]], density_g_m2="200", fx="305", fy="305", cx="119.5",
+                 cy="89.5", depth_unit_m="1")
+    found = ended(client, begun.json()["id"])
+    assert found["state"] == "failed" and found["estimate"] is None
+    assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]
+
+
+def test_what_is_not_there_is_404_and_what_is_not_ready_409(client, finished):
+    identity = finished["id"]
+    for address in ("/estimates/nothing", f"/estimates/{'a' * 22}", "/estimates/..%2f..%2fetc",
+                    f"/estimates/{identity}/state.json", f"/estimates/{identity}/export/nothing",
+                    f"/estimates/{identity}/..%2f{identity}%2fstate.json", "/static/../app.py"):
+        answer = client.get(address)
+        assert answer.status_code == 404, address
+        assert "Traceback" not in answer.text
+    jobs = client.app.state.jobs
+    folder = jobs.settings.results / ("b" * 22)
+    change_state(folder, state="queued", id="b" * 22, name="x")
+    try:
+        assert client.get(f"/estimates/{'b' * 22}/report.png").status_code == 409
+        assert client.get(f"/estimates/{'b' * 22}/export/json").status_code == 409
+    finally:
+        (folder / "state.json").unlink()
+        folder.rmdir()
+
+
+def test_refusals_are_sentences(client):
+    jobs = client.app.state.jobs
+    assert client.post("/estimates", content=b"x").status_code == 415
+    large = client.post("/estimates", files=[("files", ("a.png", b"\0" * 34_000_000))])
+    assert large.status_code == 413 and "MB" in large.json()["error"]
+    form = {"content-type": "multipart/form-data; boundary=x"}
+    assert client.post("/estimates", content=b"--x\r\nnonsense", headers=form).status_code == 422
+    assert client.post("/estimates", headers={"origin": "http://elsewhere.example"},
+                       files=[("files", ("a.png", b""))]).status_code == 403
+    assert client.get("/", headers={"host": "elsewhere.example"}).status_code == 400
+    for _ in range(jobs.settings.queue):
+        jobs.reserve()
+    try:
+        full = post(client, PICTURES)
+        assert full.status_code == 429 and "try again" in full.json()["error"]
+        assert full.headers["retry-after"]
+    finally:
+        for _ in range(jobs.settings.queue):
+            jobs.release()
+    assert jobs._taken == 0  # no refusal keeps a place
+
+
+def test_page_and_interface_ask_no_other_host(client):
+    for address in ("/", "/docs", "/static/app.js", "/static/viewer.js", "/static/style.css"):
+        answer = client.get(address)
+        assert answer.status_code == 200
+        assert "http://" not in answer.text.replace("http://www.w3.org", ""), address
+        assert "https://" not in answer.text, address
+        assert "default-src 'self'" in answer.headers["content-security-policy"]
+    described = client.get("/openapi.json").json()
+    answers = described["paths"]["/estimates"]["post"]["responses"]
+    assert {"413", "415", "422", "429"} <= set(answers)
+    sizes = sum(len(client.get(address).content) for address in (
+        "/", "/static/app.js", "/static/viewer.js", "/static/style.css", "/static/three.js"))
+    assert sizes < 2_000_000
+
+
+def test_a_restart_keeps_results_and_says_what_it_lost(tmp_path):
+    settings = replace(settings_for(tmp_path), keep=2, keep_seconds=100.0)
+    kept, lost, torn, old = (tmp_path / (letter * 22) for letter in "klto")
+    change_state(kept, id=kept.name, name="k", state="done", ended=time.time())
+    change_state(lost, id=lost.name, name="l", state="running", stage="refining", ended=None)
+    (lost / "uploaded").mkdir()
+    (torn / "uploaded").mkdir(parents=True)
+    change_state(old, id=old.name, name="o", state="done", ended=time.time() - 200)
+    jobs = Jobs(settings)
+    try:
+        assert jobs.state(kept.name)["state"] == "done"
+        assert jobs.state(lost.name)["state"] == "interrupted"
+        assert "upload the capture again" in jobs.state(lost.name)["error"]
+        assert not (lost / "uploaded").exists() and not torn.exists()
+        jobs.tidy()
+        with pytest.raises(RequestError):
+            jobs.state(old.name)
+        change_state(tmp_path / ("m" * 22), state="failed", ended=time.time() - 50)
+        jobs.tidy()  # the oldest of three goes
+        assert {one.name for one in tmp_path.iterdir()} == {kept.name, lost.name}
+    finally:
+        jobs.close()
+
+
+@pytest.mark.slow
+def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
+    begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()
+    jobs = client.app.state.jobs
+    for _ in range(600):
+        if client.get(begun["url"]).json()["state"] == "running":
+            break
+        time.sleep(0.05)
+    worker, = jobs._pool._pool_manager.worker_manager.workers.values()
+    os.kill(worker.pid, 9)
+    found = ended(client, begun["id"])
+    assert found["state"] == "failed" and "report this capture" in found["error"]
+    again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()
+    assert ended(client, again["id"])["state"] == "done"
+
+
+def test_state_that_is_no_json_is_nothing(client):
+    folder = client.app.state.jobs.settings.results / ("z" * 22)
+    folder.mkdir()
+    (folder / "state.json").write_text(json.dumps([1]))
+    assert client.get(f"/estimates/{folder.name}").status_code == 404
+    (folder / "state.json").unlink()
+    folder.rmdir()

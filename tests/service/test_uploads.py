@@ -1,0 +1,168 @@
+"""Uploads: what is taken, what is refused and with which sentence."""
+
+import io
+import random
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from data.captures import read_capture
+from data.configs import read_config
+from drapenet.service.settings import Settings
+from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
+VIEWS = [(file.name, file.read_bytes()) for file in sorted(EXAMPLE.glob("view_*.png"))]
+YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory) -> Settings:
+    results = tmp_path_factory.mktemp("results")
+    return Settings.of(read_config("serve") | {"results": str(results), "megabytes": 4.0})
+
+
+def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", kind) as archive:
+        for name, data in files:
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+def png_of_size(width: int, height: int) -> bytes:
+    """A PNG whose header states a size, with next to nothing in it."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(
+            ">I", zlib.crc32(kind + data))
+
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0,
+                                                             0, 0, 0))
+            + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
+
+
+def npy(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=True)
+    return stream.getvalue()
+
+
+def written(upload: Upload, folder: Path) -> dict[str, bytes]:
+    write_upload(upload, folder)
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*")}
+
+
+def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_path):
+    plain = checked_upload([*VIEWS, YAML], {}, settings)
+    packed = checked_upload([("My fabric.zip", zipped([
+        *((f"twill/{name}", data) for name, data in (*VIEWS, YAML)),
+        ("twill/truth.json", b"{}"), ("__MACOSX/twill/._view_0.png", b"x")]))], {}, settings)
+    assert written(plain, tmp_path / "a") == written(packed, tmp_path / "b")
+    assert (plain.name, packed.name) == ("capture", "My_fabric")
+    read, expected = (read_capture(folder) for folder in (tmp_path / "a", EXAMPLE))
+    assert np.array_equal(read.views, expected.views)
+    assert read.density == expected.density and read.warp_direction == expected.warp_direction
+
+
+def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tmp_path):
+    intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
+    renamed = [(f"shot {k + 9}.png", data) for k, (_, data) in enumerate(VIEWS)]  # 9, 10, 11, 12
+    upload = checked_upload(renamed[::-1], {"density_g_m2": "123,5", "refine": "yes",
+                                            **{key: str(intrinsics[key]) for key in intrinsics}},
+                            settings)
+    assert upload.refine
+    files = written(upload, tmp_path / "capture")
+    assert [files[f"view_{k}.png"] for k in range(4)] == [data for _, data in VIEWS]
+    assert read_capture(tmp_path / "capture").density == pytest.approx(0.1235)
+
+
+def test_a_field_overrides_the_description(settings, tmp_path):
+    upload = checked_upload([*VIEWS, YAML], {"density_g_m2": "90", "warp_direction_deg": "12"},
+                            settings)
+    content = yaml.safe_load(written(upload, tmp_path / "capture")["capture.yaml"])
+    before = yaml.safe_load(YAML[1])
+    assert content["density_g_m2"] == 90 and content["warp_direction_deg"] == 12
+    assert content["intrinsics"] == before["intrinsics"]
+
+
+def test_names_are_never_paths(settings, tmp_path):
+    names = ["../../../etc/view_0.png", "/root/view_1.png", "..\\..\\view_2.png", "a/b/view_3.png"]
+    files = [(name, data) for name, (_, data) in zip(names, VIEWS, strict=True)]
+    for k, given in enumerate(([*files, YAML], [("x.zip", zipped([*files, YAML]))])):
+        found = written(checked_upload(given, {}, settings), tmp_path / str(k) / "inside")
+        assert sorted(found) == ["capture.yaml", *(f"view_{k}.png" for k in range(4))]
+        assert [path.name for path in (tmp_path / str(k)).iterdir()] == ["inside"]
+
+
+BOMB = zipped([("view_0.png", b"\0" * 20_000_000)])
+REFUSED = {
+    "nothing": ([], {}, 422, "no files"),
+    "kind": ([("run.exe", b"MZ")], {}, 415, "files of this kind"),
+    "pickle": ([("view_0.pkl", b"")], {}, 415, "files of this kind"),
+    "zip of others": ([("a.zip", zipped([("readme.md", b"x")]))], {}, 422, "holds no files"),
+    "no zip": ([("a.zip", b"PK\x03\x04 or not")], {}, 422, "zip cannot be read"),
+    "zip bomb": ([("a.zip", BOMB)], {}, 413, "unpacks to more than 4 MB"),
+    "too many": ([("a.zip", zipped([(f"view_{k}.png", b"") for k in range(60)]))], {}, 413,
+                 "at most 48"),
+    "two captures": ([("a.zip", zipped([("a/view_0.png", b""), ("b/view_0.png", b"")]))], {}, 422,
+                     "two files are called view_0.png"),
+    "enormous picture": ([("view_0.png", png_of_size(60000, 60000)), YAML], {}, 413, "pixels"),
+    "enormous array": ([("view_0.npy", npy(np.zeros((1, 1)))[:10] + (
+        b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999), }").ljust(117) + b"\n"),
+        YAML], {}, 413, "pixels"),
+    "no picture": ([("view_0.png", b"GIF89a"), YAML], {}, 422, "cannot be read"),
+    "no density": (VIEWS, {}, 422, "density_g_m2 is missing"),
+    "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),
+    "density in words": (VIEWS, {"density_g_m2": "heavy"}, 422, "is not a number"),
+    "density nan": (VIEWS, {"density_g_m2": "nan"}, 422, "is not a"),
+    "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
+    "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown field"),
+    "long field": (VIEWS, {"name": "x" * 1000}, 422, "at most 200"),
+    "refine": (VIEWS, {"refine": "perhaps"}, 422, "yes or no"),
+    "YAML tag": ([*VIEWS, ("capture.yaml", b"!!python/object/apply:os.system [id]")], {}, 422,
+                 "not valid YAML"),
+    "YAML list": ([*VIEWS, ("capture.yaml", b"- 1")], {}, 422, "key: value"),
+    "YAML not text": ([*VIEWS, ("capture.yaml", b"\xff\xfe\x00")], {}, 422, "UTF-8"),
+    "long YAML": ([*VIEWS, ("capture.yaml", b"a: " + b"x" * 70000)], {}, 413, "bytes"),
+    "scan among views": ([("scan.npz", b""), *VIEWS], {}, 422, "must come alone"),
+    "scan without density": ([("scan.npz", b"PK")], {}, 422, "density_g_m2 is missing"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_capture_is_refused_with_a_sentence(case, settings, tmp_path):
+    files, fields, status, sentence = REFUSED[case]
+    with pytest.raises(RequestError) as refused:
+        write_upload(checked_upload(files, fields, settings), tmp_path / "capture")
+    assert refused.value.status == status
+    assert sentence in refused.value.sentence and "\n" not in refused.value.sentence
+
+
+def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings, tmp_path):
+    rng = random.Random(5)
+    whole = zipped([*VIEWS, YAML])
+    small = io.BytesIO()
+    Image.new("I;16", (80, 60), 500).save(small, "PNG")
+    sources = [("a.zip", whole), ("view_0.png", small.getvalue()), ("capture.yaml", YAML[1]),
+               ("view_0.npy", npy(np.ones((60, 80), np.float32)))]
+    outcomes = {"taken": 0, "refused": 0}
+    for trial in range(300):
+        name, data = sources[trial % len(sources)]
+        damaged = bytearray(data)
+        for _ in range(rng.choice((1, 3, 20))):
+            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+        damaged = damaged[: rng.randrange(1, len(damaged) + 1) if trial % 3 == 0 else None]
+        try:
+            write_upload(checked_upload([(name, bytes(damaged))], {"density_g_m2": "100"},
+                                        settings), tmp_path / str(trial))
+            outcomes["taken"] += 1
+        except RequestError:
+            outcomes["refused"] += 1
+    assert min(outcomes.values()) > 30
