@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow test-slurm perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
+.PHONY: help setup demo test test-slow test-slurm test-browser serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -36,6 +36,14 @@ test-slow: $(STAMP)  ## tests that take minutes
 
 test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets installed and started
 	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
+
+test-browser: $(STAMP)  ## the page in Chromium, which root gets installed; screenshots in outputs/browser
+	@test -n "$$(command -v chromium)" || test "$$(id -u)" != 0 || { apt-get update -qq && apt-get install -qqy chromium; }
+	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
+	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
+
+serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
+	$(BIN)/python serve.py
 
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python -m benchmarks.perturbed

@@ -19,19 +19,18 @@ const FILES = {
 
 const at = (id) => document.getElementById(id);
 const limits = document.body.dataset;
-let chosen = [];
 let following = 0; // counts the estimates that were followed, so that an older one stops
 let shown = {};
 
 // ---- what is sent
 
 const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
-const isDescribed = () => chosen.some((file) => ['.zip', '.yaml', '.txt'].includes(suffix(file.name)));
+const chosen = () => [...at('files').files];
+const isDescribed = () => chosen().some((file) => ['.zip', '.yaml', '.txt'].includes(suffix(file.name)));
 
-function choose(files) {
-  chosen = [...files];
+function check() {
   at('error-files').textContent = '';
-  if (chosen.length && !isDescribed()) at('camera').open = true;
+  if (chosen().length && !isDescribed()) at('camera').open = true;
 }
 
 function complain(id, sentence, field) {
@@ -48,18 +47,19 @@ function clear() {
 }
 
 function isComplete() {
-  if (!chosen.length) {
+  const files = chosen();
+  if (!files.length) {
     complain('error-files', 'No files yet: drop the views of a drape here, or choose them.', at('files'));
     return false;
   }
-  const wrong = chosen.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
+  const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
   if (wrong) {
     complain('error-files', `${wrong.name}: files of this kind are not taken.`, at('files'));
     return false;
   }
-  const bytes = chosen.reduce((sum, file) => sum + file.size, 0);
-  if (bytes > Number(limits.bytes) || chosen.length > Number(limits.files)) {
-    complain('error-files', `${chosen.length} files with ${(bytes / 1e6).toFixed(0)} MB; at most `
+  const bytes = files.reduce((sum, file) => sum + file.size, 0);
+  if (bytes > Number(limits.bytes) || files.length > Number(limits.files)) {
+    complain('error-files', `${files.length} files with ${(bytes / 1e6).toFixed(0)} MB; at most `
       + `${limits.files} files with ${(limits.bytes / 1e6).toFixed(0)} MB.`, at('files'));
     return false;
   }
@@ -75,7 +75,7 @@ async function send() {
   clear();
   if (!isComplete()) return;
   const form = new FormData();
-  for (const file of chosen) form.append('files', file, file.name);
+  for (const file of chosen()) form.append('files', file, file.name);
   for (const field of at('form').querySelectorAll('input[name]:not([type=file]), select[name]')) {
     if (field.value.trim()) form.append(field.name, field.value.trim());
   }
@@ -97,7 +97,9 @@ async function tryExample() {
   clear();
   try {
     const answer = await fetch('/example.zip');
-    choose([new File([await answer.blob()], 'example.zip')]);
+    const transfer = new DataTransfer();
+    transfer.items.add(new File([await answer.blob()], 'example.zip'));
+    at('files').files = transfer.files;
     await send();
   } catch {
     complain('error', 'The service cannot be reached; try again.');
@@ -260,7 +262,7 @@ async function fetchExport(name) {
 
 // ---- events
 
-at('files').addEventListener('change', () => choose(at('files').files));
+at('files').addEventListener('change', check);
 for (const kind of ['dragover', 'dragenter']) {
   document.addEventListener(kind, (event) => {
     event.preventDefault();
@@ -272,7 +274,7 @@ document.addEventListener('drop', (event) => {
   event.preventDefault();
   at('drop').classList.remove('over');
   at('files').files = event.dataTransfer.files;
-  choose(event.dataTransfer.files);
+  check();
 });
 at('form').addEventListener('submit', (event) => {
   event.preventDefault();

@@ -1,0 +1,180 @@
+"""The page in a real browser: ``make test-browser``. Screenshots go to $DRAPENET_SCREENS."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.browser
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "captures" / "twill"
+FILES = [str(file) for file in (*sorted(EXAMPLE.glob("*.png")), EXAMPLE / "capture.yaml")]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DRAWING = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+SECONDS = 60_000  # ms
+
+
+class Service:
+    """``serve.py`` on a free port, that can be killed and started again."""
+
+    def __init__(self, results: Path):
+        self.results = results
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.start()
+
+    def start(self) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "serve.py", f"port={self.port}", f"results={self.results}",
+             "workers=1"], cwd=ROOT, stdout=subprocess.DEVNULL)
+        for _ in range(600):
+            try:
+                urllib.request.urlopen(self.url, timeout=5).read()
+                return
+            except OSError:
+                time.sleep(0.1)
+        raise AssertionError("the service did not start")
+
+    def stop(self, how: int = signal.SIGINT) -> None:
+        self.process.send_signal(how)
+        self.process.wait(timeout=30)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    service = Service(tmp_path_factory.mktemp("results"))
+    yield service
+    service.stop()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed; "
+                                     "run: make test-browser")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed; as root, make test-browser installs it")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=CHROMIUM,
+                                          args=["--no-sandbox", *DRAWING])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser, service):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(SECONDS)
+    page.problems = []
+    page.on("pageerror", lambda error: page.problems.append(str(error)))
+    page.on("request", lambda request: page.problems.append(request.url)
+            if not request.url.startswith((service.url, "blob:", "data:")) else None)
+    page.goto(service.url)
+    yield page
+    assert page.problems == []  # neither errors of the scripts nor requests to other hosts
+    page.close()
+
+
+def keep(page, name: str, *, whole: bool = True) -> None:
+    folder = Path(os.environ.get("DRAPENET_SCREENS", "outputs/browser"))
+    folder.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=str(folder / name), full_page=whole)
+
+
+def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page):
+    page.set_input_files("#files", FILES)
+    page.fill("#density", "210")
+    page.click("#example")  # a first estimate waits until the worker is ready
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.set_input_files("#files", FILES)
+    began = time.monotonic()
+    page.press("#density", "Enter")  # no mouse is needed
+    page.wait_for_selector("#downloads[hidden]", state="attached")
+    page.wait_for_selector("#numbers:not([hidden])")
+    seconds = time.monotonic() - began
+    print(f"numbers after {seconds:.1f} s")
+    cells = page.locator("#rows tr")
+    assert cells.count() == 3
+    assert 40 < float(page.locator("#rows tr:first-child td b").first.inner_text()) < 70
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.wait_for_timeout(1500)
+    keep(page, "page.png")
+    canvas = page.locator("#canvas")
+    before = canvas.screenshot()
+    canvas.focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+    after = canvas.screenshot()
+    assert before != after
+    page.check("#overlay")
+    assert canvas.screenshot() != after
+    with page.expect_download() as download:
+        page.click("[data-export=jfab]")
+    assert download.value.suggested_filename == "capture-fabric.jfab"
+    page.reload()  # the address alone brings the result back
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.wait_for_timeout(500)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    keep(page, "page_phone.png")
+
+
+def test_errors_stand_where_they_arise(page):
+    page.click("#submit")
+    assert "No files yet" in page.inner_text("#error-files")
+    page.set_input_files("#files", FILES[:-1])  # without a description
+    assert page.evaluate("document.getElementById('camera').open")
+    page.click("#submit")
+    assert "Weigh the specimen" in page.inner_text("#error-density")
+    assert page.get_attribute("#density", "aria-invalid") == "true"
+    page.fill("#density", "210")
+    for name, value in (("fx", 305), ("fy", 305), ("cx", 119.5), ("cy", 89.5)):
+        page.fill(f"[name={name}]", str(value))
+    page.fill("[name=depth_unit_m]", "1")
+    page.click("#submit")
+    page.wait_for_selector("#failure:not(:empty)")
+    assert "check the depth unit" in page.inner_text("#failure")
+    keep(page, "page_error.png", whole=False)
+    page.goto(page.url.partition("#")[0] + "#" + "x" * 22)
+    page.locator("#failure", has_text="no such estimate").wait_for()
+
+
+def test_lost_connection_goes_on(page, service):
+    page.context.set_offline(False)
+    page.set_input_files("#files", FILES)
+    page.click("#submit")
+    page.wait_for_selector("#status:not(:empty)")
+    page.context.set_offline(True)
+    page.wait_for_selector("#lost:not([hidden])")
+    page.wait_for_timeout(1500)
+    page.context.set_offline(False)
+    page.wait_for_selector("#downloads:not([hidden])")
+    assert page.is_hidden("#lost")
+
+
+def test_service_that_was_killed_says_what_it_lost_and_keeps_the_rest(page, service):
+    page.click("#example")
+    page.wait_for_selector("#downloads:not([hidden])")
+    kept = page.url
+    page.check("#refine")
+    page.click("#example")
+    page.locator("#status", has_text="refines").wait_for()
+    service.stop(signal.SIGKILL)
+    page.wait_for_selector("#lost:not([hidden])")
+    service.start()
+    page.wait_for_selector("#failure:not(:empty)")
+    assert "upload the capture again" in page.inner_text("#failure")
+    page.goto(kept)
+    page.reload()
+    page.wait_for_selector("#numbers:not([hidden])")
