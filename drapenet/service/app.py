@@ -23,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from data.captures import MARKS
@@ -30,6 +31,7 @@ from drapenet.export import MESHES, TARGETS, read_material, targets_named
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
+from drapenet.service.protocol import ImpatientProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import PREVIEW, read_state
@@ -67,6 +69,7 @@ def serve(config: Mapping[str, Any]) -> None:
     settings = Settings.of(config)
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
+        http=ImpatientProtocol, ws="none",
         limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
         timeout_graceful_shutdown=3, server_header=False))
     try:
@@ -103,6 +106,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.middleware("http")(_guarded)
     app.exception_handler(RequestError)(_refused)
     app.exception_handler(HTTPException)(_plain_error)
+    app.exception_handler(ClientDisconnect)(_closed)
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
     _add_pages(app, settings)
@@ -332,6 +336,10 @@ async def _refused(request: Request, error: RequestError) -> JSONResponse:
 
 async def _plain_error(request: Request, error: HTTPException) -> JSONResponse:
     return _answer(error.status_code, str(error.detail))
+
+
+async def _closed(request: Request, error: ClientDisconnect) -> JSONResponse:
+    return _answer(400, "the connection was closed before the upload was complete")
 
 
 async def _tidy(jobs: Jobs) -> None:

@@ -1,0 +1,39 @@
+"""HTTP connections that do not wait forever."""
+
+import asyncio
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+SECONDS = 8.0  # that the head of a request may take
+
+
+class ImpatientProtocol(H11Protocol):
+    """Closes a connection whose next request does not begin, for which uvicorn has no limit."""
+
+    _overdue: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:
+        """Begin to wait for the first request."""
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; wait on while they do not make a request's head."""
+        super().data_received(data)
+        if self._idle and self._overdue is None:
+            self._wait()
+        elif not self._idle and self._overdue is not None:
+            self._overdue.cancel()
+            self._overdue = None
+
+    @property
+    def _idle(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+    def _wait(self) -> None:
+        self._overdue = self.loop.call_later(SECONDS, self._close)
+
+    def _close(self) -> None:
+        self._overdue = None
+        if self._idle and not self.transport.is_closing():
+            self.transport.close()
