@@ -9,6 +9,7 @@ what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction 
 secant of the torque at a stated curvature.
 """
 
+import csv
 import hashlib
 import io
 import json
@@ -29,6 +30,7 @@ from data.configs import read_config
 from data.reading import finite_number, require_regular, shown
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
+from drapenet.table import csv_number, interval_columns
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.hinge_laws import mean_modulus
 from sim.hinge_units import ARCSIM
@@ -339,14 +341,16 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
-    rows = ["direction,alpha_uN_m,alpha_low68,alpha_high68,alpha_low90,alpha_high90,"
-            "beta_nN_m2,beta_low68,beta_high68,beta_low90,beta_high90,density_g_m2"]
-    for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(), strict=True):
-        values = [value for key in ("alpha_uN_m", "beta_nN_m2") for value in (
-            moduli[key]["median"], *moduli[key]["interval_68"], *moduli[key]["interval_90"])]
-        rows.append(",".join([direction, *(f"{value:.6g}" for value in values),
-                              f"{1e3 * material.density:.6g}"]))
-    return {name: ("\n".join(rows) + "\n").encode()}
+    stream = io.StringIO()
+    rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
+             **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
+             "density_g_m2": csv_number(1e3 * material.density)}
+            for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
+                                         strict=True)]
+    writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return {name: stream.getvalue().encode()}
 
 
 def _torque(material: Material, name: str) -> dict[str, bytes]:

@@ -25,6 +25,7 @@ from drapenet.estimate import Estimate
 from drapenet.joint import joint_content
 from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
 from drapenet.pages import render
+from drapenet.table import csv_number, interval_columns
 from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
@@ -131,8 +132,8 @@ def _fabric_row(fabric: FabricResult) -> dict[str, object]:
         "captures": len(fabric.captures), "captures_with_warnings": doubted,
         "rig": fabric.content["capture"]["rig"], "directions": fabric.content["convention"],
         **_figures(fabric.content),
-        "drape_coefficient_percent": _text(np.mean(known)) if known else "",
-        **{f"alpha_{role}_scatter_factor": _text(factor) if several else ""
+        "drape_coefficient_percent": csv_number(np.mean(known)) if known else "",
+        **{f"alpha_{role}_scatter_factor": csv_number(factor) if several else ""
            for role, factor in zip(ROLES, fabric.scatter, strict=True)},
         "poorly_constrained": "; ".join(fabric.content["poorly_constrained"]),
         "flags": "; ".join(fabric.content["warnings"]),
@@ -149,7 +150,7 @@ def _capture_row(one: Finished) -> dict[str, object]:
 
 def _figures(content: dict[str, Any]) -> dict[str, object]:
     """Columns of moduli at the fabric's density and at 300 g/m², and of laboratories' readings."""
-    row: dict[str, object] = {"density_g_m2": _text(content["capture"]["density_g_m2"])}
+    row: dict[str, object] = {"density_g_m2": csv_number(content["capture"]["density_g_m2"])}
     tables = (("", content["moduli"]), ("_at_300_g_m2", content["moduli_at_300_g_m2"]),
               ("", content["laboratory"]))
     for suffix, table in tables:
@@ -157,24 +158,10 @@ def _figures(content: dict[str, Any]) -> dict[str, object]:
             for quantity, value in quantities.items():
                 name = f"{role}_{quantity}{suffix}"
                 if isinstance(value, float):
-                    row[name] = _text(value)
+                    row[name] = csv_number(value)
                 else:
-                    row |= _columns(name, value)
+                    row |= interval_columns(name, value)
     return row
-
-
-def _columns(name: str, quantity: dict[str, Any] | None) -> dict[str, str]:
-    """Median and intervals; empty where there is no value."""
-    columns = {name: "", **{f"{name}_{end}{level}": "" for level in (68, 90)
-                            for end in ("low", "high")}}
-    if quantity:
-        values = [quantity["median"], *quantity["interval_68"], *quantity["interval_90"]]
-        columns = dict(zip(columns, map(_text, values), strict=True))
-    return columns
-
-
-def _text(value: float) -> str:
-    return f"{value:.6g}"
 
 
 def _write_csv(

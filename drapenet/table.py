@@ -23,6 +23,21 @@ def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[s
     return f"{quantity['median']:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
 
 
+def interval_columns(name: str, quantity: dict[str, Any] | None) -> dict[str, str]:
+    """Median and intervals as columns of a CSV table; empty where there is no value."""
+    columns = {name: "", **{f"{name}_{end}{level}": "" for level in (68, 90)
+                            for end in ("low", "high")}}
+    if quantity:
+        values = [quantity["median"], *quantity["interval_68"], *quantity["interval_90"]]
+        columns = dict(zip(columns, map(csv_number, values), strict=True))
+    return columns
+
+
+def csv_number(value: float) -> str:
+    """A number for a CSV table."""
+    return f"{value:.6g}"
+
+
 def format_table(content: dict[str, Any]) -> str:
     """The content of ``estimate.json`` as lines for a terminal."""
     density = content["capture"]["density_g_m2"]
