@@ -19,7 +19,7 @@ from data.cameras import Camera
 VIEWS = 4
 QUARTERS = tuple(k * math.pi / 2 for k in range(VIEWS))
 """rad, how far the table has turned in each of four views."""
-OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libgomp1 libx11-6"
+OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 
 
 def import_open3d() -> ModuleType:

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Open3D needs four system libraries that pip cannot install. Root on Debian or Ubuntu gets
+# Open3D needs five system libraries that pip cannot install. Root on Debian or Ubuntu gets
 # them installed; everybody else gets the command.
 missing=
-for pair in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1 libX11.so.6:libx11-6
+for pair in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1 libgomp.so.1:libgomp1 libX11.so.6:libx11-6
 do
     library=${pair%%:*}
     package=${pair##*:}

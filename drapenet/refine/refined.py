@@ -129,7 +129,8 @@ def _search(
     rows = rng.integers(len(estimate.samples), size=STARTS - 1)
     starts = [Cloth(first).with_theta(theta) for theta in (estimate.theta, *estimate.samples[rows])]
     total = STARTS + 2 + sum((level.evaluations + 1) * len(level.pulls) for level in seen.rounds)
-    with tqdm(total=total, desc="refining", unit="sim", leave=False) as bar:
+    with tqdm(total=total, desc="refining", unit="sim", leave=False,
+              disable=progress is not None) as bar:
         def show(simulations: int, value: float) -> None:
             bar.update(simulations - bar.n)
             bar.set_postfix(misfit=f"{value:.0f}")

@@ -14,7 +14,7 @@ from typing import Any
 
 from pebble import ProcessPool
 
-from common.errors import one_line
+from common.errors import InputError, one_line
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload, write_upload
 from drapenet.service.work import (
@@ -54,11 +54,15 @@ class Jobs:
                 shutil.rmtree(folder, ignore_errors=True)  # an upload that was never complete
             elif state["state"] not in ENDED:
                 self._end(folder, LOST, _RESTARTED)
-        self._pool = ProcessPool(
-            max_workers=settings.workers, max_tasks=_SPENT, initializer=warm_up,
+        self._pool = self._workers()
+
+    def _workers(self) -> ProcessPool:
+        """Worker processes, getting ready."""
+        pool = ProcessPool(
+            max_workers=self.settings.workers, max_tasks=_SPENT, initializer=warm_up,
             initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
-        for _ in range(settings.workers):
-            self._pool.schedule(os.getpid)  # starts them
+        pool.schedule(os.getpid)  # starts them
+        return pool
 
     def close(self) -> None:
         """End all worker processes; what they were at is marked as interrupted by the next."""
@@ -90,15 +94,29 @@ class Jobs:
                          refine=upload.refine, progress=None, error=None, warnings=[],
                          created=time.time(), ended=None)
             density = upload.fields.get("density_g_m2")
-            future = self._pool.schedule(
-                estimate_upload, args=[folder], timeout=self.settings.job_seconds,
-                kwargs={"refine": upload.refine, "scan": upload.scan, "name": upload.name,
-                        "density": density and 1e-3 * density})
-        except BaseException:
+            future = self._schedule(folder, {
+                "refine": upload.refine, "scan": upload.scan, "name": upload.name,
+                "density": density and 1e-3 * density})
+        except BaseException as error:
             shutil.rmtree(folder, ignore_errors=True)
+            if isinstance(error, (OSError, InputError)):
+                raise RequestError(507, f"the upload cannot be stored ({one_line(error)}); say so "
+                                   "to whoever runs this service") from None
             raise
         future.add_done_callback(lambda done: self._ended(folder, done))
         return identity
+
+    def _schedule(self, folder: Path, options: dict[str, Any]) -> Any:
+        for _ in range(2):
+            try:
+                return self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
+                                           timeout=self.settings.job_seconds)
+            except RuntimeError:  # all workers have died, perhaps for lack of memory
+                with self._lock:
+                    self._pool.stop()
+                    self._pool = self._workers()
+        raise RequestError(503, "the worker processes cannot be started; the service's log says "
+                           "why")
 
     def folder(self, identity: str) -> Path:
         """The folder of an estimate; RequestError with the status 404 where there is none."""

@@ -109,7 +109,7 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     assert 40 < float(page.locator("#rows tr:first-child td b").first.inner_text()) < 70
     page.wait_for_selector("#downloads:not([hidden])")
     page.wait_for_timeout(1500)
-    page.set_viewport_size({"width": 1280, "height": 1080})
+    page.set_viewport_size({"width": 1280, "height": 1270})
     page.wait_for_timeout(500)
     keep(page, "page.png", whole=False)
     canvas = page.locator("#canvas")
