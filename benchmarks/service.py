@@ -51,6 +51,7 @@ LONGEST = 10.0  # s, that an answer to a malformed request may take
 PATIENCE = 20.0  # s, after which an answer counts as none
 FILES = {file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
          if file.suffix in (".png", ".yaml")}
+CLIENT = httpx.Client(limits=httpx.Limits(max_connections=None))
 
 
 class Service:
@@ -74,7 +75,7 @@ class Service:
                 cwd=self.folder, stdout=log, stderr=log)
         while True:
             try:
-                httpx.get(self.url, timeout=5)
+                CLIENT.get(self.url, timeout=5)
                 return time.monotonic() - began
             except httpx.HTTPError:
                 time.sleep(0.05)
@@ -103,13 +104,13 @@ class Service:
 
 def post(service: Service, density: float) -> httpx.Response:
     """Upload the example as a fabric of ``density``, g/m²."""
-    return httpx.post(f"{service.url}/estimates", data={"density_g_m2": f"{density}"}, timeout=60,
+    return CLIENT.post(f"{service.url}/estimates", data={"density_g_m2": f"{density}"}, timeout=60,
                       files=[("files", item) for item in FILES.items()])
 
 
 def state_of(service: Service, identity: str) -> dict:
     """An estimate, as the service answers."""
-    return httpx.get(f"{service.url}/estimates/{identity}", timeout=30).json()
+    return CLIENT.get(f"{service.url}/estimates/{identity}", timeout=30).json()
 
 
 def ended(service: Service, identity: str) -> dict:
@@ -210,7 +211,7 @@ def odd_address(service: Service, rng: random.Random) -> int:
              "jfab", "static", "state.json", "a" * 3000, "%5c..%5c", "openapi.json?x=" + "y" * 500]
     path = "/".join(rng.choices(parts, k=rng.randint(1, 6)))
     method = rng.choice(["GET", "POST", "PUT", "DELETE", "PATCH", "HEAD", "TRACE", "X" * 30])
-    return httpx.request(method, f"{service.url}/{path}", timeout=PATIENCE).status_code
+    return CLIENT.request(method, f"{service.url}/{path}", timeout=PATIENCE).status_code
 
 
 def odd_form(service: Service, rng: random.Random) -> int:
@@ -231,7 +232,7 @@ def odd_form(service: Service, rng: random.Random) -> int:
     else:
         data = data.replace(b"filename=", rng.choice([b"filename*=utf-8''%ff", b"file=",
                                                       b"filename=\"\r\n"]))
-    return httpx.post(f"{service.url}/estimates", content=bytes(data), timeout=PATIENCE,
+    return CLIENT.post(f"{service.url}/estimates", content=bytes(data), timeout=PATIENCE,
                       headers={"content-type": kind}).status_code
 
 
@@ -265,7 +266,7 @@ def odd_files(service: Service, rng: random.Random) -> int:
         for _ in range(rng.randrange(4)):
             packed[rng.randrange(len(packed))] = rng.randrange(256)
         sent = [("files", ("a.zip", bytes(packed)))]
-    answer = httpx.post(f"{service.url}/estimates", data=fields, files=sent, timeout=PATIENCE)
+    answer = CLIENT.post(f"{service.url}/estimates", data=fields, files=sent, timeout=PATIENCE)
     return answer.status_code
 
 
@@ -316,7 +317,7 @@ def malformed(service: Service, count: int, seed: int) -> dict:
             "tracebacks": service.log.read_text().count("Traceback"),
             "files_outside": len(after - before), "states_of_all_estimates": dict(outcomes),
             "unforeseen_failures": unforeseen,
-            "still_answers": httpx.get(service.url, timeout=10).status_code == 200}
+            "still_answers": CLIENT.get(service.url, timeout=10).status_code == 200}
 
 
 def main(argv: list[str]) -> None:
