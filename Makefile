@@ -59,13 +59,13 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)
 
 dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3328 seed=23 edge_mm=3
+	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
 	$(BIN)/python -m data.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
 	  rig=disc300_support180 'dataset.starts=[ring,sine,ring,fold]'
 
-train: $(STAMP)  ## train the networks of both testers on them, 2 hours, resumes when interrupted
+train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET)/square300_cylinder100 out=outputs/train/square300_cylinder100 \
-	  epochs=8
+	  epochs=19
 	$(BIN)/python train.py data=$(DATASET)/disc300_support180 out=outputs/train/disc300_support180 \
 	  epochs=10
 
