@@ -35,7 +35,6 @@ import torch  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
-from sim.unstructured import unstructured_square  # noqa: E402
 
 from benchmarks.common import (  # noqa: E402
     REPORTS,
@@ -50,14 +49,17 @@ from common.errors import InputError  # noqa: E402
 from data.fabrics import fabric_from_theta  # noqa: E402
 from data.prior import load_prior, sample_admissible  # noqa: E402
 from data.sampling import Stream, stream  # noqa: E402
-from sim.energies.base import SeldomEnergy  # noqa: E402
-from sim.equilibrium import build_potential, find_equilibrium  # noqa: E402
+from sim.cloth import Cloth  # noqa: E402
+from sim.drape import scene_on  # noqa: E402
+from sim.equilibrium import find_equilibrium  # noqa: E402
 from sim.initial import initial_positions  # noqa: E402
 from sim.linear import SparsePattern, available_solvers, make_solver  # noqa: E402
 from sim.linear.fronts import front_flops  # noqa: E402
 from sim.linear.multifrontal import FrontalSolver  # noqa: E402
+from sim.material import REFERENCE_DENSITY  # noqa: E402
+from sim.mesh.specimens import make_specimen  # noqa: E402
 from sim.newton import NewtonOptions  # noqa: E402
-from sim.scene import Rig, Scene, State  # noqa: E402
+from sim.scene import Rig  # noqa: E402
 
 DEFAULTS = {
     "matrices": 100,
@@ -89,37 +91,30 @@ class Systems:
 
 
 def make_systems(count: int, edge: float, stages: tuple[int, ...]) -> Systems:
-    """Hessians of ``count`` fabrics of the prior, stage after stage; ``edge`` in mm.
-
-    But for those of cloth that feels the limit of folds.
-    """
+    """Hessians of ``count`` fabrics of the prior, stage after stage; ``edge`` in mm."""
     prior, rig = load_prior("gaussian"), Rig()
-    mesh, held = unstructured_square(size=rig.specimen_size, edge=1e-3 * edge,
-                                    plate_radius=rig.plate_radius)
-    scene = Scene(mesh=mesh, held=held, obstacles=rig.obstacles)
+    scene = scene_on(make_specimen(rig, edge=1e-3 * edge), rig)
+    mesh, held = scene.mesh, scene.held
     everywhere = np.concatenate([np.repeat(mesh.rest, 3, axis=0),
                                  mesh.rest[mesh.edges].mean(axis=1)])
     exact, convex = [], []
     for seed in range(count):
         fabric = fabric_from_theta(
             sample_admissible(prior, stream(77, Stream.FABRIC, seed))[0]
-        ).at_density(0.3)
+        ).at_density(REFERENCE_DENSITY)
         positions = initial_positions(mesh.rest, rig=rig, start="sine",
                                       rng=np.random.default_rng(seed))
         positions[held] = rig.place(mesh.rest[held])
-        state = State.at(mesh, positions)
+        state = scene.state(positions)
         steps = stages[seed % len(stages)]
         if steps:
             options = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=steps)
-            state, _ = find_equilibrium(scene, fabric, state, options=options)
-        potential = build_potential(scene, fabric, state)
-        q = state.unknowns
-        if any(e.is_felt(q) for e in potential.energies if isinstance(e, SeldomEnergy)):
-            continue  # its matrix has another pattern
-        pattern, data = potential.hessian(potential.free_part(q), 0.0)
-        exact.append(data)
-        convex.append(potential.hessian(potential.free_part(q), 1.0)[1])
-    return Systems(pattern, potential.free_part(everywhere), np.stack(exact), np.stack(convex))
+            state = find_equilibrium(scene, fabric, state, options=options).state
+        potential = Cloth(scene, fabric).potential
+        exact.append(potential.hessian(state.q))
+        convex.append(potential.hessian(state.q, 1.0))
+    return Systems(potential.pattern, potential.free_unknowns(everywhere), np.stack(exact),
+                   np.stack(convex))
 
 
 def check(systems: Systems, device: str) -> dict:

@@ -1,6 +1,8 @@
 """What the benchmarks share: resumed work, and the search for a scan's modulus."""
 
 import json
+import subprocess
+import sys
 from itertools import product
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from benchmarks import (
     stacked_views,
     training,
 )
-from benchmarks.common import load_arrays, run_cases, table
+from benchmarks.common import ROOT, load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -426,3 +428,10 @@ def test_learning_curves_are_of_one_number_of_steps(cloth_dataset, tmp_path):
     rows = json.loads(out.read_text())["results"]
     assert [row["fabrics"] for row in rows] == [8, 20]
     assert out.with_suffix(".png").exists()
+
+
+def test_every_benchmark_can_be_imported():
+    names = sorted(f"benchmarks.{file.stem}" for file in (ROOT / "benchmarks").glob("*.py"))
+    done = subprocess.run([sys.executable, "-c", f"import {', '.join(names)}"], cwd=ROOT,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
