@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow test-slurm test-browser serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu example validate clean
+.PHONY: help setup demo test test-slow test-slurm test-browser serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu studies example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -89,6 +89,9 @@ bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the sa
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
+	$(BIN)/python -m studies all
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)

@@ -1,0 +1,1 @@
+"""Experiments of the papers, repeated: ``python -m studies NAME``; see docs/studies.md."""

@@ -1,0 +1,125 @@
+"""Known fabrics, draped and captured, and what the bundled network says of them."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.configs import compose_config
+from data.fabrics import fabric_from_theta
+from data.nuisances import Nuisances
+from data.options import Options, config_from_options
+from data.sampling import DrapePlan, plan_drape
+from data.setups import Setups, SyntheticCapture
+from drapenet.canonical import turn_doubts
+from drapenet.checkpoint import Header, bundled, read_header
+from drapenet.convention import SWAPPED
+from drapenet.inference import Inferred, infer_capture
+from drapenet.quality import measure, quality_doubts
+from drapenet.registration import camera_doubts
+from sim.drape import DrapeResult, drape
+from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
+
+RIG = "square300_cylinder100"
+IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
+         "roll": 0.0, "border": 0, "holes": 0, "hem_share": 0.0, "pitch": (np.radians(38.0),) * 2,
+         "distance": (0.527, 0.527), "fill": (1.0, 1.0), "above": (0.036, 0.036),
+         "aside": (0.0, 0.0)}
+"""A set-up without faults: a smooth sensor where the rig's camera stands, exact quarter turns."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the network says of a capture.
+
+    Attributes:
+        theta: (6,) the posterior's mean, along the true warp (:mod:`data.fabrics`).
+        samples: (S, 6) of the posterior, likewise.
+        doubts: warnings of the quality checks.
+        inferred: all of it; capture: what was seen.
+    """
+
+    theta: np.ndarray
+    samples: np.ndarray
+    doubts: tuple[str, ...]
+    inferred: Inferred
+    capture: Capture
+
+
+@cache
+def header() -> Header:
+    """Of the bundled network."""
+    return read_header(bundled(RIG))
+
+
+def spread() -> np.ndarray:
+    """(6,) spread of theta over fabrics."""
+    return header().scale.std[:6]
+
+
+def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
+    """Fabric ``number`` of the prior, and a specimen of it."""
+    words = [f"nuisances={nuisances}", f"rig={RIG}", f"seed={seed}", "dataset.soft_share=0"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    return plan_drape(number * config.sampling.starts_per_fabric, config=config.sampling,
+                      prior=config.prior)
+
+
+def draped(
+    plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
+    offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
+) -> DrapeResult:
+    """A drape of the specimen; from another start where one is given.
+
+    Raises:
+        InputError: it does not converge.
+    """
+    own = nuisances or plan.nuisances
+    result = drape(fabric_from_theta(plan.theta), rig=own.rig(Rig.from_name(RIG)), edge=edge,
+                   start=start or plan.fallback, seed=plan.seed if seed is None else seed,
+                   offset=offset, laws=own.laws)
+    if not result.converged:
+        raise InputError(f"a drape of fabric {plan.fabric} did not converge ({result.message}); "
+                         "choose another seed=")
+    return result
+
+
+def ideal(**changes: object) -> Setups:
+    """The set-up without faults, but for ``changes``."""
+    return replace(Setups.load("real"), **IDEAL | changes)
+
+
+def seen(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
+    """A capture of a drape."""
+    return setups.capture(shape.positions, shape.faces, rng,
+                          nominal=CameraRig.load(RIG).intrinsics)
+
+
+def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
+         known: dict[str, float] | None = None) -> Reading:
+    """The network's answer.
+
+    Args:
+        density: kg/m², as the user states it.
+        known: membrane, N/m, and friction, N·m per metre, as the user knows them.
+    """
+    capture = Capture(found.views, found.intrinsics, found.turns, density, None, RIG, Path(), ())
+    inferred = infer_capture(capture, header(), **known or {})
+    rig = Rig.from_name(RIG)
+    doubts = [*inferred.estimate.warnings, *camera_doubts(inferred.camera, header().setups),
+              *turn_doubts(inferred.found.turns, capture.turns),
+              *quality_doubts(measure(capture.views, inferred.camera, inferred.found, rig,
+                                      turns=capture.turns))]
+    along = np.cos(2 * (inferred.estimate.axis - found.orientation)) >= 0
+    samples = inferred.estimate.samples if along else inferred.estimate.samples[:, SWAPPED]
+    return Reading(samples.mean(axis=0), samples, tuple(doubts), inferred, capture)
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.square(values).mean()))

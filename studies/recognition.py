@@ -1,0 +1,165 @@
+"""What tells fabrics apart without a network (000, descriptors; 002, Figure 20)."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import ESTIMATOR, run_cases
+from benchmarks.photographs import estimated
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.sampling import STARTS
+from data.scans import read_scan
+from data.setups import Setups
+from drapenet.checkpoint import bundled, read_header
+from drapenet.comparison import mean_curvature
+from drapenet.convention import LINEAR
+from drapenet.descriptor import GridSpectrum, RingSpectrum
+from sim.measures import drape_coefficient, fold_angles, fold_outline
+from sim.mesh import Mesh
+from sim.scene import DISC_RIG, Rig
+from studies.captured import RIG, draped, ideal, read, seen, specimen
+from studies.study import Report, Study
+
+DESCRIPTIONS = {
+    "coefficient": "drape coefficient and number of folds",
+    "shape": "mean height, mean squared curvature",
+    "grid": "2-D spectrum (000, Eq. 9)",
+    "rings": "spectrum along rings",
+    "network": "the network's log α",
+}
+SCALED = ("coefficient", "shape", "network")
+"""Descriptions of several quantities, each divided by its standard deviation."""
+_SCAN = re.compile(r"fabric_(\d+)_sample_(\d+)")
+
+
+def described(positions: np.ndarray, mesh: Mesh, rig: Rig) -> dict[str, list]:
+    """All descriptions but the network's, of a drape with vertices at positions (V, 3), m."""
+    rest = mesh.rest
+    outline = fold_outline(positions, rest, rig)
+    curvature, area = mean_curvature(positions, mesh), mesh.vertex_areas
+    inner = np.isfinite(curvature)
+    return {
+        "coefficient": [drape_coefficient(positions, mesh.faces, rig), len(fold_angles(outline))],
+        "shape": [float(area @ positions[:, 2] / area.sum()),
+                  float(np.log(area[inner] @ curvature[inner] ** 2 / area[inner].sum()))],
+        "grid": GridSpectrum(rest, rig).describe(positions).tolist(),
+        "rings": RingSpectrum(rest, rig).describe(positions).tolist()}
+
+
+def simulated(*, number: int, starts: int, edge_mm: float, seed: int) -> dict[str, Any]:
+    """Descriptions of all drapes of one fabric."""
+    plan = specimen(number, seed=seed)
+    rig, rng = Rig.from_name(RIG), np.random.default_rng([seed, number])
+    found = []
+    for k in range(starts):
+        shape = draped(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
+        one = described(shape.positions, shape.mesh, rig)
+        found.append(one | {"network": read(seen(shape, ideal(), rng)).theta[LINEAR].tolist()})
+    return {"drapes": found, "log_alpha": plan.theta[LINEAR].tolist()}
+
+
+def scanned(*, path: str, seed: int) -> dict[str, Any]:
+    """Descriptions of one scan."""
+    scan = read_scan(Path(path), DISC_RIG)
+    capture = Setups.load("real").capture(
+        scan.positions, scan.faces, np.random.default_rng([seed, *map(ord, Path(path).stem)]),
+        nominal=CameraRig.load(DISC_RIG.name).intrinsics)
+    estimate = estimated(capture.views, capture.intrinsics, read_header(bundled(DISC_RIG.name)))
+    one = described(scan.positions, Mesh(scan.rest, scan.faces), DISC_RIG)
+    return one | {"network": estimate.samples[:, LINEAR].mean(axis=0).tolist()}
+
+
+def run(config: dict[str, Any]) -> Report:
+    """Simulated drapes, and scans where there are some."""
+    keys = ("starts", "edge_mm", "seed")
+    cases = {f"fabric_{k:02}": {key: config[key] for key in keys} | {"number": k}
+             for k in range(config["fabrics"])}
+    folder, workers = Path(config["cases"]), config["workers"]
+    found = run_cases(simulated, cases, folder=folder / "simulated", workers=workers,
+                      sources=ESTIMATOR)
+    drapes = [one for result in found.values() for one in result["drapes"]]
+    fabric = np.repeat(np.arange(len(found)), config["starts"])
+    sets = {"simulated": nearest(drapes, fabric, np.arange(len(drapes)))}
+    if config["scans"]:
+        files = sorted(Path(config["scans"]).glob("*.npz"))
+        if not files:
+            raise InputError(f"no scans (*.npz) in {config['scans']}; name their folder with "
+                             "scans=, or leave it empty")
+        scans = run_cases(scanned, {file.stem: {"path": str(file), "seed": config["seed"]}
+                                    for file in files},
+                          folder=folder / "scans", workers=workers, sources=ESTIMATOR)
+        names = np.array([tuple(map(int, _SCAN.match(name).groups())) for name in scans])
+        sample = names[:, 0] * 1000 + names[:, 1]
+        sets["scans, other sample"] = nearest(list(scans.values()), names[:, 0], sample)
+    return {"sets": sets}
+
+
+def nearest(found: list[dict], fabric: np.ndarray, sample: np.ndarray) -> dict[str, Any]:
+    """Share of drapes whose nearest drape of another sample is of the same fabric.
+
+    Only drapes whose fabric has another sample count.
+    """
+    other = sample[:, None] != sample
+    possible = (other & (fabric[:, None] == fabric)).any(axis=1)
+    shares = {}
+    for name in DESCRIPTIONS:
+        values = np.array([one[name] for one in found], float)
+        if name in SCALED:
+            values = values / values.std(axis=0)
+        apart = np.where(other, np.linalg.norm(values[:, None] - values, axis=-1), np.inf)
+        shares[name] = float(np.mean(fabric[apart.argmin(axis=1)][possible] == fabric[possible]))
+    chance = ((other & (fabric[:, None] == fabric)).sum(axis=1) / other.sum(axis=1))[possible]
+    return {"drapes": int(possible.sum()), "fabrics": len(np.unique(fabric)),
+            "chance": float(chance.mean()), "shares": shares}
+
+
+def answer(report: Report) -> str:
+    """In sentences."""
+    parts = []
+    for name, one in report["sets"].items():
+        shares = one["shares"]
+        best = max((key for key in shares if key != "network"), key=shares.get)
+        parts.append(f"{name}: {DESCRIPTIONS[best]} {shares[best]:.0%}, the network's α "
+                     f"{shares['network']:.0%}, chance {one['chance']:.0%}")
+    return ("The nearest drape is of the same fabric, by the best description without a network: "
+            + "; ".join(parts) + ".")
+
+
+def rows(report: Report) -> tuple[list[str], list[list[object]]]:
+    """By description and set."""
+    sets = report["sets"]
+    head = ["description", *(f"{name} ({one['drapes']} drapes, {one['fabrics']} fabrics)"
+                             for name, one in sets.items())]
+    return head, [*([DESCRIPTIONS[key], *(f"{one['shares'][key]:.0%}" for one in sets.values())]
+                    for key in DESCRIPTIONS),
+                  ["chance", *(f"{one['chance']:.0%}" for one in sets.values())]]
+
+
+def draw(report: Report) -> Figure:
+    """Shares as bars."""
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    axes = figure.subplots()
+    height = 0.8 / len(report["sets"])
+    for k, (name, one) in enumerate(report["sets"].items()):
+        places = np.arange(len(DESCRIPTIONS)) + k * height
+        axes.barh(places, [100 * one["shares"][key] for key in DESCRIPTIONS], height, label=name)
+    axes.set_yticks(np.arange(len(DESCRIPTIONS)) + 0.2, list(DESCRIPTIONS.values()))
+    axes.set(xlabel="nearest drape is of the same fabric [%]", xlim=(0, 100))
+    axes.invert_yaxis()
+    axes.legend(frameon=False)
+    return figure
+
+
+STUDY = Study(
+    "recognition", "Recognition without a network", "000, Figure 7; 002, Figure 20",
+    "What do drape coefficient, folds, curvature and spectra identify of a fabric?",
+    run, answer, rows, draw,
+    "Figure 7 of 000: distances of spectra are larger between fabrics than within one; "
+    "Figure 20 of 002: a network on boundary curves alone is worse than on depth. Comparable in "
+    "kind, not in figures.",
+    "Simulated fabrics have no friction and are seen without faults. Of scans, the nearest of "
+    "another sample counts; two captures of a sample share its cut and its history.")

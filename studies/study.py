@@ -1,0 +1,72 @@
+"""What a study is, and the page that all of them make."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from benchmarks.common import ROOT, table
+
+PAGE = ROOT / "docs" / "studies.md"
+REPORTS = ROOT / "docs" / "studies"
+_HEAD = """# Studies
+
+Experiments of the papers, repeated with this system. Each has a command, which is resumed where it
+was interrupted, and writes its section of this page; `make studies` runs all. Errors of log α and
+β/α are root mean squares of the posterior's mean in units of the spread over fabrics, unless
+stated otherwise. 002 is Feng et al. 2022, 000 is Larionov et al. Timings and validations of the
+simulator are in [validation.md](validation.md).
+"""
+
+Report = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Study:
+    """An experiment.
+
+    Attributes:
+        name: of its module, its config in ``configs/study`` and its report.
+        title: of its section.
+        after: the experiment that it repeats.
+        question: in one sentence.
+        run: from the config to the report, in JSON's types.
+        answer: sentences, from the report.
+        rows: head and rows of the table, from the report.
+        draw: its picture, from the report.
+        paper: what the paper has found, and whether it can be compared.
+        limits: of the answer.
+    """
+
+    name: str
+    title: str
+    after: str
+    question: str
+    run: Callable[[dict[str, Any]], Report]
+    answer: Callable[[Report], str]
+    rows: Callable[[Report], tuple[Sequence[str], list[list[object]]]]
+    draw: Callable[[Report], Figure]
+    paper: str
+    limits: str
+
+    @property
+    def report(self) -> Path:
+        """Its JSON; the picture is beside it."""
+        return REPORTS / f"{self.name}.json"
+
+    def section(self, report: Report) -> str:
+        """Its part of the page."""
+        return "\n\n".join([
+            f"## {self.title}", f"*After* {self.after}. {self.question} "
+            f"*Command*: `python -m studies {self.name}`.", self.answer(report),
+            table(*self.rows(report)),
+            f"![{self.title}](studies/{self.name}.png)",
+            f"*Paper*: {self.paper}", f"*Limits*: {self.limits}"])
+
+
+def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
+    """The page with a section for every study that has a report."""
+    sections = [study.section(reports[study.name]) for study in studies if study.name in reports]
+    return "\n".join([_HEAD, "\n\n".join(sections), ""])

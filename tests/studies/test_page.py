@@ -1,0 +1,61 @@
+"""The page of studies and its reports."""
+
+import json
+
+import numpy as np
+import pytest
+
+from data.configs import CONFIG_DIR, read_config
+from studies.__main__ import ORDER, main, reports, study_named
+from studies.captured import draped, ideal, read, seen, specimen
+from studies.recognition import DESCRIPTIONS, nearest
+from studies.study import PAGE, page
+
+
+def test_the_page_is_what_the_reports_make():
+    assert PAGE.read_text(encoding="utf-8") == page([study_named(name) for name in ORDER],
+                                                    reports())
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_every_study_has_a_config_a_report_and_a_picture(name):
+    study = study_named(name)
+    assert study.name == name and (CONFIG_DIR / "study" / f"{name}.yaml").is_file()
+    report = json.loads(study.report.read_text(encoding="utf-8"))
+    assert set(report["settings"]) == set(read_config(f"study/{name}"))
+    assert study.report.with_suffix(".png").is_file()
+
+
+def test_a_reading_is_along_the_true_warp_whatever_the_orientation():
+    plan = specimen(4, seed=1)
+    theta = plan.theta.copy()
+    theta[:3] = np.log([120e-6, 40e-6, 15e-6])
+    theta[3:] = -1e-3
+    shape = draped(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
+    for number in range(3):
+        found = read(seen(shape, ideal(), np.random.default_rng(number)))
+        assert found.theta[0] > found.theta[2] + 0.5
+
+
+def test_the_nearest_of_another_sample_counts():
+    fabric, sample = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 2, 3, 4])
+    values = [0.0, 0.1, 5.0, 9.0, 8.9]
+    found = [{name: [value] for name in DESCRIPTIONS}
+             for value in values]
+    result = nearest(found, fabric, sample)
+    assert result["drapes"] == 4  # the third fabric has no other sample
+    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's are mistaken
+    assert result["chance"] == pytest.approx(1 / 4)
+
+
+def test_a_study_writes_elsewhere_and_goes_on(tmp_path, capsys):
+    before = PAGE.read_bytes()
+    words = ["views", "fabrics=1", "captures=1", "edge_mm=8", "workers=1",
+             f"cases={tmp_path / 'cases'}", f"out={tmp_path / 'views.json'}"]
+    main(words)
+    first = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
+    capsys.readouterr()
+    main(words)
+    assert "to go" not in capsys.readouterr().out
+    again = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
+    assert again["views"] == first["views"] and PAGE.read_bytes() == before
