@@ -1,4 +1,8 @@
-"""What a study is, and the page that all of them make."""
+"""What a study is, and the page that all of them make.
+
+A study of your own: a module of this folder with a ``STUDY``, its keys in ``configs/study``, its
+name in ``studies.__main__.ORDER``.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -142,6 +142,7 @@ def test_turning_the_cloth_moves_its_points_along():
                                np.roll(np.linalg.norm(outline, axis=1), 180))
 
 
+@pytest.mark.slow
 def test_batched_drapes_are_timed_and_compared(tmp_path):
     out = tmp_path / "batched.json"
     batched.main(["drapes=2", "edge_mm=10", "repeats=1", "workers=2", "batches=2",
@@ -409,6 +410,7 @@ def test_stacked_views_are_means_of_cloth():
     np.testing.assert_allclose(shrunk, [[[1.0, 2.0], [2.0, 2.0]]], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_networks_on_maps_and_on_stacked_views_are_compared(cloth_dataset, tmp_path, one_thread):
     out = tmp_path / "training.json"
     training.main([f"data={cloth_dataset}", "captures=1", "widths=4", "cpu_seconds=1,2", "batch=8",

@@ -24,11 +24,13 @@ def test_imports_from_outside_the_repository(tmp_path):
 
 def test_console_scripts_answer(tmp_path):
     scripts = Path(sys.executable).parent
-    for name in ("sim", "generate", "train", "infer", "evaluate", "export", "serve"):
-        script = scripts / f"drapenet-{name}"
-        done = subprocess.run([script, "nonsense=1"], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 2, (name, done.stderr)
-        assert done.stderr.startswith("error: ") and "nonsense" in done.stderr
+    names = ("sim", "generate", "train", "infer", "evaluate", "export", "serve")
+    running = {name: subprocess.Popen([scripts / f"drapenet-{name}", "nonsense=1"], cwd=tmp_path,
+                                      stderr=subprocess.PIPE, text=True) for name in names}
+    for name, process in running.items():
+        _, error = process.communicate()
+        assert process.returncode == 2, (name, error)
+        assert error.startswith("error: ") and "nonsense" in error
 
 
 @pytest.mark.slow

@@ -48,6 +48,7 @@ def test_the_nearest_of_another_sample_counts():
     assert result["chance"] == pytest.approx(1 / 4)
 
 
+@pytest.mark.slow
 def test_a_study_writes_elsewhere_and_goes_on(tmp_path, capsys):
     before = PAGE.read_bytes()
     words = ["views", "fabrics=1", "captures=1", "edge_mm=8", "workers=1",
