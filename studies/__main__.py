@@ -15,7 +15,7 @@ from common.files import replace_file, require_file
 from data.configs import read_config
 from studies.study import PAGE, Report, Study, page
 
-ORDER = ("repeatability", "robustness", "views", "transfer", "recognition")
+ORDER = ("table3", "repeatability", "robustness", "views", "transfer", "recognition")
 """Of the sections."""
 
 
