@@ -24,9 +24,10 @@ from common.workers import worker_pool
 from data.captures import read_capture
 from data.picture import thumbnail
 from data.progress import progress_bar
-from drapenet.checkpoint import Header, bundled, read_header
+from drapenet.checkpoint import read_header
 from drapenet.output import DONE, ESTIMATE, SAMPLES, SHOWN, THUMBNAIL
 from drapenet.overview import write_overview
+from drapenet.sources import header_for
 from drapenet.tree import entries_of
 
 _PIECE = 1 << 20  # bytes
@@ -135,9 +136,7 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
     from drapenet.inference import estimate_capture
 
     capture = read_capture(path)
-    header = _header(checkpoint or str(bundled(capture.rig)))
-    header.require_rig(capture.rig)
-    result = estimate_capture(capture, header, **options)
+    result = estimate_capture(capture, header_for([capture], checkpoint), **options)
     found = result.estimate
     with replacing(folder / SAMPLES) as temporary, temporary.open("wb") as stream:
         np.savez(stream, samples=found.samples, names=np.array(found.names), axis=found.axis,
@@ -147,8 +146,3 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
     for name, data in result.files.items():
         replace_file(folder / name, data)
     replace_json(folder / ESTIMATE, result.content)
-
-
-@cache
-def _header(checkpoint: str) -> Header:
-    return read_header(checkpoint)

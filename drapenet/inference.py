@@ -25,7 +25,7 @@ from sim.scene import Rig
 
 Progress = Callable[[int, int, float], None]
 """Called with drapes made, drapes expected, and the misfit so far."""
-_network = lru_cache(maxsize=1)(load_model)  # of many captures, one header
+network_of = lru_cache(maxsize=2)(load_model)  # of many captures, a header for each tester
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,19 @@ def infer_capture(
     rig = Rig.from_name(header.rig)
     camera = located_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
-    draws, = predict(_network(header), header, [found], membrane=membrane, friction=friction)
+    draws, = predict(network_of(header), header, [found], membrane=membrane, friction=friction)
     return Inferred(make_estimate(draws, capture=capture, header=header), camera, found)
+
+
+def capture_doubts(
+    capture: Capture, header: Header, camera: Camera, found: DrapeMap
+) -> list[str]:
+    """What to say of a capture that is not as it should be, one line each: of the camera as
+    located, of the table's turns, and of the views (:mod:`drapenet.quality`).
+    """
+    return [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns),
+            *quality_doubts(measure(capture.views, camera, found, Rig.from_name(header.rig),
+                                    turns=capture.turns))]
 
 
 @dataclass(frozen=True)
@@ -101,9 +112,7 @@ def estimate_capture(
     known, rig = known or {}, Rig.from_name(header.rig)
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    doubts = [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns),
-              *quality_doubts(measure(capture.views, camera, found, rig,
-                                      turns=capture.turns))]
+    doubts = capture_doubts(capture, header, camera, found)
     if strict and (wrong := [*capture.warnings, *doubts]):
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
         raise InputError(f"{capture.path}: refused, for {wrong[0]}{more}; strict=false estimates "

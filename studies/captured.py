@@ -1,4 +1,4 @@
-"""Known fabrics, draped and captured, and what the bundled network says of them."""
+"""Known fabrics, draped and captured, and what the bundled network estimates of them."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -15,12 +15,9 @@ from data.nuisances import Nuisances
 from data.options import Options, config_from_options
 from data.sampling import DrapePlan, plan_drape
 from data.setups import Setups, SyntheticCapture
-from drapenet.canonical import turn_doubts
 from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.convention import SWAPPED
-from drapenet.inference import Inferred, infer_capture
-from drapenet.quality import measure, quality_doubts
-from drapenet.registration import camera_doubts
+from drapenet.inference import Inferred, capture_doubts, infer_capture
 from sim.drape import DrapeResult, drape
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
@@ -35,20 +32,25 @@ IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0,
 
 @dataclass(frozen=True)
 class Reading:
-    """What the network says of a capture.
+    """What the network estimates from a capture.
 
     Attributes:
         theta: (6,) the posterior's mean, along the true warp (:mod:`data.fabrics`).
         samples: (S, 6) of the posterior, likewise.
-        doubts: warnings of the quality checks.
         inferred: all of it; capture: what was seen.
     """
 
     theta: np.ndarray
     samples: np.ndarray
-    doubts: tuple[str, ...]
     inferred: Inferred
     capture: Capture
+
+    @property
+    def doubts(self) -> list[str]:
+        """Warnings, as ``infer.py`` gives them."""
+        one = self.inferred
+        return [*one.estimate.warnings,
+                *capture_doubts(self.capture, header(), one.camera, one.found)]
 
 
 @cache
@@ -110,14 +112,9 @@ def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
     """
     capture = Capture(found.views, found.intrinsics, found.turns, density, None, RIG, Path(), ())
     inferred = infer_capture(capture, header(), **known or {})
-    rig = Rig.from_name(RIG)
-    doubts = [*inferred.estimate.warnings, *camera_doubts(inferred.camera, header().setups),
-              *turn_doubts(inferred.found.turns, capture.turns),
-              *quality_doubts(measure(capture.views, inferred.camera, inferred.found, rig,
-                                      turns=capture.turns))]
     along = np.cos(2 * (inferred.estimate.axis - found.orientation)) >= 0
     samples = inferred.estimate.samples if along else inferred.estimate.samples[:, SWAPPED]
-    return Reading(samples.mean(axis=0), samples, tuple(doubts), inferred, capture)
+    return Reading(samples.mean(axis=0), samples, inferred, capture)
 
 
 def rms(values: np.ndarray) -> float:

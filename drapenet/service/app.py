@@ -2,7 +2,6 @@
 
 import asyncio
 import io
-import json
 import tempfile
 import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
@@ -27,14 +26,14 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from data.captures import MARKS
-from drapenet.export import MESHES, TARGETS, read_material, targets_named
+from drapenet.export import MESHES, TARGETS, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
 from drapenet.service.protocol import ImpatientProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
-from drapenet.service.work import PREVIEW, read_state
+from drapenet.service.work import DONE, PREVIEW, read_json
 from drapenet.tree import plain_name
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
@@ -165,10 +164,11 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
         try:
             files, texts = await _form(request, settings)
             upload = await run_in_threadpool(checked_upload, files, texts, settings)
-            identity = await run_in_threadpool(jobs.submit, upload)
         except BaseException:
             jobs.release()
             raise
+        # From here on the place is the job's: a request that is cancelled must not give it back.
+        identity = await run_in_threadpool(jobs.submit, upload)
         return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
     @app.get("/estimates/{identity}", responses={404: answers[404]})
@@ -177,9 +177,8 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
         interrupted; `estimate` has the content of estimate.json as soon as the network has seen the
         capture.
         """
-        folder = request.app.state.jobs.folder(identity)
-        found = request.app.state.jobs.state(identity)
-        content = _read_json(folder / ESTIMATE)
+        folder, found = request.app.state.jobs.found(identity)
+        content = read_json(folder / ESTIMATE)
         files = [name for name in FILES if (folder / name).is_file()]
         return JSONResponse(found | {"estimate": content, "files": files},
                             headers={"Cache-Control": "no-store"})
@@ -190,7 +189,7 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
         """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
         preview.png.
         """
-        folder = request.app.state.jobs.folder(identity)
+        folder, _ = request.app.state.jobs.found(identity)
         if file not in FILES:
             raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
         if not (folder / file).is_file():
@@ -204,14 +203,12 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
         """A file for another tool, or a zip where there are several; `mesh` and `edge_mm` for tools
         made of hinges, `curvature_1_m` at which one modulus stands for the law.
         """
-        folder = request.app.state.jobs.folder(identity)
+        folder, found = request.app.state.jobs.found(identity)
         if name not in TARGETS:
             raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
-        found = read_state(folder)
-        if not found or found["state"] != "done":
+        if found["state"] != DONE:
             raise RequestError(409, "the estimate is not finished")
         try:
-            targets_named(name)
             material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
                                      edge=1e-3 * edge_mm)
             target = TARGETS[name]
@@ -237,13 +234,6 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name), data)
     return stream.getvalue()
-
-
-def _read_json(file: Path) -> Any:
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 async def _form(

@@ -22,7 +22,6 @@ from drapenet.service.work import (
     FAILED,
     LOST,
     QUEUED,
-    STATE,
     UPLOADED,
     change_state,
     estimate_upload,
@@ -71,7 +70,7 @@ class Jobs:
 
     def reserve(self) -> None:
         """Take a place in the queue, to be given back by :meth:`release` unless :meth:`submit`
-        follows; RequestError with the status 429 where none is free.
+        is called, which sees to it; RequestError with the status 429 where none is free.
         """
         with self._lock:
             if self._taken >= self.settings.queue:
@@ -98,6 +97,7 @@ class Jobs:
                 "refine": upload.refine, "scan": upload.scan, "name": upload.name,
                 "density": density and 1e-3 * density})
         except BaseException as error:
+            self.release()
             shutil.rmtree(folder, ignore_errors=True)
             if isinstance(error, (OSError, InputError)):
                 raise RequestError(507, f"the upload cannot be stored ({one_line(error)}); say so "
@@ -118,19 +118,13 @@ class Jobs:
         raise RequestError(503, "the worker processes cannot be started; the service's log says "
                            "why")
 
-    def folder(self, identity: str) -> Path:
-        """The folder of an estimate; RequestError with the status 404 where there is none."""
+    def found(self, identity: str) -> tuple[Path, dict[str, Any]]:
+        """Folder and state of an estimate; RequestError with the status 404 where there is none."""
         folder = self.settings.results / identity
-        if not (_ID.fullmatch(identity) and (folder / STATE).is_file()):
+        state = read_state(folder) if _ID.fullmatch(identity) else None
+        if state is None:
             raise RequestError(404, "no such estimate; it may have been removed for its age")
-        return folder
-
-    def state(self, identity: str) -> dict[str, Any]:
-        """The state of an estimate."""
-        found = read_state(self.folder(identity))
-        if found is None:
-            raise RequestError(404, "no such estimate; it may have been removed for its age")
-        return found
+        return folder, state
 
     def tidy(self) -> None:
         """Remove results that are too old or too many."""
@@ -161,7 +155,8 @@ class Jobs:
                 sentence = (f"the estimate failed ({type(error).__name__}: {one_line(error)}); "
                             "please report this capture")
             self._end(folder, FAILED, sentence)
-        shutil.rmtree(folder / UPLOADED, ignore_errors=True)
+        else:
+            shutil.rmtree(folder / UPLOADED, ignore_errors=True)
 
     def _end(self, folder: Path, state: str, sentence: str) -> None:
         with suppress(Exception):  # a full disk must not end the thread that serves all others

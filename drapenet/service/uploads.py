@@ -25,7 +25,8 @@ from drapenet.service.settings import Settings
 from drapenet.tree import plain_name
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
-KINDS = (*PICTURES, *SCANS, ".yaml", ".txt", ".zip")
+PACKED = (*PICTURES, *SCANS, ".yaml", ".txt")
+KINDS = (*PACKED, ".zip")
 NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m", *INTRINSICS_KEYS)
 """Fields of the form that are numbers; those left empty are taken from ``capture.yaml``."""
 TEXTS = ("rig", "refine", "name")
@@ -146,15 +147,19 @@ def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, b
                 raise RequestError(422, f"two files are called {plain}; give one capture at a time")
             found[plain] = content
     if not found:
-        raise RequestError(422, f"the zip holds no files of the kinds {', '.join(KINDS[:-1])}")
+        raise RequestError(422, f"the zip holds no files of the kinds {', '.join(PACKED)}")
     if len(found) > settings.files:
         raise RequestError(413, f"{len(found)} files; at most {settings.files}")
     return found
 
 
-def _suffix(name: str) -> str:
+def _ending(name: str) -> str:
     suffix = Path(name.replace("\\", "/")).suffix.lower()
-    suffix = ".yaml" if suffix == ".yml" else suffix
+    return ".yaml" if suffix == ".yml" else suffix
+
+
+def _suffix(name: str) -> str:
+    suffix = _ending(name)
     if suffix not in KINDS:
         raise RequestError(415, f"{shown(name)}: files of this kind are not taken; give "
                            f"{', '.join(KINDS)}")
@@ -171,9 +176,9 @@ def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
                 raise RequestError(413, f"the zip has {len(entries)} entries; at most "
                                    f"{settings.files} files")
             for entry in entries:
-                path = Path(entry.filename.replace("\\", "/"))
-                known = path.suffix.lower() in (*PICTURES, *SCANS, ".yaml", ".yml", ".txt")
-                if entry.is_dir() or not known or path.name.startswith((".", "_")):
+                name = Path(entry.filename.replace("\\", "/")).name
+                known = _ending(name) in PACKED
+                if entry.is_dir() or not known or name.startswith((".", "_")):
                     continue
                 with archive.open(entry) as stream:  # the stated size may be wrong
                     content = stream.read(left + 1)

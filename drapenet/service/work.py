@@ -20,11 +20,16 @@ _PAUSE = 0.25  # s between two reports of progress
 
 def read_state(folder: Path) -> dict[str, Any] | None:
     """The state of an estimate; None where there is none."""
+    found = read_json(folder / STATE)
+    return found if isinstance(found, dict) and "state" in found else None
+
+
+def read_json(file: Path) -> Any:
+    """What a file holds; None where it cannot be read."""
     try:
-        found = json.loads((folder / STATE).read_text(encoding="utf-8"))
+        return json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) and "state" in found else None
 
 
 def change_state(folder: Path, **values: object) -> None:
@@ -37,13 +42,15 @@ def warm_up(parent: int) -> None:
     follow(parent)
     from data.cameras import DEFAULT_RIG
     from data.render import import_open3d
-    from drapenet.checkpoint import bundled, load_model, read_header
+    from drapenet.checkpoint import bundled
+    from drapenet.inference import network_of
     from drapenet.report import draw_report  # noqa: F401
     from drapenet.resimulate import EDGE
+    from drapenet.sources import known_header
     from sim.drape import drape
     from sim.material import MICRO, Fabric
 
-    load_model(read_header(bundled(DEFAULT_RIG)))
+    network_of(known_header(str(bundled(DEFAULT_RIG))))
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
 

@@ -84,7 +84,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     scene = trimesh.load(io.BytesIO(client.get(f"/estimates/{finished['id']}/drape.glb").content),
                          file_type="glb")
     assert set(scene.geometry) == {"captured", "simulated", "support"}
-    folder = client.app.state.jobs.folder(finished["id"])
+    folder, _ = client.app.state.jobs.found(finished["id"])
     assert not (folder / "uploaded").exists()
 
 
@@ -177,13 +177,13 @@ def test_a_restart_keeps_results_and_says_what_it_lost(tmp_path):
     change_state(old, id=old.name, name="o", state="done", ended=time.time() - 200)
     jobs = Jobs(settings)
     try:
-        assert jobs.state(kept.name)["state"] == "done"
-        assert jobs.state(lost.name)["state"] == "interrupted"
-        assert "upload the capture again" in jobs.state(lost.name)["error"]
+        assert jobs.found(kept.name)[1]["state"] == "done"
+        assert jobs.found(lost.name)[1]["state"] == "interrupted"
+        assert "upload the capture again" in jobs.found(lost.name)[1]["error"]
         assert not (lost / "uploaded").exists() and not torn.exists()
         jobs.tidy()
         with pytest.raises(RequestError):
-            jobs.state(old.name)
+            jobs.found(old.name)
         change_state(tmp_path / ("m" * 22), state="failed", ended=time.time() - 50)
         jobs.tidy()  # the oldest of three goes
         assert {one.name for one in tmp_path.iterdir()} == {kept.name, lost.name}
