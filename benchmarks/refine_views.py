@@ -73,13 +73,19 @@ IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
 
 
+def planned(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
+    """A fabric of the prior, without the training's share of very soft ones, and a specimen of it.
+    """
+    words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    return plan_drape(number, config=config.sampling, prior=config.prior)
+
+
 def known_drape(
     number: int, *, rig: str, nuisances: str, edge_mm: float, seed: int
 ) -> tuple[DrapePlan, DrapeResult]:
     """A fabric of the prior and specimen of it, and its drape."""
-    words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
-    config = config_from_options(compose_config("generate", words, schema=Options))
-    plan = plan_drape(number, config=config.sampling, prior=config.prior)
+    plan = planned(number, rig=rig, nuisances=nuisances, seed=seed)
     specimen = plan.nuisances
     result = drape(
         fabric_from_theta(plan.theta), rig=specimen.rig(Rig.from_name(rig)), edge=1e-3 * edge_mm,

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.refine_views import IDEAL as CLEAN
+from benchmarks.refine_views import planned
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.configs import compose_config
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
-from data.options import Options, config_from_options
-from data.sampling import DrapePlan, plan_drape
+from data.sampling import DrapePlan
 from data.setups import Setups, SyntheticCapture
 from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.convention import SWAPPED
@@ -23,10 +23,8 @@ from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 RIG = "square300_cylinder100"
-IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
-         "roll": 0.0, "border": 0, "holes": 0, "hem_share": 0.0, "pitch": (np.radians(38.0),) * 2,
-         "distance": (0.527, 0.527), "fill": (1.0, 1.0), "above": (0.036, 0.036),
-         "aside": (0.0, 0.0)}
+IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
+                 "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
 """A set-up without faults: a smooth sensor where the rig's camera stands, exact quarter turns."""
 
 
@@ -66,10 +64,7 @@ def spread() -> np.ndarray:
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
     """Fabric ``number`` of the prior, and a specimen of it."""
-    words = [f"nuisances={nuisances}", f"rig={RIG}", f"seed={seed}", "dataset.soft_share=0"]
-    config = config_from_options(compose_config("generate", words, schema=Options))
-    return plan_drape(number * config.sampling.starts_per_fabric, config=config.sampling,
-                      prior=config.prior)
+    return planned(number, rig=RIG, nuisances=nuisances, seed=seed)
 
 
 def draped(

@@ -22,7 +22,7 @@ from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
 from sim.scene import DISC_RIG, Rig
 from studies.captured import RIG, draped, ideal, read, seen, specimen
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 DESCRIPTIONS = {
     "coefficient": "drape coefficient and number of folds",
@@ -75,12 +75,7 @@ def scanned(*, path: str, seed: int) -> dict[str, Any]:
 
 def run(config: dict[str, Any]) -> Report:
     """Simulated drapes, and scans where there are some."""
-    keys = ("starts", "edge_mm", "seed")
-    cases = {f"fabric_{k:02}": {key: config[key] for key in keys} | {"number": k}
-             for k in range(config["fabrics"])}
-    folder, workers = Path(config["cases"]), config["workers"]
-    found = run_cases(simulated, cases, folder=folder / "simulated", workers=workers,
-                      sources=ESTIMATOR)
+    found = over_fabrics(simulated, config, sources=ESTIMATOR, inside="simulated")
     drapes = [one for result in found.values() for one in result["drapes"]]
     fabric = np.repeat(np.arange(len(found)), config["starts"])
     sets = {"simulated": nearest(drapes, fabric, np.arange(len(drapes)))}
@@ -91,7 +86,8 @@ def run(config: dict[str, Any]) -> Report:
                              "scans=, or leave it empty")
         scans = run_cases(scanned, {file.stem: {"path": str(file), "seed": config["seed"]}
                                     for file in files},
-                          folder=folder / "scans", workers=workers, sources=ESTIMATOR)
+                          folder=Path(config["cases"]) / "scans", workers=config["workers"],
+                          sources=ESTIMATOR)
         names = np.array([tuple(map(int, _SCAN.match(name).groups())) for name in scans])
         sample = names[:, 0] * 1000 + names[:, 1]
         sets["scans, other sample"] = nearest(list(scans.values()), names[:, 0], sample)

@@ -1,16 +1,15 @@
 """Does the same fabric give the same moduli, whichever way it drapes? (002, Figures 22 and 23)."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
+from benchmarks.common import ESTIMATOR, tick_short_scales
 from data.sampling import STARTS
 from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from studies.captured import draped, ideal, read, seen, specimen
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 WAYS = {"starts": "other start", "orientations": "same drape, other orientation",
         "set-ups": "same drape, other camera, sensor and turns"}
@@ -35,11 +34,7 @@ def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: i
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    keys = ("starts", "orientations", "edge_mm", "seed")
-    cases = {f"fabric_{k:02}": {key: config[key] for key in keys} | {"number": k}
-             for k in range(config["fabrics"])}
-    return {"fabrics": run_cases(case, cases, folder=Path(config["cases"]),
-                                 workers=config["workers"], sources=ESTIMATOR)}
+    return {"fabrics": over_fabrics(case, config, sources=ESTIMATOR)}
 
 
 def variations(report: Report) -> dict[str, np.ndarray]:

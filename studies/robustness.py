@@ -2,18 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from benchmarks.common import ESTIMATOR, run_cases
+from benchmarks.common import ESTIMATOR
 from data.setups import SyntheticCapture
 from drapenet.convention import LINEAR
 from studies.captured import draped, ideal, read, rms, seen, specimen, spread
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 Change = Callable[[SyntheticCapture, float, np.random.Generator], SyntheticCapture]
 
@@ -94,10 +93,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    cases = {f"fabric_{k:02}": {"number": k, "edge_mm": config["edge_mm"], "seed": config["seed"]}
-             for k in range(config["fabrics"])}
-    found = run_cases(case, cases, folder=Path(config["cases"]), workers=config["workers"],
-                      sources=ESTIMATOR)
+    found = over_fabrics(case, config, sources=ESTIMATOR)
     first = next(iter(found.values()))
     return {"faults": {name: {value: {
         "error": rms(np.array([one[name][value][0] for one in found.values()])),

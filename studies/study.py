@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.common import ROOT, table
+from benchmarks.common import ROOT, run_cases, table
 
 PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
@@ -25,6 +25,26 @@ simulator are in [validation.md](validation.md).
 """
 
 Report = dict[str, Any]
+
+
+_OF_THE_RUN = ("fabrics", "workers", "cases", "out", "scans")
+
+
+def over_fabrics(
+    case: Callable[..., dict], config: dict[str, Any], *, sources: Sequence[str], inside: str = ""
+) -> dict[str, dict]:
+    """Results of ``case(number=k, ...)`` for every fabric, those that are finished from before.
+
+    Args:
+        config: of the study; all keys but those of the run itself go to ``case``.
+        sources: that the results depend on, :func:`benchmarks.common.run_cases`.
+        inside: folder for them in that of the config.
+    """
+    settings = {key: value for key, value in config.items() if key not in _OF_THE_RUN}
+    return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
+                            for k in range(config["fabrics"])},
+                     folder=Path(config["cases"]) / inside, workers=config["workers"],
+                     sources=sources)
 
 
 @dataclass(frozen=True)

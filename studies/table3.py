@@ -1,12 +1,11 @@
 """Four ways to a fabric's moduli, and the drapes that these give (002, Table 3)."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
+from benchmarks.common import ESTIMATOR, tick_short_scales
 from benchmarks.testers import LENGTHS, shake
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
@@ -18,7 +17,7 @@ from sim.drape import drape
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
 from sim.scene import HUNG_SQUARE, Rig
 from studies.captured import RIG, draped, ideal, read, rms, seen, specimen, spread
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 WAYS = ("strips, regression", "strips, table", "network", "refined", "mean of the prior")
 TRUTH = "another drape of the fabric"
@@ -107,11 +106,7 @@ def _apart(
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    names = {f"fabric_{k:02}": {key: config[key] for key in (
-        "edge_mm", "noise_mm", "cells", "refine", "seed")} | {"number": k}
-        for k in range(config["fabrics"])}
-    return {"fabrics": run_cases(case, names, folder=Path(config["cases"]),
-                                 workers=config["workers"], sources=ESTIMATOR)}
+    return {"fabrics": over_fabrics(case, config, sources=ESTIMATOR)}
 
 
 def _figures(report: Report) -> dict[str, dict[str, float]]:

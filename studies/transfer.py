@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import next_to, run_cases, tick_short_scales
+from benchmarks.common import next_to, tick_short_scales
 from data.fabrics import fabric_from_theta
 from drapenet.comparison import compare
 from sim.cantilever.equivalent import equivalent_modulus
@@ -19,7 +18,7 @@ from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
 from sim.newton import Status
 from sim.scene import Rig
 from studies.captured import RIG, draped, specimen
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 _CELLS, _SAMPLES = 30, 6  # of the strips from which the ratio of moduli is taken
 LAWS = {"hinges along the edge": "hinge_edge", "hinges, mean modulus": "hinge"}
@@ -63,10 +62,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    cases = {f"fabric_{k:02}": {"number": k, "edge_mm": config["edge_mm"], "seed": config["seed"]}
-             for k in range(config["fabrics"])}
-    return {"ratio": ratio(), "fabrics": run_cases(
-        case, cases, folder=Path(config["cases"]), workers=config["workers"])}
+    return {"ratio": ratio(), "fabrics": over_fabrics(case, config, sources=("sim",))}
 
 
 def _by_way(report: Report) -> dict[str, np.ndarray]:

@@ -1,18 +1,17 @@
 """How many views does an estimate need? (002, Figure 19)."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases
+from benchmarks.common import ESTIMATOR, REPORTS
 from data.setups import Setups
 from drapenet.convention import LINEAR, RATIO
 from drapenet.coverage import LEVELS, covered, ranks
 from studies.captured import draped, read, rms, seen, specimen, spread
-from studies.study import Report, Study
+from studies.study import Report, Study, over_fabrics
 
 VIEWS = (1, 2, 3, 4, 6, 8)
 
@@ -38,11 +37,7 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    keys = ("captures", "edge_mm", "seed")
-    cases = {f"fabric_{k:03}": {key: config[key] for key in keys} | {"number": k}
-             for k in range(config["fabrics"])}
-    found = run_cases(case, cases, folder=Path(config["cases"]), workers=config["workers"],
-                      sources=ESTIMATOR)
+    found = over_fabrics(case, config, sources=ESTIMATOR)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):

@@ -3,58 +3,23 @@
 import os
 import shutil
 import signal
-import socket
-import subprocess
-import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import pytest
 
+from benchmarks.service import EXAMPLE, Service
+
 pytestmark = pytest.mark.browser
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "captures" / "twill"
 FILES = [str(file) for file in (*sorted(EXAMPLE.glob("*.png")), EXAMPLE / "capture.yaml")]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWING = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SECONDS = 60_000  # ms
 
 
-class Service:
-    """``serve.py`` on a free port, that can be killed and started again."""
-
-    def __init__(self, results: Path):
-        self.results = results
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.start()
-
-    def start(self) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "serve.py", f"port={self.port}", f"results={self.results}",
-             "workers=1"], cwd=ROOT, stdout=subprocess.DEVNULL)
-        for _ in range(600):
-            try:
-                urllib.request.urlopen(self.url, timeout=5).read()
-                return
-            except OSError:
-                time.sleep(0.1)
-        raise AssertionError("the service did not start")
-
-    def stop(self, how: int = signal.SIGINT) -> None:
-        self.process.send_signal(how)
-        self.process.wait(timeout=30)
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.port}/"
-
-
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    service = Service(tmp_path_factory.mktemp("results"))
+    service = Service(tmp_path_factory.mktemp("service"), queue=32, workers=1)
     yield service
     service.stop()
 
