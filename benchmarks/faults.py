@@ -31,10 +31,9 @@ from data.fabrics import fabric_from_theta
 from data.setups import Setups, SyntheticCapture
 from data.shards import Shard
 from data.splits import finished_manifest
-from drapenet.canonical import drape_map, turn_doubts
+from drapenet.canonical import drape_map
+from drapenet.inference import capture_doubts
 from drapenet.maps import located_camera
-from drapenet.quality import measure, quality_doubts
-from drapenet.registration import camera_doubts
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
@@ -182,9 +181,7 @@ def doubts(
         return ["mended"]
     camera = located_camera(checked.views, checked.intrinsics, rig)
     found = drape_map(checked.views, camera, rig, turns=checked.turns)
-    return [*checked.warnings, *camera_doubts(camera, setups),
-            *turn_doubts(found.turns, checked.turns),
-            *quality_doubts(measure(checked.views, camera, found, rig, turns=checked.turns))]
+    return [*checked.warnings, *capture_doubts(checked, setups, camera, found)]
 
 
 def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

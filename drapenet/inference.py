@@ -11,6 +11,7 @@ from common.ctrl_c import require_interruption
 from common.errors import InputError
 from data.cameras import Camera
 from data.captures import Capture
+from data.setups import Setups
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
 from drapenet.content import interval_table, to_json
@@ -61,13 +62,14 @@ def infer_capture(
 
 
 def capture_doubts(
-    capture: Capture, header: Header, camera: Camera, found: DrapeMap
+    capture: Capture, setups: Setups, camera: Camera, found: DrapeMap
 ) -> list[str]:
     """What to say of a capture that is not as it should be, one line each: of the camera as
-    located, of the table's turns, and of the views (:mod:`drapenet.quality`).
+    located, against the ``setups`` trained on, of the table's turns, and of the views
+    (:mod:`drapenet.quality`).
     """
-    return [*camera_doubts(camera, header.setups), *turn_doubts(found.turns, capture.turns),
-            *quality_doubts(measure(capture.views, camera, found, Rig.from_name(header.rig),
+    return [*camera_doubts(camera, setups), *turn_doubts(found.turns, capture.turns),
+            *quality_doubts(measure(capture.views, camera, found, Rig.from_name(capture.rig),
                                     turns=capture.turns))]
 
 
@@ -112,7 +114,7 @@ def estimate_capture(
     known, rig = known or {}, Rig.from_name(header.rig)
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    doubts = capture_doubts(capture, header, camera, found)
+    doubts = capture_doubts(capture, header.setups, camera, found)
     if strict and (wrong := [*capture.warnings, *doubts]):
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
         raise InputError(f"{capture.path}: refused, for {wrong[0]}{more}; strict=false estimates "

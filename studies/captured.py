@@ -48,7 +48,7 @@ class Reading:
         """Warnings, as ``infer.py`` gives them."""
         one = self.inferred
         return [*one.estimate.warnings,
-                *capture_doubts(self.capture, header(), one.camera, one.found)]
+                *capture_doubts(self.capture, header().setups, one.camera, one.found)]
 
 
 @cache
