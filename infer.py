@@ -8,21 +8,21 @@
 
 Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``, ``drape.glb`` and
 ``torque.svg`` to ``out``. What a capture consists of is described in ``README.md``, "Your own
-fabric", all keys in ``configs/infer.yaml``.
+fabric".
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
-from data.configs import read_config
+from drapenet.config import InferConfig
 from drapenet.output import ESTIMATE, require_output, write_estimate, write_files
 from drapenet.sources import header_for, read_scan_capture
 from drapenet.table import format_table
@@ -30,27 +30,27 @@ from drapenet.table import format_table
 DRAPES = 2  # of the report of a single capture
 
 
-def main(argv: list[str]) -> None:
-    """The command line: words ``key=value`` over ``configs/infer.yaml``."""
-    config = parse_overrides(read_config("infer"), argv)
+@command("infer", InferConfig)
+def main(config: InferConfig) -> None:
+    """Estimate, print, and write the files."""
     check(config)
-    options = {"refine": config["refine"] != "none", "drapes": config["drapes"],
-               "edge": config["edge_mm"] * 1e-3, "known": known(config),
-               "strict": config["strict"]}
-    if config["captures"]:
+    options = {"refine": config.refine != "none", "drapes": config.drapes,
+               "edge": config.edge_mm * 1e-3, "known": known(config),
+               "strict": config.strict}
+    if config.captures:
         from drapenet.batch import estimate_tree
 
-        root = folder_named(config["out"])
-        estimate_tree(Path(config["captures"]), root,
-                      checkpoint=config["checkpoint"], workers=config["workers"],
-                      **options | {"drapes": max(config["drapes"], 0)})
-        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), config["export"])
+        root = folder_named(config.out)
+        estimate_tree(Path(config.captures), root,
+                      checkpoint=config.checkpoint, workers=config.workers,
+                      **options | {"drapes": max(config.drapes, 0)})
+        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), config.export)
         return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
-    header = header_for(captures, config["checkpoint"])
+    header = header_for(captures, config.checkpoint)
     name = captures[0].path.resolve().stem if len(captures) == 1 else "joint"
-    out = Path(config["out"] or Path("outputs/infer") / name)
+    out = Path(config.out or Path("outputs/infer") / name)
     folders = [out] if len(captures) == 1 else [out / f"capture_{k}" for k in range(len(captures))]
     for folder in {out, *folders}:
         require_output(folder)
@@ -58,7 +58,7 @@ def main(argv: list[str]) -> None:
         from drapenet.inference import estimate_capture
 
     found = []
-    if config["drapes"] < 0:
+    if config.drapes < 0:
         options["drapes"] = DRAPES
     for (capture, seen), folder in zip(sources, folders, strict=True):
         one = estimate_capture(capture, header, seen=seen, **options)
@@ -70,7 +70,7 @@ def main(argv: list[str]) -> None:
 
         content = joint_content([one.estimate for one in found], [one.content for one in found])
         write_estimate(out, content, format_table(content))
-    export_estimates([out / ESTIMATE], config["export"])
+    export_estimates([out / ESTIMATE], config.export)
 
 
 def export_estimates(files: list[Path], names: str) -> None:
@@ -85,48 +85,44 @@ def export_estimates(files: list[Path], names: str) -> None:
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
 
-def known(config: dict[str, Any]) -> dict[str, float]:
+def known(config: InferConfig) -> dict[str, float]:
     """What the user knows of the fabric, in SI units, as :func:`estimate_capture` takes it."""
-    values = {"membrane": config["membrane_n_per_m"], "friction": 1e-6 * config["friction_un"]}
+    values = {"membrane": config.membrane_n_per_m, "friction": 1e-6 * config.friction_un}
     return {name: value for name, value in values.items()
             if value > 0 or (name == "friction" and value == 0)}
 
 
-def check(config: dict[str, Any]) -> None:
+def check(config: InferConfig) -> None:
     """InputError for values out of range, or keys that do not go together."""
-    kind, ways = ("scan", ("none", "scan")) if config["scan"] else ("capture", ("none", "depth"))
-    if config["refine"] not in ways:
+    kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
+    if config.refine not in ways:
         raise InputError(f"refine={config['refine']}: a {kind} takes {' or '.join(ways)}")
-    given = [key for key in ("capture", "captures", "scan") if config[key]]
+    given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(given) > 1:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
         raise InputError("no capture; give capture=DIR, a folder with depth images")
-    if config["export"]:
+    if config.export:
         from drapenet.export import targets_named
 
-        targets_named(config["export"], "export")
-    if not -1 <= config["drapes"] <= 4:
+        targets_named(config.export, "export")
+    if not -1 <= config.drapes <= 4:
         raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
-    if config["membrane_n_per_m"] < 0:
+    if config.membrane_n_per_m < 0:
         raise InputError(f"membrane_n_per_m={config['membrane_n_per_m']:g} must be positive")
 
 
-def read_sources(config: dict[str, Any]) -> list[tuple[Capture, Any]]:
+def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     """The captures that ``configs/infer.yaml`` names, each with the scan that it is of, or None."""
-    key = "scan" if config["scan"] else "capture"
-    paths = [Path(word.strip()) for word in config[key].strip("[]").split(",")]
+    key = "scan" if config.scan else "capture"
+    named = getattr(config, key)
+    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]
     if key == "capture":
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
-    density = checked_density(config["density_g_m2"], "density_g_m2")
-    return [read_scan_capture(path, density=density, held=config["held"]) for path in paths]
-
-
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
+    density = checked_density(config.density_g_m2, "density_g_m2")
+    return [read_scan_capture(path, density=density, held=config.held) for path in paths]
 
 
 if __name__ == "__main__":
-    entry()
+    main()

@@ -10,26 +10,20 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 import os
-from typing import NoReturn
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.threads import ONE_THREAD
-from data.configs import read_config
+from drapenet.config import ServeConfig
 
 
-def main(argv: list[str]) -> None:
-    """The command line: words ``key=value`` over ``configs/serve.yaml``."""
-    config = parse_overrides(read_config("serve"), argv)
+@command("serve", ServeConfig)
+def main(config: ServeConfig) -> None:
+    """Serve until interrupted."""
     os.environ.update(ONE_THREAD)  # of the worker processes; this one calculates nothing
     from drapenet.service.app import serve
 
     serve(config)
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
-
 if __name__ == "__main__":
-    entry()
+    main()

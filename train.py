@@ -11,31 +11,34 @@ import common.interrupt  # noqa: F401
 # isort: split
 import math
 from pathlib import Path
-from typing import NoReturn
 
+from common.command import command
 from common.ctrl_c import deferred
-
-with deferred():
-    import torch
-from omegaconf import OmegaConf
-from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
-
-from common.cli import run_command
 from common.errors import InputError
-from common.files import require_folder
-from data.configs import compose_config
-from drapenet.checkpoint import load_state, save_checkpoint, save_state
+from common.files import folder_named, require_folder
 from drapenet.config import TrainConfig, learning_rate
-from drapenet.network import MapNet
-from drapenet.training import choose_device, describe, log_metrics, open_captures, validate
 
 
 def train(config: TrainConfig) -> Path:
     """Train, or go on training, and return the checkpoint with the least validation loss."""
     config.check()
-    out = Path(config.out)
+    out = folder_named(config.out)
     require_folder(out)
+    with deferred():  # torch takes seconds, and a bad word should be refused at once
+        import torch
+        from torch.utils.tensorboard import SummaryWriter
+        from tqdm import tqdm
+
+        from drapenet.checkpoint import load_state, save_checkpoint, save_state
+        from drapenet.network import MapNet
+        from drapenet.training import (
+            choose_device,
+            describe,
+            log_metrics,
+            open_captures,
+            validate,
+        )
+
     device = choose_device(config)
     training, unseen, scale, manifest = open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
@@ -93,17 +96,12 @@ def train(config: TrainConfig) -> Path:
     return checkpoint
 
 
-def main(argv: list[str]) -> None:
-    """The command line: words ``key=value`` over ``configs/train.yaml``."""
-    config = OmegaConf.to_object(compose_config("train", argv, schema=TrainConfig))
+@command("train", TrainConfig)
+def main(config: TrainConfig) -> None:
+    """Train, and print where the weights are."""
     checkpoint = train(config)
     print(f"weights: {checkpoint}\nlog:     tensorboard --logdir {config.out}")
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
-
 if __name__ == "__main__":
-    entry()
+    main()

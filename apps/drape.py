@@ -1,78 +1,69 @@
-"""Drape one fabric: ``python -m apps.drape alpha=20,20,20 beta=0,0,0 out=outputs/a``.
+"""Drape one fabric.
 
-Keys (``key=value``):
-
-    alpha        linear moduli warp,bias,weft in µN·m
-    beta         quadratic moduli warp,bias,weft in nN·m², usually negative
-    density      g/m²; the shape depends on moduli/density only
-    rig          square300_cylinder100: 300 mm square on a cylinder of 100 mm
-                 disc300_support180: 300 mm disc on a support of 180 mm (ISO 9073-9)
-                 square600_corners500: 600 mm square hung by two corners 500 mm apart
-    start        initial shape: sine or fold
-    borrow       drape.npz of another fabric on the same rig to start from, in place of start
-    seed         of the initial shape and of the triangulation
-    edge_mm      length of the mesh's edges at the plate's rim, 1 to 50; 0 chooses by the fabric's
-                 bending length
-    offset       specimen's centre off the plate's axis along warp,weft in mm
-    out          folder for drape.ply (mesh, metres), drape.png, drape.json and drape.npz (arrays
-                 rest, positions, faces, held; see data/drape_file.py)
+    python -m apps.drape alpha=60,40,30 beta=-90,-60,-45 out=outputs/a
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from common.cli import check_density, parse_overrides, run_command
+from common.cli import check_density
+from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
 from data.drape_file import read_borrowed, write_drape
 from sim.drape import DrapeResult, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 from sim.scene import Rig
 
-DEFAULTS = {
-    "alpha": [20.0, 20.0, 20.0],
-    "beta": [0.0, 0.0, 0.0],
-    "density": 300.0,
-    "rig": "square300_cylinder100",
-    "start": "sine",
-    "borrow": "",
-    "seed": 0,
-    "edge_mm": 0.0,
-    "offset": [0.0, 0.0],
-    "out": "outputs/drape",
-}
+SOFTEST, STIFFEST = 1e-3, 1e6  # µN·m, of what people drape or measure
 
 
-def main(argv: list[str]) -> None:
+@dataclass
+class DrapeConfig:
+    """``configs/drape.yaml``."""
+
+    alpha: list[float]
+    beta: list[float]
+    density: float
+    rig: str
+    start: str
+    borrow: str
+    seed: int
+    edge_mm: float
+    offset: list[float]
+    out: str
+
+
+@command("drape", DrapeConfig)
+def main(config: DrapeConfig) -> None:
     """Simulate, print what came out, and write the files."""
-    if {"-h", "--help", "help"} & set(argv):
-        print(__doc__)
-        return
-    config = parse_overrides(DEFAULTS, argv)
-    folder = folder_named(config["out"])
-    if len(config["offset"]) != 2:
+    folder = folder_named(config.out)
+    if len(config.offset) != 2:
         raise InputError("offset needs two values in mm: along warp, along weft")
-    check_density(config["density"])
+    check_density(config.density)
+    for value in config.alpha:
+        if not SOFTEST <= value <= STIFFEST:
+            raise InputError(f"alpha={value:g} is no fabric's, {SOFTEST:g} to {STIFFEST:g} µN·m; "
+                             "check its unit")
     fabric = Fabric(
-        alpha=np.array(config["alpha"]) * MICRO,
-        beta=np.array(config["beta"]) * NANO,
-        density=config["density"] * 1e-3,
+        alpha=np.array(config.alpha) * MICRO,
+        beta=np.array(config.beta) * NANO,
+        density=config.density * 1e-3,
     )
     require_folder(folder)
     result = drape(
         fabric,
-        rig=Rig.from_name(config["rig"]),
-        edge=config["edge_mm"] * 1e-3 or None,
-        start=config["start"],
-        borrowed=read_borrowed(Path(config["borrow"])) if config["borrow"] else None,
-        seed=config["seed"],
-        offset=tuple(1e-3 * v for v in config["offset"]),
+        rig=Rig.from_name(config.rig),
+        edge=config.edge_mm * 1e-3 or None,
+        start=config.start,
+        borrowed=read_borrowed(Path(config.borrow)) if config.borrow else None,
+        seed=config.seed,
+        offset=tuple(1e-3 * v for v in config.offset),
     )
     summary = summarise(result, config)
     write(folder, result, summary)
@@ -86,22 +77,24 @@ def main(argv: list[str]) -> None:
     print(f"{summary['iterations']} Newton steps, {summary['seconds']:.1f} s; see {folder}/")
 
 
-def summarise(result: DrapeResult, config: dict) -> dict:
+def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
     """What drape.json says: parameters in people's units, outcome, measures.
 
     Measures that refer to a plate are null on a rig without one.
     """
+    from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
+
     positions, faces, rig = result.positions, result.faces, result.rig
     return {
         "parameters": {
-            "alpha_uN_m": dict(zip(DIRECTIONS, config["alpha"], strict=True)),
-            "beta_nN_m2": dict(zip(DIRECTIONS, config["beta"], strict=True)),
-            "density_g_m2": config["density"],
-            **{key: config[key]
+            "alpha_uN_m": dict(zip(DIRECTIONS, config.alpha, strict=True)),
+            "beta_nN_m2": dict(zip(DIRECTIONS, config.beta, strict=True)),
+            "density_g_m2": config.density,
+            **{key: getattr(config, key)
                for key in ("rig", "borrow", "seed")},
-            "start": None if config["borrow"] else config["start"],
+            "start": None if config.borrow else config.start,
             "edge_mm": round(1e3 * result.edge, 6),
-            "offset_mm": config["offset"],
+            "offset_mm": config.offset,
         },
         "status": result.status.value,
         "message": result.message,
@@ -144,10 +137,5 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     write_drape(folder / "drape.npz", result)
 
 
-def entry() -> None:
-    """Console script."""
-    run_command(main)
-
-
 if __name__ == "__main__":
-    sys.exit(entry())
+    main()

@@ -36,8 +36,8 @@ from benchmarks.common import (
     write_report,
 )
 from common.cli import run_command
+from common.command import compose_config
 from data.cameras import CameraRig
-from data.configs import compose_config
 from data.fabrics import THETA_NAMES, fabric_from_theta
 from data.nuisances import NAMES, Nuisances
 from data.options import Options, config_from_options

@@ -37,8 +37,8 @@ from benchmarks.common import (
 )
 from benchmarks.fitting import fit
 from common.cli import run_command
+from common.command import compose_config
 from common.errors import InputError
-from data.configs import compose_config
 from drapenet.checkpoint import Header
 from drapenet.config import TrainConfig
 from drapenet.evaluate import judge

@@ -49,9 +49,9 @@ from benchmarks.common import (
 )
 from benchmarks.photographs import estimated
 from common.cli import run_command
+from common.command import compose_config
 from common.errors import InputError
 from data.cameras import CameraRig
-from data.configs import compose_config
 from data.fabrics import fabric_from_theta
 from data.nuisances import NuisanceConfig, Nuisances
 from data.options import Options, config_from_options

@@ -39,10 +39,10 @@ from benchmarks.common import (
     write_report,
 )
 from common.cli import run_command
+from common.command import compose_config
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.configs import compose_config
 from data.fabrics import fabric_from_theta
 from data.nuisances import NAMES
 from data.options import Options, config_from_options

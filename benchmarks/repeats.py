@@ -35,9 +35,9 @@ from benchmarks.common import (
 )
 from benchmarks.refine_views import judge
 from common.cli import run_command
+from common.command import compose_config
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.configs import compose_config
 from data.fabrics import fabric_from_theta
 from data.options import Options, config_from_options
 from data.prior import load_prior

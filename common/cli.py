@@ -4,9 +4,9 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -17,6 +17,8 @@ from common.errors import InputError
 from common.memory import keep_freed_memory
 
 LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
+LIMITS = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
+"""The most that keys of these names take: what 64 bits hold, and what no machine is asked for."""
 
 
 def parse_overrides(defaults: dict, argv: list[str]) -> dict:
@@ -31,6 +33,7 @@ def parse_overrides(defaults: dict, argv: list[str]) -> dict:
         InputError: a word without ``=``, an unknown key, a value of the wrong type.
     """
     config = OmegaConf.to_container(OmegaConf.create(defaults), resolve=True)
+    refuse_repeated(argv)
     known = ", ".join(sorted(str(key) for key in defaults))
     for word in argv:
         key, equals, text = word.partition("=")
@@ -45,7 +48,23 @@ def parse_overrides(defaults: dict, argv: list[str]) -> dict:
         if not isinstance(place, dict) or isinstance(place.get(names[-1], {}), dict):
             raise InputError(f"unknown key '{key}'; known keys: {known}")
         place[names[-1]] = _convert(key, text, place[names[-1]])
+    check_counts(config)
     return config
+
+
+def refuse_repeated(words: Iterable[str]) -> None:
+    """InputError for words ``key=value`` that give a key twice."""
+    keys = [word.partition("=")[0].lstrip("+") for word in words]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise InputError(f"{key}= is given {keys.count(key)} times; give it once")
+
+
+def check_counts(config: Mapping[str, Any]) -> None:
+    """InputError for numbers beyond :data:`LIMITS`."""
+    for key, most in LIMITS.items():
+        if isinstance(value := config.get(key), int) and value > most:
+            raise InputError(f"{key}={value} must not be above {most}")
 
 
 def _convert(key: str, text: str, old: object) -> object:

@@ -17,8 +17,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from common.configs import group_options, read_config
 from common.errors import InputError, one_line
-from data.configs import group_options, read_config
 
 DEFAULT_RIG = "square300_cylinder100"
 

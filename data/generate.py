@@ -1,10 +1,22 @@
-"""Makes datasets of simulated drapes: ``python -m data.generate --help``.
+"""Make datasets of simulated drapes of random fabrics.
+
+    python -m data.generate out=outputs/dataset drapes=1500 workers=2
+    python -m data.generate out=outputs/small drapes=16 edge_mm=5
+
+Writes OUT/shard_*.h5 and OUT/dataset.json (docs/data_format.md). A drape takes about 2 s of one
+core, and 20 kB with edge_mm=3. ``python -m data.inspect OUT`` shows what a dataset holds.
 
     prior -> plan of a drape -> equilibrium -> record -> shard
 
 A shard depends on the dataset's configuration and its number only, so any number of processes, on
-any number of machines, write the same files, and an interrupted dataset is completed as if nothing
-had happened.
+any number of machines, write the same files. Run again after an interruption, the command goes on,
+and makes damaged shards anew; asked for more drapes, it extends the dataset.
+
+On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
+(docs/cluster.md; needs pip install '.[cluster]'):
+
+    python -m data.generate launcher=slurm parts=40 workers=8 out=... drapes=48000
+    python -m data.generate launcher=joblib parts=4 workers=1 out=... drapes=1500
 """
 
 import common.interrupt  # noqa: F401
@@ -12,10 +24,10 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
-from typing import NoReturn
 
-from common.cli import run_command
+from common.command import command
 from common.errors import InputError, one_line
+from common.files import folder_named
 from data.effort import describe_effort
 from data.folder import DatasetFolder
 from data.options import Options, config_from_options
@@ -102,51 +114,11 @@ def _fill(
               file=sys.stderr)
 
 
-HELP = """\
-usage: python -m data.generate [--multirun] [KEY=VALUE ...]
-
-Simulates drapes of random fabrics. Writes OUT/shard_*.h5 and OUT/dataset.json
-(docs/data_format.md). Run again after an interruption, it continues, and makes damaged shards anew;
-asked for more drapes, it extends the dataset. The files depend on neither the number of workers,
-parts and machines nor on interruptions.
-
-    python -m data.generate out=outputs/dataset drapes=1500 workers=2
-    python -m data.generate out=outputs/small drapes=16 edge_mm=5
-
-A drape takes about 2 s of one core, and 20 kB with edge_mm=3. What a dataset holds is shown by
-python -m data.inspect OUT.
-
-On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
-(docs/cluster.md; needs pip install '.[cluster]'):
-
-    python -m data.generate --multirun launcher=slurm parts=40 workers=8 out=... drapes=48000
-    python -m data.generate --multirun launcher=joblib parts=4 workers=1 out=... drapes=1500
-
-Keys and their defaults; groups are exchanged as in dataset=paper:
-"""
-
-
-def main(argv: list[str]) -> None:
-    """The command line: Hydra overrides of ``configs/generate.yaml``."""
-    from data.cluster import MULTIRUN, launch
-    from data.configs import compose_config, describe_config
-
-    if any(word in ("-h", "--help") for word in argv):
-        print(HELP)
-        print(describe_config("generate", ["dataset", "prior", "nuisances", "launcher"]))
-        return
-    if MULTIRUN & set(argv):
-        launch([word for word in argv if word not in MULTIRUN], run)
-        return
-    if words := [word for word in argv if word.startswith(("launcher=", "hydra/launcher="))]:
-        raise InputError(f"{words[0]} starts many jobs, which needs the word --multirun as well")
-    run(compose_config("generate", argv, schema=Options))
-
-
-def run(options: Options) -> None:
+@command("generate", Options, check=config_from_options)
+def main(options: Options) -> None:
     """Make the dataset, or the part, that ``options`` ask for; print what became of it."""
-    manifest = generate_dataset(config_from_options(options), options.out, workers=options.workers,
-                                part=options.part, parts=options.parts)
+    manifest = generate_dataset(config_from_options(options), folder_named(options.out),
+                                workers=options.workers, part=options.part, parts=options.parts)
     if not manifest["complete"]:
         print(f"part {options.part} of {options.parts} of {options.out} is done, other parts are "
               "not; the last one writes dataset.json")
@@ -160,10 +132,5 @@ def run(options: Options) -> None:
           f"{manifest['rejection_rate']:.2%}")
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main)
-
-
 if __name__ == "__main__":
-    entry()
+    main()

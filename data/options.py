@@ -1,9 +1,7 @@
 """The keys of ``configs/generate.yaml``: their types, and the dataset that they ask for."""
 
 import math
-from dataclasses import dataclass, field
-
-from omegaconf import MISSING
+from dataclasses import dataclass
 
 from common.errors import InputError
 from data.nuisances import NuisanceConfig
@@ -17,48 +15,48 @@ from sim.scene import Rig
 class DatasetOptions:
     """The group ``dataset``; see ``configs/dataset``."""
 
-    starts_per_fabric: int = MISSING
-    starts: list[str] = MISSING
-    drift_mm: float = MISSING
-    soft_share: float = MISSING
-    drapes_per_shard: int = MISSING
+    starts_per_fabric: int
+    starts: list[str]
+    drift_mm: float
+    soft_share: float
+    drapes_per_shard: int
 
 
 @dataclass
 class PriorOptions:
     """The group ``prior``; see ``configs/prior``."""
 
-    file: str = "vae"
+    file: str
 
 
 @dataclass
 class NuisanceOptions:
     """The group ``nuisances``; see ``configs/nuisances``."""
 
-    membrane_n_per_m: list[float] = MISSING
-    shear: list[float] = MISSING
-    friction_un: float = MISSING
-    curl_per_m: float = MISSING
-    size_mm: float = MISSING
-    plate_mm: float = MISSING
-    cut_deg: float = MISSING
+    membrane_n_per_m: list[float]
+    shear: list[float]
+    friction_un: float
+    curl_per_m: float
+    size_mm: float
+    plate_mm: float
+    cut_deg: float
 
 
 @dataclass
 class Options:
     """Types of the keys of ``configs/generate.yaml``."""
 
-    out: str = "outputs/dataset"
-    drapes: int = 512
-    workers: int = 2
-    part: int = 0
-    parts: int = 1
-    seed: int = 0
-    edge_mm: float = 0.0
-    dataset: DatasetOptions = field(default_factory=DatasetOptions)
-    prior: PriorOptions = field(default_factory=PriorOptions)
-    nuisances: NuisanceOptions = field(default_factory=NuisanceOptions)
-    rig: str = Rig().name
+    out: str
+    drapes: int
+    workers: int
+    part: int
+    parts: int
+    seed: int
+    rig: str
+    edge_mm: float
+    dataset: DatasetOptions
+    prior: PriorOptions
+    nuisances: NuisanceOptions
 
 
 def config_from_options(options: Options) -> DatasetConfig:
@@ -83,7 +81,7 @@ def config_from_options(options: Options) -> DatasetConfig:
 
 def _nuisances(options: NuisanceOptions) -> NuisanceConfig:
     for name in ("membrane_n_per_m", "shear"):
-        if len(options[name]) != 2:
+        if len(getattr(options, name)) != 2:
             raise InputError(f"nuisances.{name}: give two numbers, from and to")
     return NuisanceConfig(
         membrane=tuple(options.membrane_n_per_m),

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import fields
 
+from common.configs import read_option
 from common.errors import InputError
-from data.configs import read_option
 from data.sensor_noise import SensorNoise
 from data.structured_light import StructuredLight
 from data.time_of_flight import TimeOfFlight

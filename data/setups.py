@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from common.configs import read_option
 from common.errors import InputError, one_line
 from data.cameras import Camera, CameraRig, Intrinsics, Pose
-from data.configs import read_option
 from data.rasterise import camera_tensors, render_batch
 from data.sensor import load_sensor
 from data.sensor_noise import SensorNoise

@@ -1,7 +1,8 @@
-"""Settings of a training run and what follows from them alone."""
+"""Types of the keys of ``configs/``, which explains them and holds their defaults."""
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from common.errors import InputError
 
@@ -10,49 +11,41 @@ from common.errors import InputError
 class ModelConfig:
     """See :class:`drapenet.network.MapNet`."""
 
-    width: int = 32
-    components: int = 2
+    width: int
+    components: int
 
 
 @dataclass
 class OptimConfig:
-    """AdamW, and a learning rate that rises and falls once along cosines.
+    """AdamW, and a learning rate that rises and falls once along cosines."""
 
-    Attributes:
-        learning_rate: the largest.
-        warm_up: share of the training in which it rises.
-        weight_decay: of AdamW.
-        batch_size: captures a step.
-        clip: largest norm of a step's gradient.
-    """
-
-    learning_rate: float = 2e-3
-    warm_up: float = 0.05
-    weight_decay: float = 1e-2
-    batch_size: int = 64
-    clip: float = 5.0
+    learning_rate: float
+    warm_up: float
+    weight_decay: float
+    batch_size: int
+    clip: float
 
 
 @dataclass
 class TrainConfig:
-    """All settings of a training run; ``configs/train.yaml`` explains them."""
+    """``configs/train.yaml``: all settings of a training run."""
 
-    data: str = "outputs/dataset"
-    out: str = "outputs/train"
-    maps: str = "outputs/maps"
-    seed: int = 0
-    epochs: int = 10
-    captures: int = 5
-    neighbours: bool = True
-    validation_fraction: float = 0.05
-    fabrics: int = 0
-    device: str = "auto"
-    workers: int = 2
-    threads: int = 0
-    half_precision: bool = True
-    setup: dict = field(default_factory=dict)
-    model: ModelConfig = field(default_factory=ModelConfig)
-    optim: OptimConfig = field(default_factory=OptimConfig)
+    data: str
+    out: str
+    maps: str
+    seed: int
+    epochs: int
+    captures: int
+    neighbours: bool
+    validation_fraction: float
+    fabrics: int
+    device: str
+    workers: int
+    threads: int
+    half_precision: bool
+    setup: dict[str, Any]
+    model: ModelConfig
+    optim: OptimConfig
 
     def check(self) -> None:
         """Raise InputError for settings that make no sense."""
@@ -89,3 +82,70 @@ def learning_rate(optim: OptimConfig, progress: float) -> float:
 def _half_cosine(x: float) -> float:
     """1 at 0, smoothly down to 0 at 1."""
     return (1 + math.cos(math.pi * x)) / 2
+
+
+@dataclass
+class InferConfig:
+    """``configs/infer.yaml``. ``capture`` and ``scan`` are one path or a list of them."""
+
+    capture: Any
+    captures: str
+    scan: Any
+    out: str
+    checkpoint: str
+    refine: str
+    export: str
+    workers: int
+    drapes: int
+    edge_mm: float
+    membrane_n_per_m: float
+    friction_un: float
+    density_g_m2: float
+    held: float
+    strict: bool
+
+
+@dataclass
+class EvaluateConfig:
+    """``configs/evaluate.yaml``."""
+
+    rig: str
+    checkpoint: str
+    out: str
+    fabrics: str
+    drapes: int
+    captures: int
+    seed: int
+    workers: int
+
+
+@dataclass
+class ExportConfig:
+    """``configs/export.yaml``."""
+
+    estimate: str
+    to: str
+    out: str
+    curvature_1_m: float
+    mesh: str
+    edge_mm: float
+
+
+@dataclass
+class ServeConfig:
+    """``configs/serve.yaml``."""
+
+    host: str
+    port: int
+    names: str
+    results: str
+    workers: int
+    queue: int
+    job_seconds: float
+    upload_seconds: float
+    idle_seconds: float
+    megabytes: float
+    files: int
+    megapixels: float
+    keep_hours: float
+    keep: int

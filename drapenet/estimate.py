@@ -6,7 +6,7 @@ torque-curvature law. The network's answer and a refinement's are estimates alik
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from data.fabrics import fabric_from_theta, from_theta
 from data.prior.gaussian import GaussianPrior
 from drapenet.checkpoint import Header
 from drapenet.convention import FIRST, SECOND, STIFF_SOFT, SWAPPED, WARP_WEFT
-from drapenet.predict import Draws
 from sim.material import REFERENCE_DENSITY, Fabric, is_admissible
+
+if TYPE_CHECKING:
+    from drapenet.predict import Draws
 
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 LEAST_SURE = 0.8  # probability of the stiffer yarns' direction, below which it is in doubt
@@ -84,7 +86,7 @@ class Estimate:
         return alpha * scale, beta * scale
 
 
-def make_estimate(draws: Draws, *, capture: Capture, header: Header) -> Estimate:
+def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estimate:
     """Name the directions, and say what is doubtful."""
     theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
     names = STIFF_SOFT if capture.warp_direction is None else WARP_WEFT
@@ -103,7 +105,7 @@ def make_estimate(draws: Draws, *, capture: Capture, header: Header) -> Estimate
 
 
 def _ordered(
-    draws: Draws, warp: float | None
+    draws: "Draws", warp: float | None
 ) -> tuple[np.ndarray, float, float, list[str]]:
     """Samples with one first yarn direction, that direction, rad, how certain it is, and doubts.
 

@@ -16,19 +16,15 @@ import common.interrupt  # noqa: F401
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from common.ctrl_c import deferred
-
-with deferred():
-    import numpy as np
-    import torch
+import numpy as np
 from tqdm import tqdm
 
-from common.cli import parse_overrides, run_command
+from common.command import command, compose_config
+from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
-from data.configs import compose_config, read_config
 from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
 from data.nuisances import NuisanceConfig
@@ -37,19 +33,20 @@ from data.prior.table import TablePrior
 from data.records import DatasetConfig
 from data.sampling import SOFT
 from drapenet.checkpoint import Header, bundled, load_model, read_header
+from drapenet.config import EvaluateConfig
 from drapenet.coverage import LEVELS, covered, ranks
-from drapenet.maps import WEIGHT_UNIT, Maps, make_maps
-from drapenet.network import MapNet, known_of
-from drapenet.predict import sample_targets
-from drapenet.targets import MODULI, targets_of
 from sim.scene import Rig
+
+if TYPE_CHECKING:
+    from drapenet.maps import Maps
+    from drapenet.network import MapNet
 
 _AT_ONCE = 64  # captures
 _RESAMPLES = 400  # of the bootstrap
 _FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
 
-Rows = Callable[[Maps], np.ndarray]
+Rows = Callable[["Maps"], np.ndarray]
 """(N,) bool: which captures a cell looks at."""
 
 
@@ -117,14 +114,21 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
 FEWER = 5  # times as many captures are like those trained on as there are of any other kind
 
 
-@torch.no_grad()
-def judge(network: MapNet, header: Header, maps: Maps, *, known: bool) -> dict[str, Any]:
+def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> dict[str, Any]:
     """Errors and coverage on captures of unseen fabrics.
 
     Args:
         network: of ``header``, in evaluation mode.
         known: whether the network is given membrane and friction.
     """
+    with deferred():  # torch takes seconds, and a bad word should be refused at once
+        import torch
+
+        from drapenet.maps import WEIGHT_UNIT
+        from drapenet.network import known_of
+        from drapenet.predict import sample_targets
+        from drapenet.targets import MODULI, targets_of
+
     rig = Rig.from_name(header.rig)
     truth = targets_of(maps.theta, maps.warp, disc=rig.specimen == "disc")
     means, places = [], []
@@ -179,30 +183,33 @@ def require_unseen(header: Header, generation: dict) -> None:
                          "not unseen; choose another seed")
 
 
-def main(argv: list[str]) -> None:
-    """The command line: words ``key=value`` over ``configs/evaluate.yaml``."""
-    config = parse_overrides(read_config("evaluate"), argv)
-    header = read_header(config["checkpoint"] or bundled(config["rig"]))
-    out = folder_named(config["out"]) / header.rig
+@command("evaluate", EvaluateConfig)
+def main(config: EvaluateConfig) -> None:
+    """Judge all cells, print them, and write ``evaluation.json``."""
+    with deferred():
+        from drapenet.maps import make_maps
+
+    header = read_header(config.checkpoint or bundled(config.rig))
+    out = folder_named(config.out) / header.rig
     require_folder(out)
     network = load_model(header)
     base = make_config(header, config)
     require_unseen(header, base.as_dict())
     cells = CELLS
-    if config["fabrics"]:
-        base = replace(base, prior=TablePrior.fit(read_fabric_table(config["fabrics"]).theta),
+    if config.fabrics:
+        base = replace(base, prior=TablePrior.fit(read_fabric_table(config.fabrics).theta),
                        sampling=replace(base.sampling, soft_share=0.0))
         cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
-        out = out / Path(config["fabrics"]).stem
+        out = out / Path(config.fabrics).stem
     results = {}
     few = -(-base.drapes // (FEWER * base.drapes_per_shard))  # shards of other captures
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
         folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
-        generate_dataset(datasets(base)[cell.drapes], folder, workers=config["workers"])
+        generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
         maps = make_maps(folder, folder, rig=Rig.from_name(header.rig),
                          setups=replace(header.setups, **cell.setups),
-                         captures=config["captures"], seed=config["seed"],
-                         workers=config["workers"], shards=few if cell.setups else None)
+                         captures=config.captures, seed=config.seed,
+                         workers=config.workers, shards=few if cell.setups else None)
         if cell.rows is not None:
             maps = maps.chosen(cell.rows(maps))
         if not len(maps):
@@ -213,11 +220,11 @@ def main(argv: list[str]) -> None:
     print(f"written to {out / 'evaluation.json'}")
 
 
-def make_config(header: Header, config: dict[str, Any]) -> DatasetConfig:
+def make_config(header: Header, config: EvaluateConfig) -> DatasetConfig:
     """New drapes as those that a checkpoint was trained on were made."""
     training = header.content["dataset"]["generation"]
-    words = [f"{key}={config[key]}" for key in ("drapes", "seed")]
-    words += [f"rig={header.rig}", "dataset=specimens", "nuisances=real",
+    words = [f"drapes={config.drapes}", f"seed={config.seed}", f"rig={header.rig}",
+             "dataset=specimens", "nuisances=real",
               f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
               f"edge_mm={training['solver']['edge_mm']}"]
     return config_from_options(compose_config("generate", words, schema=Options))
@@ -232,10 +239,5 @@ def format_cell(name: str, result: dict[str, Any]) -> str:
             f"inside 90 %: {inside['90%']['mean']:.3f}, n {result['captures']}")
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
-
 if __name__ == "__main__":
-    entry()
+    main()

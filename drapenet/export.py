@@ -1,8 +1,8 @@
 """Files of an estimate for other tools.
 
-    python -m drapenet.export ESTIMATE.json to=NAME [out=FILE] [mesh=KIND edge_mm=N]
-    python -m drapenet.export ESTIMATE.json to=all [out=FOLDER]
-    python -m drapenet.export list
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [mesh=KIND edge_mm=N]
+    python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
+    python -m drapenet.export to=list
 
 :data:`TARGETS` says what each tool gets, in which unit, by which relation, from which source, and
 what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction gets alpha, or the
@@ -19,15 +19,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
-from data.configs import read_config
 from data.reading import finite_number, require_regular, shown
+from drapenet.config import ExportConfig
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
 from drapenet.table import csv_number, interval_columns
@@ -445,33 +445,27 @@ def export_all(material: Material, names: Sequence[str], folder: Path) -> list[P
                                                       folder / TARGETS[name].file)]
 
 
-def main(argv: list[str]) -> None:
-    """The command line; keys in ``configs/export.yaml``."""
-    if argv == ["list"]:
+@command("export", ExportConfig)
+def main(config: ExportConfig) -> None:
+    """Write the files, and print their names."""
+    if config.to == "list":
         print(table())
         return
-    if not argv or "=" in Path(argv[0]).name:
-        raise InputError("give an estimate first: python -m drapenet.export ESTIMATE.json to=NAME"
-                         + (f"; '{argv[0]}' is none" if argv else ""))
-    config = parse_overrides(read_config("export"), argv[1:])
-    names, path = targets_named(config["to"]), Path(argv[0])
-    material = read_material(path, curvature=config["curvature_1_m"], mesh=config["mesh"],
-                             edge=1e-3 * config["edge_mm"])
-    if len(names) == 1 and config["out"]:
-        require_file(Path(config["out"]))
-        written = export(material, names[0], Path(config["out"]))
+    if not config.estimate:
+        raise InputError("give an estimate: estimate=FILE, an estimate.json")
+    names, path = targets_named(config.to), Path(config.estimate)
+    material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
+                             edge=1e-3 * config.edge_mm)
+    if len(names) == 1 and config.out:
+        require_file(Path(config.out))
+        written = export(material, names[0], Path(config.out))
     else:
-        folder = Path(config["out"] or path.parent)
+        folder = Path(config.out or path.parent)
         require_folder(folder)
         written = export_all(material, names, folder)
     for file in written:
         print(file)
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
-
 if __name__ == "__main__":
-    entry()
+    main()

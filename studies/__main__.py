@@ -10,9 +10,9 @@ from pathlib import Path
 
 from benchmarks.common import write_figure, write_report
 from common.cli import parse_overrides, run_command
+from common.configs import read_config
 from common.errors import InputError
 from common.files import replace_file, require_file
-from data.configs import read_config
 from studies.study import PAGE, Report, Study, page
 
 ORDER = ("table3", "repeatability", "robustness", "views", "transfer", "recognition")

@@ -29,7 +29,7 @@ def untrained_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkpoint with plausible description and random weights, for what does not need skill."""
     import torch
 
-    from data.configs import read_option
+    from common.configs import read_option
     from drapenet.checkpoint import save_checkpoint
     from drapenet.network import MapNet
 

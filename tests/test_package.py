@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 def test_imports_from_outside_the_repository(tmp_path):
     code = (
         "import sim.drape, data.captures, drapenet.checkpoint, train, infer, serve;"
-        "from data.configs import CONFIG_DIR;"
+        "from common.configs import CONFIG_DIR;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file();"
         "assert drapenet.checkpoint.bundled('square300_cylinder100').is_file()"
     )

@@ -9,8 +9,8 @@ from omegaconf import OmegaConf
 from safetensors.torch import load_file
 
 import train
+from common.command import compose_config
 from common.errors import InputError
-from data.configs import compose_config
 from data.setups import Setups
 from drapenet.checkpoint import load_model, read_header
 from drapenet.config import OptimConfig, TrainConfig, learning_rate

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from common.command import compose_config
 from data.cameras import Camera
 from data.captures import Capture
-from data.configs import compose_config
 from data.fabrics import THETA_NAMES, from_theta
 from data.nuisances import LOGARITHMIC, NuisanceConfig
 from data.options import Options, config_from_options

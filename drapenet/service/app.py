@@ -26,6 +26,7 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from data.captures import MARKS
+from drapenet.config import ServeConfig
 from drapenet.export import MESHES, TARGETS, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
@@ -59,7 +60,7 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
         **{name: {"type": "string"} for name in TEXTS}}}}}}
 
 
-def serve(config: Mapping[str, Any]) -> None:
+def serve(config: ServeConfig) -> None:
     """Serve until interrupted; keys in ``configs/serve.yaml``.
 
     Raises:

@@ -1,14 +1,13 @@
 """Limits of the service, as ``configs/serve.yaml`` states them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import joblib
 
 from common.errors import InputError
 from common.files import folder_named, require_folder
+from drapenet.config import ServeConfig
 
 _POSITIVE = ("queue", "job_seconds", "upload_seconds", "idle_seconds", "megabytes", "files",
              "megapixels", "keep_hours", "keep")
@@ -45,23 +44,23 @@ class Settings:
     keep: int
 
     @classmethod
-    def of(cls, config: Mapping[str, Any]) -> "Settings":
+    def of(cls, config: ServeConfig) -> "Settings":
         """The settings of a ``config``; InputError for values out of range."""
         for key in _POSITIVE:
-            if config[key] <= 0:
-                raise InputError(f"{key}={config[key]:g} must be positive")
-        if not 0 <= config["port"] <= 65535:
+            if (value := getattr(config, key)) <= 0:
+                raise InputError(f"{key}={value:g} must be positive")
+        if not 0 <= config.port <= 65535:
             raise InputError(f"port={config['port']} must lie between 0 and 65535")
-        if config["workers"] < 0:
+        if config.workers < 0:
             raise InputError(f"workers={config['workers']} must be 0, one for each core, or more")
-        results = folder_named(config["results"])
+        results = folder_named(config.results)
         require_folder(results)
         derived = {
-            "names": tuple(name.strip() for name in config["names"].split(",") if name.strip()),
+            "names": tuple(name.strip() for name in config.names.split(",") if name.strip()),
             "results": results.resolve(),
-            "workers": config["workers"] or joblib.cpu_count(),
-            "bytes": round(config["megabytes"] * 1e6),
-            "pixels": round(config["megapixels"] * 1e6),
-            "keep_seconds": 3600 * config["keep_hours"]}
-        return cls(**{field.name: derived.get(field.name, config.get(field.name))
+            "workers": config.workers or joblib.cpu_count(),
+            "bytes": round(config.megabytes * 1e6),
+            "pixels": round(config.megapixels * 1e6),
+            "keep_seconds": 3600 * config.keep_hours}
+        return cls(**{field.name: derived.get(field.name, getattr(config, field.name, None))
                       for field in fields(cls)})

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.configs import read_option
 from common.errors import InputError
 from data.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
 from data.captures import read_capture
-from data.configs import read_option
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 

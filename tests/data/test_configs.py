@@ -2,8 +2,8 @@
 
 import pytest
 
+from common.configs import compose_config, group_options, read_config, read_option
 from common.errors import InputError
-from data.configs import compose_config, group_options, read_config, read_option
 from data.options import Options, config_from_options
 
 

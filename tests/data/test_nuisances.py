@@ -23,7 +23,7 @@ def test_without_spread_specimens_are_those_of_the_simulator():
 
 
 def test_real_specimens_spread_as_the_configuration_states():
-    from data.configs import compose_config
+    from common.command import compose_config
 
     options = compose_config("generate", ["nuisances=real"], schema=Options)
     columns = dict(zip(NAMES, drawn(config_from_options(options).sampling.nuisances).T,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from common.configs import group_options
 from common.errors import InputError
-from data.configs import group_options
 from data.sensor import load_sensor, sensor_from_config
 from data.sensor_noise import SensorNoise, cloth_window
 from data.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from cloths import skirt
 
+from common.configs import read_option
 from common.errors import InputError
 from data.cameras import CameraRig
-from data.configs import read_option
 from data.setups import Setups, SyntheticCapture
 from drapenet.registration import locate_camera
 from sim.scene import Rig

@@ -13,8 +13,8 @@ import pytest
 import trimesh
 from fastapi.testclient import TestClient
 
+from common.configs import read_config
 from data.captures import read_capture
-from data.configs import read_config
 from drapenet.export import TARGETS
 from drapenet.inference import infer_capture
 from drapenet.service.app import create_app

@@ -12,8 +12,8 @@ import pytest
 import yaml
 from PIL import Image
 
+from common.configs import read_config
 from data.captures import read_capture
-from data.configs import read_config
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from data.configs import CONFIG_DIR, read_config
+from common.configs import CONFIG_DIR, read_config
 from studies.__main__ import ORDER, main, reports, study_named
 from studies.captured import draped, ideal, read, seen, specimen
 from studies.recognition import DESCRIPTIONS, nearest

@@ -1,0 +1,335 @@
+"""Commands as Hydra applications: ``@command("infer", InferConfig)`` above a function.
+
+``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema the types. On
+top of Hydra's own command line, with its options, groups, sweeps and launchers:
+
+- a mistake is one line on standard error and exit code 2 (:func:`common.cli.run_command`);
+- the value of a text needs no quotes, whatever a path contains, except ``${key}``, which stands for
+  the value of a key. In a sweep (``--multirun``) it is Hydra's grammar, where commas separate jobs;
+- a list of numbers needs no brackets.
+"""
+
+import difflib
+import functools
+import itertools
+import os
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import is_dataclass
+from typing import Any, get_args, get_origin, get_type_hints
+
+from common.cli import check_counts, refuse_repeated, run_command
+from common.configs import CONFIG_DIR, config_text, group_options, read_config
+from common.errors import InputError, one_line
+
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""With the value 1 in the environment, errors have Hydra's traceback."""
+_QUOTES = ("'", '"')
+
+
+def command(
+    name: str, schema: type, *, check: Callable[[Any], object] | None = None
+) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
+    """Decorator: a function of a ``schema`` object becomes the command of ``configs/NAME.yaml``.
+
+    The command takes the words of the command line and ends the process; given a list of words, as
+    tests do, it returns, or raises InputError. Its help begins with its module's docstring.
+
+    Args:
+        check: raises InputError for settings that make no sense, before the jobs of a sweep start.
+    """
+
+    def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
+        def main(words: Sequence[str] | None = None) -> None:
+            run = functools.partial(_run, task, name, schema, check)
+            run_command(run) if words is None else run(list(words))
+
+        return functools.wraps(task)(main)
+
+    return decorate
+
+
+def _run(
+    task: Callable[[Any], None], name: str, schema: type, check: Callable[[Any], object] | None,
+    words: list[str],
+) -> None:
+    from hydra import main
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+    from omegaconf import OmegaConf
+
+    store_schema(name, schema)
+    OmegaConf.register_new_resolver(
+        "help", lambda: describe(name, sys.modules[task.__module__].__doc__), replace=True)
+    words, overrides, sweep = _hydra_words(name, schema, words)
+    failed: list[Exception] = []
+
+    @functools.wraps(task)  # Hydra looks where the task is from
+    def job(config: Any) -> None:
+        try:
+            task(as_schema(config, schema))
+        except Exception as error:
+            if HydraConfig.get().mode is RunMode.MULTIRUN:
+                raise
+            failed.append(error)  # past Hydra, which would print its words
+
+    program = main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=name)(job)
+    with explained(name, overrides, sweep=sweep), _command_line(words):
+        if sweep and check:
+            check(as_schema(_compose(name, _single(overrides)), schema))
+        program()
+    if failed:
+        raise failed[0]
+
+
+def _hydra_words(
+    name: str, schema: type, words: list[str]
+) -> tuple[list[str], list[str], bool]:
+    """A command line for Hydra, the overrides in it, and whether it asks for a sweep.
+
+    Raises:
+        InputError: an option that Hydra does not have, a word that is no override, a key twice.
+    """
+    from hydra._internal.utils import get_args_parser  # as hydra.main does
+
+    def refuse(message: str) -> None:
+        raise InputError(f"{message}; --hydra-help lists the options, and keys are written without "
+                         f"dashes, as key=value: {known_keys(name)}")
+
+    parser = get_args_parser()
+    parser.error = refuse
+    options = parser.parse_args(words)
+    for word in options.overrides:
+        if "=" not in word and not word.startswith("~"):
+            raise InputError(f"'{word}' is not of the form key=value; {known_keys(name)}")
+    refuse_repeated(options.overrides)
+    given = {word.partition("=")[0] for word in options.overrides}
+    sweep = options.multirun or any(key in given for key in ("launcher", "hydra/launcher"))
+    if not options.multirun:
+        hydras = {word: to_hydra(word, schema) for word in options.overrides}
+        words = [hydras.get(word, word) for word in words]
+    # A value of the command line takes the place of the files' sweep over the same key.
+    params = _params(name).keys() & given
+    words += [f"~hydra.sweeper.params.{key}" for key in params]
+    return words, parser.parse_args(words).overrides, sweep
+
+
+def _params(name: str) -> dict:
+    """Sweeps that ``configs/NAME.yaml`` asks for."""
+    return read_config(name).get("hydra", {}).get("sweeper", {}).get("params", {})
+
+
+def _single(overrides: list[str]) -> list[str]:
+    """Overrides of the job alone that give a key one value."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parser = OverridesParser.create()
+    return [word for word in overrides if not word.lstrip("+~").startswith("hydra")
+            and not parser.parse_override(word).is_sweep_override()]
+
+
+def to_hydra(word: str, schema: type) -> str:
+    """``word`` in Hydra's grammar: texts in quotes, lists of numbers in brackets.
+
+    The type Any stands for one text, or a list of texts in brackets. What is in quotes stays.
+    """
+    key, equals, value = word.partition("=")
+    kind = _kind(schema, key)
+    if not equals or (len(value) > 1 and value[0] in _QUOTES and value[-1] == value[0]):
+        return word
+    if kind is Any and value.startswith("[") and value.endswith("]"):
+        if any(quote in value for quote in _QUOTES):
+            return word
+        return f"{key}=[{','.join(_quoted(part.strip()) for part in value[1:-1].split(','))}]"
+    if kind in (str, Any):
+        return f"{key}={_quoted(value)}"
+    if get_origin(kind) is list and get_args(kind) != (str,) and not value.startswith("["):
+        return f"{key}=[{value}]"
+    return word
+
+
+def _kind(schema: type, key: str) -> Any:
+    """The type of a key of ``schema``, with dots for inner ones; None if there is none."""
+    kind: Any = schema
+    for name in key.split("."):
+        kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
+    return kind
+
+
+def _quoted(text: str) -> str:
+    """``text`` as a quoted value of Hydra, which takes backslashes before quotes for escapes."""
+    return "'" + re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", text)) + "'"
+
+
+@contextmanager
+def _command_line(words: list[str]) -> Iterator[None]:
+    """Let Hydra, which reads the command line itself, see ``words``, and raise its errors."""
+    argv, full = sys.argv, os.environ.get(FULL_ERROR)
+    sys.argv = [argv[0], *words]
+    os.environ[FULL_ERROR] = "1"
+    try:
+        yield
+    finally:
+        sys.argv = argv
+        if full is None:
+            del os.environ[FULL_ERROR]
+        else:
+            os.environ[FULL_ERROR] = full
+
+
+# --- Composition ----------------------------------------------------------------------------
+
+
+def store_schema(name: str, schema: type) -> None:
+    """Let ``configs/NAME.yaml`` find its schema, by the name ``NAME_schema``."""
+    from hydra.core.config_store import ConfigStore
+
+    ConfigStore.instance().store(name=f"{name}_schema", node=schema)
+
+
+def compose_config(name: str, words: list[str], *, schema: type) -> Any:
+    """An instance of ``schema`` from ``configs/NAME.yaml`` under the overrides ``words``.
+
+    Raises:
+        InputError: as the command line would.
+    """
+    store_schema(name, schema)
+    with explained(name, words):
+        return as_schema(_compose(name, [to_hydra(word, schema) for word in words]), schema)
+
+
+def _compose(name: str, words: list[str]) -> Any:
+    from hydra import compose, initialize_config_dir
+
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
+        return compose(name, overrides=words)
+
+
+def as_schema(config: Any, schema: type) -> Any:
+    """A composed ``config`` as an instance of ``schema``; InputError where a value is missing."""
+    from omegaconf import OmegaConf
+
+    if missing := OmegaConf.missing_keys(config):
+        raise InputError(f"keys without a value: {', '.join(sorted(missing))}")
+    settings = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), config))
+    check_counts(vars(settings))
+    return settings
+
+
+# --- Complaints -----------------------------------------------------------------------------
+
+
+@contextmanager
+def explained(name: str, words: list[str], *, sweep: bool = False) -> Iterator[None]:
+    """Turn what Hydra has against the ``words`` for ``configs/NAME.yaml`` into an InputError."""
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    if os.environ.get(FULL_ERROR) == "1":
+        yield
+        return
+    try:
+        yield
+    except InputError:
+        raise
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(_complaint(error, name)) from None
+    except Exception as error:
+        if sweep:  # whatever the launcher's classes are
+            raise InputError(f"a job could not be started or ended early ({one_line(error)}); what "
+                             "is whole stays, run the same command again") from None
+        if not isinstance(error, ValueError | TypeError):
+            raise
+        # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
+        raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
+
+
+def _complaint(error: Exception, name: str) -> str:
+    if str(error).startswith("Error merging override ") and error.__cause__:
+        error = error.__cause__  # that says why
+    first, key = str(error).partition("\n")[0], getattr(error, "full_key", None)
+    if unknown := re.match(r"Could not override '(.+)'|Key '.+' not in ", first):
+        key = unknown[1] or key
+        group, _, inner = key.rpartition(".")
+        options = group_options(group) if group else []
+        inside = set(read_config(name).get(group) or ())
+        if inside := inside.union(*(read_config(f"{group}/{option}") for option in options)):
+            return (f"unknown key '{key}'{_nearest(inner, inside)}; keys of {group}: "
+                    f"{', '.join(sorted(inside))}")
+        return f"unknown key '{key}'{_nearest(key, keys_of(name))}; {known_keys(name)}"
+    if key:
+        return f"{key}: {first}"
+    kept = itertools.takewhile(
+        lambda line: not line.startswith(("Config search path", "See https")),
+        str(error).splitlines())
+    text = " ".join(filter(None, map(str.strip, kept)))
+    unquoted = text.removeprefix("LexerNoViableAltException: ").removesuffix(" ^")
+    if unquoted != text:
+        return (f"cannot read {unquoted}; put unusual characters in two pairs of quotes: "
+                "'key=\"value\"'")
+    if text.startswith("Ambiguous value"):
+        return f"{first.removesuffix(':')}: it takes one value; --multirun runs a job for each"
+    if "hydra/launcher" in text:
+        return f"{text}; install it with pip install 'drapenet[cluster]'"
+    return text
+
+
+def _nearest(key: str, known: set[str]) -> str:
+    near = difflib.get_close_matches(key, known, n=1)
+    return f", perhaps {near[0]}" if near else ""
+
+
+def known_keys(name: str) -> str:
+    """For complaints: keys and groups of ``configs/NAME.yaml``."""
+    return f"known keys: {', '.join(sorted(keys_of(name)))}"
+
+
+def keys_of(name: str) -> set[str]:
+    """Keys and groups of ``configs/NAME.yaml``."""
+    return (groups_of(name).keys() | read_config(name).keys()) - {"hydra", "defaults"}
+
+
+def groups_of(name: str) -> dict[str, str | None]:
+    """The groups of ``configs/NAME.yaml``, each with the option that it has by default."""
+    return {group: option for default in read_config(name)["defaults"] if isinstance(default, dict)
+            for group, option in default.items() if "override " not in group}
+
+
+# --- Help -----------------------------------------------------------------------------------
+
+
+def describe(name: str, usage: str) -> str:
+    """The template of ``--help``: usage, keys of ``configs/NAME.yaml`` and its groups, options.
+
+    Of a group's alternatives to the default option only what their files say of themselves.
+    """
+    inner, parts = "", [usage.strip(), f"\nKeys (configs/{name}.yaml):\n"]
+    for line in config_text(name).splitlines():
+        if line[:1] not in ("", " ", "#"):
+            inner = line.partition(":")[0]
+        if line and line[0] != "#" and inner not in ("defaults", "hydra"):
+            parts.append(line)
+    for group, default in groups_of(name).items():
+        parts.append(f"\nGroup {group} (configs/{group}):")
+        for option in sorted(group_options(group), key=lambda one: (one != default, one)):
+            lines = config_text(f"{group}/{option}").splitlines()
+            about = [line[1:].strip() for line in lines if line.startswith("#")
+                     and "@package" not in line]
+            about = " ".join(itertools.takewhile(bool, about))  # the first paragraph
+            parts.append(f"\n{group}={option}" + (", the default" if option == default else ""))
+            parts += textwrap.wrap(about, 96, initial_indent="    ", subsequent_indent="    ")
+            if option == default:
+                parts += [f"  {group}." + line if line[0] != " " else "    " + line
+                          for line in lines if line and line[0] != "#"]
+    parts.append(_HYDRA)
+    return "\n".join(parts).replace("$", "$$")
+
+
+_HYDRA = """
+Texts need no quotes, lists are [A,B]; ${key} stands for another key's value. With --multirun,
+values with commas between them are jobs (https://hydra.cc). --cfg job prints the settings instead
+of running, --info where they are from, --config-dir DIR adds files of yours; --hydra-help says
+more."""
