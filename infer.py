@@ -34,7 +34,7 @@ DRAPES = 2  # of the report of a single capture
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
-    options = {"refine": config.refine != "none", "drapes": config.drapes,
+    options = {"refine": config.refine, "drapes": config.drapes,
                "edge": config.edge_mm * 1e-3, "known": known(config),
                "strict": config.strict}
     if config.captures:
@@ -95,8 +95,11 @@ def known(config: InferConfig) -> dict[str, float]:
 def check(config: InferConfig) -> None:
     """InputError for values out of range, or keys that do not go together."""
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
-    if config.refine not in ways:
-        raise InputError(f"refine={config['refine']}: a {kind} takes {' or '.join(ways)}")
+    if config.refine["by"] not in ways:
+        raise InputError(f"refine={config.refine['by']}: a {kind} takes {' or '.join(ways)}")
+    for key, value in config.refine.items():
+        if key != "by" and not (isinstance(value, int | float) and value > 0):
+            raise InputError(f"refine.{key}={value} must be a positive number")
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(given) > 1:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
@@ -107,9 +110,9 @@ def check(config: InferConfig) -> None:
 
         targets_named(config.export, "export")
     if not -1 <= config.drapes <= 4:
-        raise InputError(f"drapes={config['drapes']} must lie between 0 and 4")
+        raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
     if config.membrane_n_per_m < 0:
-        raise InputError(f"membrane_n_per_m={config['membrane_n_per_m']:g} must be positive")
+        raise InputError(f"membrane_n_per_m={config.membrane_n_per_m:g} must be positive")
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:

@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from omegaconf import OmegaConf
 
 from benchmarks.common import (
     ESTIMATOR,
@@ -57,7 +56,7 @@ def settings(config: dict, workers: int = 1) -> TrainConfig:
     words = [f"{key}={config[key]}" for key in ("data", "captures", "neighbours")]
     words += [f"out={config['work']}", f"workers={workers}", f"model.width={config['width']}",
               f"optim.batch_size={config['batch']}", f"validation_fraction={HELD_OUT}"]
-    return OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
+    return compose_config("train", words, schema=TrainConfig)
 
 
 def learn(*, config: dict, fabrics: int, seed: int, dataset: str) -> dict:

@@ -16,6 +16,8 @@ from common.ctrl_c import end, require_interruption
 from common.errors import InputError
 from common.memory import keep_freed_memory
 
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""With the value 1 in the environment, a user's mistake has its traceback, as with Hydra."""
 LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
 LIMITS = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
 """The most that keys of these names take: what 64 bits hold, and what no machine is asked for."""
@@ -112,6 +114,8 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     try:
         main(sys.argv[1:])
     except InputError as error:
+        if os.environ.get(FULL_ERROR) == "1":
+            raise
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except (KeyboardInterrupt, SystemError) as error:

@@ -21,12 +21,10 @@ from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
-from common.cli import check_counts, refuse_repeated, run_command
+from common.cli import FULL_ERROR, check_counts, refuse_repeated, run_command
 from common.configs import CONFIG_DIR, config_text, group_options, read_config
 from common.errors import InputError, one_line
 
-FULL_ERROR = "HYDRA_FULL_ERROR"
-"""With the value 1 in the environment, errors have Hydra's traceback."""
 _QUOTES = ("'", '"')
 
 
@@ -70,7 +68,9 @@ def _run(
     @functools.wraps(task)  # Hydra looks where the task is from
     def job(config: Any) -> None:
         try:
-            task(as_schema(config, schema))
+            with explained(name, overrides):
+                settings = as_schema(config, schema)
+            task(settings)
         except Exception as error:
             if HydraConfig.get().mode is RunMode.MULTIRUN:
                 raise
@@ -126,9 +126,9 @@ def _single(overrides: list[str]) -> list[str]:
     """Overrides of the job alone that give a key one value."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    parser = OverridesParser.create()
-    return [word for word in overrides if not word.lstrip("+~").startswith("hydra")
-            and not parser.parse_override(word).is_sweep_override()]
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    return [word for word, override in zip(overrides, parsed, strict=True)
+            if not word.lstrip("+~").startswith("hydra") and not override.is_sweep_override()]
 
 
 def to_hydra(word: str, schema: type) -> str:
@@ -212,9 +212,11 @@ def as_schema(config: Any, schema: type) -> Any:
     """A composed ``config`` as an instance of ``schema``; InputError where a value is missing."""
     from omegaconf import OmegaConf
 
-    if missing := OmegaConf.missing_keys(config):
+    content = OmegaConf.to_container(config, resolve=True)  # keys that + has added are refused
+    typed = OmegaConf.merge(OmegaConf.structured(schema), content)
+    if missing := OmegaConf.missing_keys(typed):
         raise InputError(f"keys without a value: {', '.join(sorted(missing))}")
-    settings = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), config))
+    settings = OmegaConf.to_object(typed)
     check_counts(vars(settings))
     return settings
 
@@ -228,23 +230,20 @@ def explained(name: str, words: list[str], *, sweep: bool = False) -> Iterator[N
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    if os.environ.get(FULL_ERROR) == "1":
-        yield
-        return
     try:
         yield
     except InputError:
         raise
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_complaint(error, name)) from None
+        raise InputError(_complaint(error, name)) from error
     except Exception as error:
         if sweep:  # whatever the launcher's classes are
             raise InputError(f"a job could not be started or ended early ({one_line(error)}); what "
-                             "is whole stays, run the same command again") from None
+                             "is whole stays, run the same command again") from error
         if not isinstance(error, ValueError | TypeError):
             raise
         # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
-        raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from None
+        raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from error
 
 
 def _complaint(error: Exception, name: str) -> str:
@@ -254,22 +253,23 @@ def _complaint(error: Exception, name: str) -> str:
     if unknown := re.match(r"Could not override '(.+)'|Key '.+' not in ", first):
         key = unknown[1] or key
         group, _, inner = key.rpartition(".")
-        options = group_options(group) if group else []
+        options = {f"{group}={option}": read_config(f"{group}/{option}")
+                   for option in group_options(group)} if group else {}
+        if fitting := [word for word, content in options.items() if inner in content]:
+            return f"{key} goes with {' or '.join(fitting)}"
         inside = set(read_config(name).get(group) or ())
-        if inside := inside.union(*(read_config(f"{group}/{option}") for option in options)):
+        if inside := inside.union(*options.values()):
             return (f"unknown key '{key}'{_nearest(inner, inside)}; keys of {group}: "
                     f"{', '.join(sorted(inside))}")
         return f"unknown key '{key}'{_nearest(key, keys_of(name))}; {known_keys(name)}"
     if key:
         return f"{key}: {first}"
+    if word := getattr(error, "override", None):
+        return f"cannot read {word}; put unusual characters in two pairs of quotes: 'key=\"value\"'"
     kept = itertools.takewhile(
         lambda line: not line.startswith(("Config search path", "See https")),
         str(error).splitlines())
     text = " ".join(filter(None, map(str.strip, kept)))
-    unquoted = text.removeprefix("LexerNoViableAltException: ").removesuffix(" ^")
-    if unquoted != text:
-        return (f"cannot read {unquoted}; put unusual characters in two pairs of quotes: "
-                "'key=\"value\"'")
     if text.startswith("Ambiguous value"):
         return f"{first.removesuffix(':')}: it takes one value; --multirun runs a job for each"
     if "hydra/launcher" in text:

@@ -62,6 +62,8 @@ class Options:
 def config_from_options(options: Options) -> DatasetConfig:
     """The dataset that the composed options ask for; InputError where a value makes no sense."""
     dataset = options.dataset
+    if options.parts < 1:
+        raise InputError(f"parts={options.parts} must be at least 1")
     return DatasetConfig(
         drapes=options.drapes,
         sampling=SamplingConfig(

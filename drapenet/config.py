@@ -93,7 +93,7 @@ class InferConfig:
     scan: Any
     out: str
     checkpoint: str
-    refine: str
+    refine: dict[str, Any]
     export: str
     workers: int
     drapes: int

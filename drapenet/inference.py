@@ -1,6 +1,6 @@
 """One capture: from views to an estimate, its JSON and the files that show it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -90,8 +90,8 @@ class Result:
 
 
 def estimate_capture(
-    capture: Capture, header: Header, *, seen: Any = None, refine: bool = False, drapes: int = 2,
-    edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
+    capture: Capture, header: Header, *, seen: Any = None, refine: Mapping[str, Any] | bool = False,
+    drapes: int = 2, edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
     first: Callable[[dict[str, Any]], None] | None = None, progress: Progress | None = None,
 ) -> Result:
     """Estimate, and refine if wanted.
@@ -99,9 +99,9 @@ def estimate_capture(
     Args:
         seen: a registered scan, :class:`drapenet.refine.search.CapturedScan`, of which ``capture``
             holds the views; None where these are all there is.
-        refine: whether the simulator decides.
+        refine: whether the simulator decides, or the content of a file of ``configs/refine``.
         drapes: simulated with the estimate, of which the report shows the best; 0: no report.
-        edge: m, of the meshes for both; 0: as each has it.
+        edge: m, of the meshes for these, at the plate's rim; 0: the usual.
         known: ``membrane``, N/m, and ``friction``, N·m per metre, where the user knows them.
         strict: whether to refuse what is else doubted.
         first: called with the content of ``estimate.json`` as the network alone has it, before
@@ -125,11 +125,12 @@ def estimate_capture(
         content = to_json(estimate, capture=about, source=source)
         first(content | {"warnings": content["warnings"] + doubts})
     drape, files = None, {}
-    if refine:
+    if refine and (refine is True or refine["by"] != "none"):
         from drapenet.refine.refined import refined_capture
 
         result = refined_capture(estimate, capture, camera, rig=rig, turns=found.turns, seen=seen,
-                                 edge=edge, known=known, progress=progress)
+                                 settings=None if refine is True else refine, known=known,
+                                 progress=progress)
         if result is None:
             doubts.append("no drape of the estimate converged; it is not refined")
         else:

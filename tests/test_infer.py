@@ -13,6 +13,7 @@ import pytest
 import yaml
 from cloths import capture_views
 from PIL import Image
+from words import last
 
 import infer
 from common.cli import run_command
@@ -45,8 +46,8 @@ def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
 
 
 def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
-    return [f"capture={capture}", f"checkpoint={checkpoint}", f"out={capture.parent / 'out'}",
-            *more]
+    return last(f"capture={capture}", f"checkpoint={checkpoint}", f"out={capture.parent / 'out'}",
+            *more)
 
 
 def test_a_doubtful_capture_is_refused_where_that_is_wanted(
@@ -148,7 +149,8 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
     ("edge_mm=0.3", "edge=0.3 mm"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
     ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
-    ("refine=scan", "none or depth"), ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
+    ("refine=scan", "none or depth"),
+    ("refine.starts=2", "refine.starts"), ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -303,7 +305,7 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
 
 def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = Path(__file__).parents[1] / "examples" / "captures" / "twill"
-    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth", "edge_mm=4"])
+    infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "refine=depth", "refine.edge_mm=4"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     refined = content["refined"]
     assert refined["misfit"] <= refined["misfit_before"]

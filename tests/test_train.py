@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 from safetensors.torch import load_file
+from words import last
 
 import train
 from common.command import compose_config
@@ -44,11 +44,11 @@ def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
         return real(*args)
 
     monkeypatch.setattr(train, "learning_rate", interrupt)
-    broken = [*words, "epochs=3", f"out={tmp_path / 'broken'}"]
+    broken = last(*words, "epochs=3", f"out={tmp_path / 'broken'}")
     with pytest.raises(KeyboardInterrupt):
         train.main(broken)
     monkeypatch.setattr(train, "learning_rate", real)
-    train.main([*broken, "workers=2"])
+    train.main(last(*broken, "workers=2"))
     whole, resumed = (load_file(tmp_path / run / "state.safetensors") for run in ("out", "broken"))
     assert whole.keys() == resumed.keys()
     for name, value in whole.items():
@@ -92,12 +92,12 @@ def test_another_setting_in_the_same_folder_is_refused(words: list[str]) -> None
 ])
 def test_bad_settings_are_one_line(words: list[str], word: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        train.main([*words, word])
+        train.main(last(*words, word))
     assert "\n" not in str(caught.value)
 
 
 def test_validation_has_other_fabrics_and_no_neighbours(words: list[str]) -> None:
-    config = OmegaConf.to_object(compose_config("train", words, schema=TrainConfig))
+    config = compose_config("train", words, schema=TrainConfig)
     training, unseen, _, _ = open_captures(config)
     assert not set(training.maps.fabric) & set(unseen.maps.fabric)
     assert len(training) + len(unseen) == 80
@@ -115,7 +115,7 @@ def test_a_file_in_the_way_is_one_line(words: list[str], tmp_path: Path) -> None
 
 def test_a_training_that_diverges_is_no_checkpoint(words: list[str], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"smaller optim\.learning_rate"):
-        train.main([*words, "epochs=3", "optim.learning_rate=1e30", "optim.clip=1e30"])
+        train.main(last(*words, "epochs=3", "optim.learning_rate=1e30", "optim.clip=1e30"))
     assert not (tmp_path / "out" / "drapenet.safetensors").exists()
 
 

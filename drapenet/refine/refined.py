@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.command import compose_config
+from common.configs import read_option
 from data.cameras import Camera
 from data.captures import Capture
 from data.fabrics import THETA_NAMES, from_theta
@@ -27,13 +28,12 @@ from drapenet.refine.cloth import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
 from drapenet.refine.fidelity import fidelity
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.scans import flat_turn
-from drapenet.refine.search import FINE, CapturedScan, CapturedViews, Found, Seen, search
+from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, search
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
 from sim.material import MICRO, is_admissible
 from sim.scene import Rig
 
-STARTS = 3  # fabrics that begin: the posterior's median, and samples of it
 WORST = 10.0
 """Squared deviations per measurement (sound captures: 0.8 to 2.5) from which on no cloth takes the
 captured surface."""
@@ -66,7 +66,8 @@ class Refined:
 
 def refined_capture(
     estimate: Estimate, capture: Capture, camera: Camera, *, rig: Rig, turns: np.ndarray,
-    seen: CapturedScan | None, edge: float, known: Mapping[str, float],
+    seen: CapturedScan | None, known: Mapping[str, float], edge: float = 0.0,
+    settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refined | None:
     """Search from an ``estimate`` for the specimen that a capture shows, with a progress bar.
@@ -76,17 +77,21 @@ def refined_capture(
     Args:
         camera: of the views; turns: (K,) rad, of the table in each.
         seen: the scan that the capture is of; None for views.
-        edge: m, of the last mesh for views; 0 for the usual one.
         known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate.
+        edge: m, of the last mesh for views; 0 for that of the settings.
+        settings: content of a file of ``configs/refine``; None for what it is by default.
         progress: called with drapes made, drapes expected, and the misfit so far.
     """
     axis = 0.0
+    settings = settings or read_option("refine", "scan" if seen else "depth")
     if seen is None:
-        source: Seen = CapturedViews(capture.views, camera, turns=turns, turn=estimate.axis,
-                                     rig=rig, edge=edge or FINE)
+        source: Seen = CapturedViews(
+            capture.views, camera, turns=turns, turn=estimate.axis, rig=rig,
+            edge=edge or 1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
     else:
         source, axis = seen, flat_turn(seen.shape)
-    found = _search(estimate, source, axis=axis, known=known, progress=progress)
+    found = _search(estimate, source, axis=axis, count=int(settings["starts"]), known=known,
+                    progress=progress)
     if found is None:
         return None
     theta, best = _samples(found), found.best
@@ -111,10 +116,10 @@ def refined_capture(
 
 
 def _search(
-    estimate: Estimate, seen: Seen, *, axis: float, known: Mapping[str, float],
+    estimate: Estimate, seen: Seen, *, axis: float, count: int, known: Mapping[str, float],
     progress: Callable[[int, int, float], None] | None,
 ) -> Found | None:
-    """The search with a progress bar; arguments as in :func:`refined_capture`."""
+    """The search from ``count`` fabrics, with a progress bar (:func:`refined_capture`)."""
     spread = specimen_spread()
     beforehand = Knowledge.of(fabric_prior(estimate.names), spread)
     scan = isinstance(seen, CapturedScan)
@@ -126,9 +131,9 @@ def _search(
     if scan:
         first[UNKNOWNS.index("warp")] = estimate.axis - axis
     rng = np.random.default_rng(0)
-    rows = rng.integers(len(estimate.samples), size=STARTS - 1)
+    rows = rng.integers(len(estimate.samples), size=count - 1)
     starts = [Cloth(first).with_theta(theta) for theta in (estimate.theta, *estimate.samples[rows])]
-    total = STARTS + 2 + sum((level.evaluations + 1) * len(level.pulls) for level in seen.rounds)
+    total = count + 2 + sum((level.evaluations + 1) * len(level.pulls) for level in seen.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False,
               disable=progress is not None) as bar:
         def show(simulations: int, value: float) -> None:

@@ -40,8 +40,6 @@ from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import follow
 
-COARSE, FINE = 3.5e-3, 1.75e-3
-"""m, edges at the plate's rim: folds, pose and most of the fabric are found on the coarse mesh."""
 REACH = 6e-3  # m, beyond which a captured point does not hold cloth
 WORTHWHILE = 3e-3  # share of the value that a step must promise
 IMPROVEMENT = 0.5  # of the logarithm of the probability, below which nothing was gained
@@ -98,20 +96,21 @@ class CapturedViews:
         turns: (K,) rad, how far the table had turned in each view.
         turn: direction of the warp in the first view, rad, as well as it is known.
         rig: with a plate.
-        edge: m, at the rim of the specimen's mesh in the last round.
+        edge: m, at the rim of the specimen's mesh in the last round; coarse: in those before, which
+            find folds, pose and most of the fabric.
         seed: of the meshes.
         weights: of the pixels; on coarser meshes they count less (:meth:`.DepthWeights.on_mesh`).
     """
 
     def __init__(
         self, views: np.ndarray, camera: Camera, *, turns: Sequence[float], turn: float, rig: Rig,
-        edge: float = FINE, seed: int = 0, weights: DepthWeights | None = None,
+        edge: float, coarse: float, seed: int = 0, weights: DepthWeights | None = None,
     ) -> None:
         self._views, self._camera, self._rig = views, camera, rig
         self._turns, self._turn, self._topology = turns, turn, seed % TOPOLOGIES
         self._weights = weights or DepthWeights()
         self._objectives: dict[float, DepthViews] = {}
-        coarse = max(edge, COARSE)
+        coarse = max(edge, coarse)
         self.rounds = (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
                        Round(edge, (0.03, 0.01, 0.003), 3))
 

@@ -50,9 +50,9 @@ class Settings:
             if (value := getattr(config, key)) <= 0:
                 raise InputError(f"{key}={value:g} must be positive")
         if not 0 <= config.port <= 65535:
-            raise InputError(f"port={config['port']} must lie between 0 and 65535")
+            raise InputError(f"port={config.port} must lie between 0 and 65535")
         if config.workers < 0:
-            raise InputError(f"workers={config['workers']} must be 0, one for each core, or more")
+            raise InputError(f"workers={config.workers} must be 0, one for each core, or more")
         results = folder_named(config.results)
         require_folder(results)
         derived = {

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from PIL import Image
 from scipy import ndimage
+from words import last
 
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -382,5 +383,5 @@ def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, compl
     main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
     monkeypatch.setitem(main.__globals__, "drape", None)
     with pytest.raises(InputError, match=complaint):
-        main([f"out={tmp_path}", word])
+        main(last(f"out={tmp_path}", word))
     assert not list(tmp_path.iterdir())

@@ -288,7 +288,6 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["workers=0"], "workers=0"),
         (["part=2", "parts=2"], "part=2 of parts=2"),
         (["parts=0"], "parts=0"),
-        (["launcher=slurm", "parts=4"], "--multirun"),
         (["seed=-1"], "seed=-1"),
         (["prior.file=nowhere.json"], "nowhere.json"),
         (["rig=moon"], "moon"),
@@ -314,13 +313,14 @@ def test_command_line_ends_with_code_2_and_one_line(tmp_path):
 
 
 def test_help_names_every_key(capsys):
-    main(["--help"])
+    with pytest.raises(SystemExit):
+        main(["--help"])
     text = capsys.readouterr().out
     for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "rig:", "nuisances.cut_deg:",
                 "starts_per_fabric:", "parts:", "dataset=specimens, the default",
                 "dataset=paper\n    As in Feng", "launcher=slurm\n    Jobs of a Slurm"):
         assert key in text
-    assert "# of all that is random" in text and "hydra" not in text.split("launcher=")[0]
+    assert "# of all that is random" in text
     assert "@package" not in text
 
 

@@ -161,7 +161,7 @@ def test_stiff_and_soft_yarns_stand_for_warp_and_weft_with_a_word(tmp_path: Path
 def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -> None:
     folders = [estimate.parent / name for name in ("first", "second")]
     for folder in folders:
-        main([str(estimate), "to=all", f"out={folder}"])
+        main([f"estimate={estimate}", "to=all", f"out={folder}"])
     names = sorted(file.name for file in folders[0].iterdir())
     assert len(names) == len(TARGETS) + 1
     for name in names:
@@ -176,7 +176,7 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -
 ])
 def test_wrong_wishes_have_one_line(estimate: Path, words: list[str], complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        main([str(estimate), *words])
+        main([f"estimate={estimate}", *words])
     assert [file.name for file in estimate.parent.iterdir()] == ["estimate.json"]
 
 

@@ -284,7 +284,8 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     views = render_views(truth.positions, truth.faces, camera, 1.0)
     prior = load_prior("gaussian")
     values = []
-    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.02, rig=Rig(), edge=3e-3, seed=2)
+    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.02, rig=Rig(), edge=3e-3,
+                         coarse=3.5e-3, seed=2)
     found = search(seen, [Cloth.of(prior.mean)], free=THETA_NAMES, known=Knowledge.of(prior),
                    progress=lambda _, value: values.append(value))
     assert found.released.edge == found.best.drape.edge == 3e-3
@@ -304,7 +305,8 @@ def test_an_interrupted_search_hands_back_the_best_so_far(shape: DrapeResult) ->
         if simulations >= 4 and math.isfinite(value):
             raise KeyboardInterrupt
 
-    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.0, rig=Rig(), edge=7e-3)
+    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.0, rig=Rig(), edge=7e-3,
+                         coarse=3.5e-3)
     seen.rounds = (Round(8e-3, (0.3,), 2), Round(7e-3, (0.1,), 4))
     found = search(seen, [Cloth.of(AWAY), Cloth.of(THETA)], free=THETA_NAMES, progress=stop)
     assert found.status is Status.INTERRUPTED and found.uncertainty is None

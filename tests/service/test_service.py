@@ -13,8 +13,9 @@ import pytest
 import trimesh
 from fastapi.testclient import TestClient
 
-from common.configs import read_config
+from common.command import compose_config
 from data.captures import read_capture
+from drapenet.config import ServeConfig
 from drapenet.export import TARGETS
 from drapenet.inference import infer_capture
 from drapenet.service.app import create_app
@@ -29,8 +30,8 @@ PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
 def settings_for(results: Path) -> Settings:
-    return Settings.of(read_config("serve") | {
-        "results": str(results), "workers": 1, "queue": 3, "idle_seconds": 0.5})
+    words = [f"results={results}", "workers=1", "queue=3", "idle_seconds=0.5"]
+    return Settings.of(compose_config("serve", words, schema=ServeConfig))
 
 
 @pytest.fixture(scope="module")

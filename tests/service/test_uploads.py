@@ -12,8 +12,9 @@ import pytest
 import yaml
 from PIL import Image
 
-from common.configs import read_config
+from common.command import compose_config
 from data.captures import read_capture
+from drapenet.config import ServeConfig
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
 
@@ -25,7 +26,8 @@ YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory) -> Settings:
     results = tmp_path_factory.mktemp("results")
-    return Settings.of(read_config("serve") | {"results": str(results), "megabytes": 4.0})
+    words = [f"results={results}", "megabytes=4"]
+    return Settings.of(compose_config("serve", words, schema=ServeConfig))
 
 
 def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
