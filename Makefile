@@ -1,7 +1,7 @@
 # The pipeline from an empty machine to a report. `make demo` and `make test` need only git, make
-# and Python 3.10 to 3.12; everything is installed into .venv on first use.
-SUITABLE := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
-PYTHON ?= $(shell for p in python3 python3.12 python3.11 python3.10; do \
+# and Python 3.10 to 3.13; everything is installed into .venv on first use.
+SUITABLE := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.10; do \
 	$$p -c '$(SUITABLE)' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 STAMP := .venv/installed
@@ -18,7 +18,7 @@ setup: $(STAMP)  ## system libraries, .venv and packages
 $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
 	sh tools/system_libraries.sh
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
-	  { echo "Python 3.10 to 3.12 is needed; run: make PYTHON=/path/to/python3.12" >&2; exit 2; }
+	  { echo "Python 3.10 to 3.13 is needed; run: make PYTHON=/path/to/python3.13" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -qq --upgrade pip
 	@echo "installing packages into .venv (about 6 GB, a few minutes) ..."

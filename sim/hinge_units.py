@@ -44,3 +44,7 @@ class Convention:
 
 ARCSIM = Convention("ARCSim", 1 / 4)
 DISCRETE_SHELLS = Convention("discrete shells", 3.0)
+
+
+if __name__ == "__main__":  # a module to import: python -m prints its table
+    print(__doc__)

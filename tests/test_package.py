@@ -1,5 +1,6 @@
 """The installed project: importable from anywhere, with its data files."""
 
+import os
 import subprocess
 import sys
 import zipfile
@@ -24,7 +25,7 @@ def test_imports_from_outside_the_repository(tmp_path):
 
 def test_console_scripts_answer(tmp_path):
     scripts = Path(sys.executable).parent
-    names = ("sim", "generate", "train", "infer", "evaluate", "export", "serve")
+    names = ("sim", "generate", "train", "infer", "evaluate", "export", "serve", "capture")
     running = {name: subprocess.Popen([scripts / f"drapenet-{name}", "nonsense=1"], cwd=tmp_path,
                                       stderr=subprocess.PIPE, text=True) for name in names}
     for name, process in running.items():
@@ -33,13 +34,38 @@ def test_console_scripts_answer(tmp_path):
         assert error.startswith("error: ") and "nonsense" in error
 
 
-@pytest.mark.slow
-def test_wheel_holds_every_package_config_and_weight(tmp_path):
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The project's wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", tmp_path, ROOT],
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", folder, ROOT],
         check=True,
     )
-    (wheel,) = tmp_path.glob("*.whl")
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+@pytest.mark.slow
+def test_an_installed_wheel_estimates_from_another_folder(wheel, tmp_path):
+    target = tmp_path / "installed"
+    subprocess.run([sys.executable, "-m", "pip", "install", "--no-deps", "--quiet", "--target",
+                    target, wheel], check=True)
+    environment = os.environ | {"PYTHONPATH": str(target)}
+
+    def run(*words: str) -> subprocess.CompletedProcess:
+        return subprocess.run([sys.executable, target / "bin" / words[0], *words[1:]],
+                              cwd=tmp_path, env=environment, capture_output=True, text=True)
+
+    assert f"file://{target / 'configs'}" in run("drapenet-train", "--info", "searchpath").stdout
+    capture = ROOT / "examples" / "captures" / "twill"
+    done = run("drapenet-infer", f"capture={capture}", "out=out", "drapes=0", "export=jfab")
+    assert done.returncode == 0, done.stderr
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"estimate.json", "fabric.jfab"}
+
+
+@pytest.mark.slow
+def test_wheel_holds_every_package_config_and_weight(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     tracked = subprocess.run(
         ["git", "ls-files", "sim", "data", "drapenet", "configs", "train.py", "infer.py",

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import NoReturn
 
 from common.cli import parse_overrides, run_command
 from common.errors import InputError
@@ -113,5 +114,10 @@ def _self_intersections(figures: dict, converged: int) -> str:
     return line
 
 
-if __name__ == "__main__":
+def entry() -> NoReturn:
+    """Console script."""
     run_command(main, usage=USAGE)
+
+
+if __name__ == "__main__":
+    entry()

@@ -11,6 +11,7 @@ model     vae1 to vae4, gmm3 to gmm7 or gaussian, default vae4
 
 import time
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -64,5 +65,10 @@ def _range(values: np.ndarray) -> str:
     return f"{middle:10.3g} ({low:.3g} to {high:.3g})".rjust(26)
 
 
-if __name__ == "__main__":
+def entry() -> NoReturn:
+    """Console script."""
     run_command(main, usage=__doc__)
+
+
+if __name__ == "__main__":
+    entry()

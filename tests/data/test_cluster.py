@@ -41,7 +41,7 @@ def test_one_part_can_be_asked_for(tmp_path):
 
 @pytest.mark.slow
 def test_jobs_of_joblib(whole, tmp_path):
-    main(["-m", "launcher=joblib", f"out={tmp_path / 'set'}", "parts=3",
+    main(["launcher=joblib", f"out={tmp_path / 'set'}", "parts=3",
           f"hydra.sweep.dir={tmp_path / 'logs'}", *SMALL])
     assert files(tmp_path / "set") == files(whole)
 
