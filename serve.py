@@ -13,16 +13,16 @@ import os
 
 from common.command import command
 from common.threads import ONE_THREAD
-from drapenet.config import ServeConfig
+from drapenet.service.settings import Settings
 
 
-@command("serve", ServeConfig)
-def main(config: ServeConfig) -> None:
+@command("serve", Settings)
+def main(settings: Settings) -> None:
     """Serve until interrupted."""
     os.environ.update(ONE_THREAD)  # of the worker processes; this one calculates nothing
     from drapenet.service.app import serve
 
-    serve(config)
+    serve(settings)
 
 
 if __name__ == "__main__":

@@ -76,11 +76,15 @@ def _run(
                 raise
             failed.append(error)  # past Hydra, which would print its words
 
-    program = main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=name)(job)
-    with explained(name, overrides, sweep=sweep), _command_line(words):
+    argv, full = sys.argv, os.environ.get(FULL_ERROR, "0")
+    with explained(name, overrides, sweep=sweep):
         if sweep and check:
             check(as_schema(_compose(name, _single(overrides)), schema))
-        program()
+        try:  # Hydra reads the command line itself, and should raise its errors
+            sys.argv, os.environ[FULL_ERROR] = [argv[0], *words], "1"
+            main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=name)(job)()
+        finally:
+            sys.argv, os.environ[FULL_ERROR] = argv, full
     if failed:
         raise failed[0]
 
@@ -97,7 +101,7 @@ def _hydra_words(
 
     def refuse(message: str) -> None:
         raise InputError(f"{message}; --hydra-help lists the options, and keys are written without "
-                         f"dashes, as key=value: {known_keys(name)}")
+                         f"dashes, as key=value; {known_keys(name)}")
 
     parser = get_args_parser()
     parser.error = refuse
@@ -106,20 +110,16 @@ def _hydra_words(
         if "=" not in word and not word.startswith("~"):
             raise InputError(f"'{word}' is not of the form key=value; {known_keys(name)}")
     refuse_repeated(options.overrides)
-    given = {word.partition("=")[0] for word in options.overrides}
-    sweep = options.multirun or any(key in given for key in ("launcher", "hydra/launcher"))
-    if not options.multirun:
-        hydras = {word: to_hydra(word, schema) for word in options.overrides}
-        words = [hydras.get(word, word) for word in words]
-    # A value of the command line takes the place of the files' sweep over the same key.
-    params = _params(name).keys() & given
-    words += [f"~hydra.sweeper.params.{key}" for key in params]
-    return words, parser.parse_args(words).overrides, sweep
-
-
-def _params(name: str) -> dict:
-    """Sweeps that ``configs/NAME.yaml`` asks for."""
-    return read_config(name).get("hydra", {}).get("sweeper", {}).get("params", {})
+    params = read_config(name).get("hydra", {}).get("sweeper", {}).get("params", {})
+    hydras = {}
+    for word in options.overrides:
+        key = word.partition("=")[0]
+        hydras[word] = [word if options.multirun else to_hydra(word, schema)]
+        if key in params:  # it takes the place of the files' own sweep
+            hydras[word].append(f"~hydra.sweeper.params.{key}")
+    sweep = options.multirun or any("launcher=" in word for word in hydras)
+    return ([one for word in words for one in hydras.get(word, [word])],
+            [one for word in options.overrides for one in hydras[word]], sweep)
 
 
 def _single(overrides: list[str]) -> list[str]:
@@ -164,22 +164,6 @@ def _quoted(text: str) -> str:
     return "'" + re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", text)) + "'"
 
 
-@contextmanager
-def _command_line(words: list[str]) -> Iterator[None]:
-    """Let Hydra, which reads the command line itself, see ``words``, and raise its errors."""
-    argv, full = sys.argv, os.environ.get(FULL_ERROR)
-    sys.argv = [argv[0], *words]
-    os.environ[FULL_ERROR] = "1"
-    try:
-        yield
-    finally:
-        sys.argv = argv
-        if full is None:
-            del os.environ[FULL_ERROR]
-        else:
-            os.environ[FULL_ERROR] = full
-
-
 # --- Composition ----------------------------------------------------------------------------
 
 
@@ -203,9 +187,15 @@ def compose_config(name: str, words: list[str], *, schema: type) -> Any:
 
 def _compose(name: str, words: list[str]) -> Any:
     from hydra import compose, initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
 
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
-        return compose(name, overrides=words)
+    state = GlobalHydra.instance()
+    state.hydra, running = None, state.hydra  # that of a command under way
+    try:
+        with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
+            return compose(name, overrides=words)
+    finally:
+        GlobalHydra.instance().hydra = running
 
 
 def as_schema(config: Any, schema: type) -> Any:
@@ -302,30 +292,21 @@ def groups_of(name: str) -> dict[str, str | None]:
 
 
 def describe(name: str, usage: str) -> str:
-    """The template of ``--help``: usage, keys of ``configs/NAME.yaml`` and its groups, options.
+    """The template of ``--help``: usage, keys of ``configs/NAME.yaml`` and of its groups.
 
     Of a group's alternatives to the default option only what their files say of themselves.
     """
-    inner, parts = "", [usage.strip(), f"\nKeys (configs/{name}.yaml):\n"]
-    for line in config_text(name).splitlines():
-        if line[:1] not in ("", " ", "#"):
-            inner = line.partition(":")[0]
-        if line and line[0] != "#" and inner not in ("defaults", "hydra"):
-            parts.append(line)
+    keys = re.sub(r"^(defaults|hydra):.*\n(?: .*\n|\n)*", "", config_text(name), flags=re.M)
+    parts = [usage, f"Keys (configs/{name}.yaml):\n", keys.strip()]
     for group, default in groups_of(name).items():
         parts.append(f"\nGroup {group} (configs/{group}):")
         for option in sorted(group_options(group), key=lambda one: (one != default, one)):
-            lines = config_text(f"{group}/{option}").splitlines()
-            about = [line[1:].strip() for line in lines if line.startswith("#")
-                     and "@package" not in line]
-            about = " ".join(itertools.takewhile(bool, about))  # the first paragraph
-            parts.append(f"\n{group}={option}" + (", the default" if option == default else ""))
-            parts += textwrap.wrap(about, 96, initial_indent="    ", subsequent_indent="    ")
-            if option == default:
-                parts += [f"  {group}." + line if line[0] != " " else "    " + line
-                          for line in lines if line and line[0] != "#"]
-    parts.append(_HYDRA)
-    return "\n".join(parts).replace("$", "$$")
+            text = config_text(f"{group}/{option}").replace("# @package _global_\n", "")
+            about = "".join(itertools.takewhile(lambda line: line[0] == "#",
+                                                text.splitlines(keepends=True)))
+            shown, mark = (text, ", the default") if option == default else (about, "")
+            parts.append(f"\n{group}={option}{mark}\n{textwrap.indent(shown, '    ')}".rstrip())
+    return "\n".join([*parts, _HYDRA]).replace("$", "$$")
 
 
 _HYDRA = """

@@ -11,8 +11,8 @@ out      new or empty folder of the capture
 board    alone: PNG of a ChArUco board for the turntable, to print on A4 at its true size
 """
 
+from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -125,10 +125,7 @@ def _from_above(
     return tile
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
+entry = partial(run_command, main, usage=__doc__)  # console script
 
 if __name__ == "__main__":
     entry()

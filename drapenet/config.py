@@ -129,23 +129,3 @@ class ExportConfig:
     curvature_1_m: float
     mesh: str
     edge_mm: float
-
-
-@dataclass
-class ServeConfig:
-    """``configs/serve.yaml``."""
-
-    host: str
-    port: int
-    names: str
-    results: str
-    workers: int
-    queue: int
-    job_seconds: float
-    upload_seconds: float
-    idle_seconds: float
-    megabytes: float
-    files: int
-    megapixels: float
-    keep_hours: float
-    keep: int

@@ -193,7 +193,7 @@ def main(config: EvaluateConfig) -> None:
     out = folder_named(config.out) / header.rig
     require_folder(out)
     network = load_model(header)
-    base = make_config(header, config)
+    base = make_config(header, drapes=config.drapes, seed=config.seed)
     require_unseen(header, base.as_dict())
     cells = CELLS
     if config.fabrics:
@@ -220,10 +220,10 @@ def main(config: EvaluateConfig) -> None:
     print(f"written to {out / 'evaluation.json'}")
 
 
-def make_config(header: Header, config: EvaluateConfig) -> DatasetConfig:
+def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
     """New drapes as those that a checkpoint was trained on were made."""
     training = header.content["dataset"]["generation"]
-    words = [f"drapes={config.drapes}", f"seed={config.seed}", f"rig={header.rig}",
+    words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig}",
              "dataset=specimens", "nuisances=real",
               f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
               f"edge_mm={training['solver']['edge_mm']}"]

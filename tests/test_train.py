@@ -13,7 +13,7 @@ from common.command import compose_config
 from common.errors import InputError
 from data.setups import Setups
 from drapenet.checkpoint import load_model, read_header
-from drapenet.config import OptimConfig, TrainConfig, learning_rate
+from drapenet.config import TrainConfig, learning_rate
 from drapenet.training import open_captures
 
 SMALL = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "device=cpu", "seed=3",
@@ -120,7 +120,8 @@ def test_a_training_that_diverges_is_no_checkpoint(words: list[str], tmp_path: P
 
 
 def test_the_rate_rises_falls_and_ends_with_nothing() -> None:
-    optim = OptimConfig(learning_rate=1e-3, warm_up=0.2)
+    words = ["optim.learning_rate=1e-3", "optim.warm_up=0.2"]
+    optim = compose_config("train", words, schema=TrainConfig).optim
     rates = [learning_rate(optim, i / 100) for i in range(101)]
     assert max(rates) == rates[20] == pytest.approx(1e-3)
     assert rates[0] == pytest.approx(4e-5) and rates[100] == pytest.approx(0, abs=1e-12)

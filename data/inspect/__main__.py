@@ -1,8 +1,8 @@
 """Looks at a dataset of drapes: ``python -m data.inspect --help``."""
 
 import json
+from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 from common.cli import parse_overrides, run_command
 from common.errors import InputError
@@ -114,10 +114,7 @@ def _self_intersections(figures: dict, converged: int) -> str:
     return line
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=USAGE)
-
+entry = partial(run_command, main, usage=USAGE)  # console script
 
 if __name__ == "__main__":
     entry()

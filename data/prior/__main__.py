@@ -10,8 +10,8 @@ model     vae1 to vae4, gmm3 to gmm7 or gaussian, default vae4
 """
 
 import time
+from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -65,10 +65,7 @@ def _range(values: np.ndarray) -> str:
     return f"{middle:10.3g} ({low:.3g} to {high:.3g})".rjust(26)
 
 
-def entry() -> NoReturn:
-    """Console script."""
-    run_command(main, usage=__doc__)
-
+entry = partial(run_command, main, usage=__doc__)  # console script
 
 if __name__ == "__main__":
     entry()

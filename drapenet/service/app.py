@@ -26,7 +26,6 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from data.captures import MARKS
-from drapenet.config import ServeConfig
 from drapenet.export import MESHES, TARGETS, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
@@ -60,13 +59,13 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
         **{name: {"type": "string"} for name in TEXTS}}}}}}
 
 
-def serve(config: ServeConfig) -> None:
+def serve(settings: Settings) -> None:
     """Serve until interrupted; keys in ``configs/serve.yaml``.
 
     Raises:
         InputError: settings out of range, or an address that cannot be listened at.
     """
-    settings = Settings.of(config)
+    settings.check()
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
         http=ImpatientProtocol, ws="none",
@@ -78,7 +77,7 @@ def serve(config: ServeConfig) -> None:
         raise InputError(f"cannot listen at {settings.host}:{settings.port}; choose another port="
                          ) from None
     port = listening.getsockname()[1]
-    print(f"http://{settings.host}:{port}   (results in {settings.results}; Ctrl-C ends)",
+    print(f"http://{settings.host}:{port}   (results in {settings.folder}; Ctrl-C ends)",
           flush=True)
     server.run(sockets=[listening])
 
@@ -88,7 +87,7 @@ def create_app(settings: Settings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        incoming = settings.results / ".incoming"
+        incoming = settings.folder / ".incoming"
         incoming.mkdir(parents=True, exist_ok=True)
         tempfile.tempdir = str(incoming)  # large uploads are spooled there
         app.state.jobs = await run_in_threadpool(Jobs, settings)
@@ -100,7 +99,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(title="DrapeNet", version=version("drapenet"), lifespan=lifespan, docs_url=None,
                   redoc_url=None, description=render("service.md", settings=settings).decode())
     app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
-    allowed = [settings.host, "localhost", "127.0.0.1", "[::1]", *settings.names]
+    allowed = [settings.host, "localhost", "127.0.0.1", "[::1]", *settings.hosts]
     app.add_middleware(TrustedHostMiddleware,
                        allowed_hosts=["*"] if settings.host in ("0.0.0.0", "::") else allowed)
     app.middleware("http")(_guarded)

@@ -46,7 +46,7 @@ class Jobs:
         self.settings = settings
         self._taken = 0
         self._lock = threading.Lock()
-        settings.results.mkdir(parents=True, exist_ok=True)
+        settings.folder.mkdir(parents=True, exist_ok=True)
         for folder in self._folders():
             state = read_state(folder)
             if state is None:
@@ -58,7 +58,7 @@ class Jobs:
     def _workers(self) -> ProcessPool:
         """Worker processes, getting ready."""
         pool = ProcessPool(
-            max_workers=self.settings.workers, max_tasks=_SPENT, initializer=warm_up,
+            max_workers=self.settings.processes, max_tasks=_SPENT, initializer=warm_up,
             initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
         pool.schedule(os.getpid)  # starts them
         return pool
@@ -86,7 +86,7 @@ class Jobs:
     def submit(self, upload: Upload) -> str:
         """Begin to estimate an upload, in the place that :meth:`reserve` took; its identity."""
         identity = secrets.token_urlsafe(16)
-        folder = self.settings.results / identity
+        folder = self.settings.folder / identity
         try:
             write_upload(upload, folder / UPLOADED)
             change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
@@ -120,7 +120,7 @@ class Jobs:
 
     def found(self, identity: str) -> tuple[Path, dict[str, Any]]:
         """Folder and state of an estimate; RequestError with the status 404 where there is none."""
-        folder = self.settings.results / identity
+        folder = self.settings.folder / identity
         state = read_state(folder) if _ID.fullmatch(identity) else None
         if state is None:
             raise RequestError(404, "no such estimate; it may have been removed for its age")
@@ -139,7 +139,7 @@ class Jobs:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def _folders(self) -> list[Path]:
-        return [folder for folder in self.settings.results.iterdir()
+        return [folder for folder in self.settings.folder.iterdir()
                 if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
 
     def _ended(self, folder: Path, done: Any) -> None:

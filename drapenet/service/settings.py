@@ -1,66 +1,50 @@
 """Limits of the service, as ``configs/serve.yaml`` states them."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import joblib
 
 from common.errors import InputError
 from common.files import folder_named, require_folder
-from drapenet.config import ServeConfig
 
 _POSITIVE = ("queue", "job_seconds", "upload_seconds", "idle_seconds", "megabytes", "files",
              "megapixels", "keep_hours", "keep")
 
 
-@dataclass(frozen=True)
+@dataclass
 class Settings:
-    """Keys of ``configs/serve.yaml``, checked; sizes in bytes and pixels.
-
-    Attributes:
-        results: folder of all results.
-        workers: processes.
-        queue: estimates waiting or under way.
-        job_seconds, upload_seconds, idle_seconds: s.
-        bytes: of an upload, and of what it unpacks to.
-        files: of an upload.
-        pixels: of a picture.
-        keep_seconds: that results stay; keep: how many.
-    """
+    """``configs/serve.yaml``, and what follows from it: sizes in bytes and pixels, seconds."""
 
     host: str
     port: int
-    names: tuple[str, ...]
-    results: Path
+    names: str
+    results: str
     workers: int
     queue: int
     job_seconds: float
     upload_seconds: float
     idle_seconds: float
-    bytes: int
+    megabytes: float
     files: int
-    pixels: int
-    keep_seconds: float
+    megapixels: float
+    keep_hours: float
     keep: int
 
-    @classmethod
-    def of(cls, config: ServeConfig) -> "Settings":
-        """The settings of a ``config``; InputError for values out of range."""
+    def __post_init__(self) -> None:
+        self.folder = Path(self.results).resolve()
+        self.hosts = [name.strip() for name in self.names.split(",") if name.strip()]
+        self.processes = self.workers or joblib.cpu_count()
+        self.bytes, self.pixels = round(self.megabytes * 1e6), round(self.megapixels * 1e6)
+        self.keep_seconds = 3600 * self.keep_hours
+
+    def check(self) -> None:
+        """Raise InputError for values out of range."""
         for key in _POSITIVE:
-            if (value := getattr(config, key)) <= 0:
+            if (value := getattr(self, key)) <= 0:
                 raise InputError(f"{key}={value:g} must be positive")
-        if not 0 <= config.port <= 65535:
-            raise InputError(f"port={config.port} must lie between 0 and 65535")
-        if config.workers < 0:
-            raise InputError(f"workers={config.workers} must be 0, one for each core, or more")
-        results = folder_named(config.results)
-        require_folder(results)
-        derived = {
-            "names": tuple(name.strip() for name in config.names.split(",") if name.strip()),
-            "results": results.resolve(),
-            "workers": config.workers or joblib.cpu_count(),
-            "bytes": round(config.megabytes * 1e6),
-            "pixels": round(config.megapixels * 1e6),
-            "keep_seconds": 3600 * config.keep_hours}
-        return cls(**{field.name: derived.get(field.name, getattr(config, field.name, None))
-                      for field in fields(cls)})
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port={self.port} must lie between 0 and 65535")
+        if self.workers < 0:
+            raise InputError(f"workers={self.workers} must be 0, one for each core, or more")
+        require_folder(folder_named(self.results))

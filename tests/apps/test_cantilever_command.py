@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from elastica_curves import LAWS, curves_of, write_curve
+from words import last
 
 from apps.cantilever import main
 from common.errors import InputError
@@ -89,7 +90,7 @@ def test_estimates_that_make_no_sense_are_refused(tmp_path, words, said):
     file = write_curve(tmp_path / "w.csv", curves_of(*LAWS[0])[0])
     words = [word.replace("FILE", str(file)) for word in words]
     with pytest.raises(InputError, match=said):
-        main(["estimate", f"warp={file}", "density=300", *words])
+        main(["estimate", *last(f"warp={file}", "density=300", *words)])
 
 
 @pytest.mark.parametrize("out", ["/proc/strips.json", "."])

@@ -70,7 +70,8 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
         main([f"out={out.replace('FILE', str(tmp_path / 'file'))}"])
 
 
-def test_figures_of_a_failure_are_json(tmp_path):
+def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):
+    monkeypatch.setattr("apps.drape.STIFFEST", np.inf)
     main(["alpha=1e300,1e300,1e300", "edge_mm=12", f"out={tmp_path}"])
 
     def refuse(word: str) -> None:

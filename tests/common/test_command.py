@@ -20,17 +20,12 @@ from common.configs import group_options, read_config, read_option
 from common.errors import InputError
 from data import generate
 from data.options import Options, config_from_options
-from drapenet.config import (
-    EvaluateConfig,
-    ExportConfig,
-    InferConfig,
-    ServeConfig,
-    TrainConfig,
-)
+from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
+from drapenet.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"drape": DrapeConfig, "evaluate": EvaluateConfig, "export": ExportConfig,
-           "generate": Options, "infer": InferConfig, "serve": ServeConfig, "train": TrainConfig}
+           "generate": Options, "infer": InferConfig, "serve": Settings, "train": TrainConfig}
 
 
 @dataclass
@@ -260,11 +255,11 @@ def test_a_program_error_keeps_its_traceback_and_its_type(monkeypatch, tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["x"])
 
-    def broken(config: ServeConfig) -> None:
+    def broken(config: Settings) -> None:
         raise ZeroDivisionError("no number")
 
     with pytest.raises(ZeroDivisionError) as error:
-        command("serve", ServeConfig)(broken)([])
+        command("serve", Settings)(broken)([])
     assert error.traceback[-1].name == "broken"
 
 

@@ -32,7 +32,7 @@ def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is
 
 def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> None:
     header = read_header(untrained_checkpoint)
-    base = make_config(header, {"drapes": 50, "seed": 5})
+    base = make_config(header, drapes=50, seed=5)
     made = datasets(base)
     assert {cell.drapes for cell in CELLS.values()} == set(made)
     assert made["as trained"] is base and made["none"].drapes == 10

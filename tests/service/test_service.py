@@ -15,7 +15,6 @@ from fastapi.testclient import TestClient
 
 from common.command import compose_config
 from data.captures import read_capture
-from drapenet.config import ServeConfig
 from drapenet.export import TARGETS
 from drapenet.inference import infer_capture
 from drapenet.service.app import create_app
@@ -31,7 +30,7 @@ PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 def settings_for(results: Path) -> Settings:
     words = [f"results={results}", "workers=1", "queue=3", "idle_seconds=0.5"]
-    return Settings.of(compose_config("serve", words, schema=ServeConfig))
+    return compose_config("serve", words, schema=Settings)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +73,7 @@ def test_numbers_are_those_of_the_command(finished):
 
 
 def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
-    results = str(client.app.state.jobs.settings.results)
+    results = str(client.app.state.jobs.settings.folder)
     for name in ("estimate.json", "report.html", "report.png", "preview.png", "drape.glb",
                  "torque.svg"):
         answer = client.get(f"/estimates/{finished['id']}/{name}")
@@ -121,7 +120,7 @@ def test_what_is_not_there_is_404_and_what_is_not_ready_409(client, finished):
         assert answer.status_code == 404, address
         assert "Traceback" not in answer.text
     jobs = client.app.state.jobs
-    folder = jobs.settings.results / ("b" * 22)
+    folder = jobs.settings.folder / ("b" * 22)
     change_state(folder, state="queued", id="b" * 22, name="x")
     try:
         assert client.get(f"/estimates/{'b' * 22}/report.png").status_code == 409
@@ -169,7 +168,7 @@ def test_page_and_interface_ask_no_other_host(client):
 
 
 def test_a_restart_keeps_results_and_says_what_it_lost(tmp_path):
-    settings = replace(settings_for(tmp_path), keep=2, keep_seconds=100.0)
+    settings = replace(settings_for(tmp_path), keep=2, keep_hours=100 / 3600)
     kept, lost, torn, old = (tmp_path / (letter * 22) for letter in "klto")
     change_state(kept, id=kept.name, name="k", state="done", ended=time.time())
     change_state(lost, id=lost.name, name="l", state="running", stage="refining", ended=None)
@@ -209,7 +208,7 @@ def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
 
 
 def test_state_that_is_no_json_is_nothing(client):
-    folder = client.app.state.jobs.settings.results / ("z" * 22)
+    folder = client.app.state.jobs.settings.folder / ("z" * 22)
     folder.mkdir()
     (folder / "state.json").write_text(json.dumps([1]))
     assert client.get(f"/estimates/{folder.name}").status_code == 404

@@ -14,7 +14,6 @@ from PIL import Image
 
 from common.command import compose_config
 from data.captures import read_capture
-from drapenet.config import ServeConfig
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
 
@@ -27,7 +26,7 @@ YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())
 def settings(tmp_path_factory) -> Settings:
     results = tmp_path_factory.mktemp("results")
     words = [f"results={results}", "megabytes=4"]
-    return Settings.of(compose_config("serve", words, schema=ServeConfig))
+    return compose_config("serve", words, schema=Settings)
 
 
 def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
