@@ -105,21 +105,20 @@ def _hydra_words(
 
     parser = get_args_parser()
     parser.error = refuse
-    options = parser.parse_args(words)
+    options = parser.parse_intermixed_args(words)
     for word in options.overrides:
         if "=" not in word and not word.startswith("~"):
             raise InputError(f"'{word}' is not of the form key=value; {known_keys(name)}")
     refuse_repeated(options.overrides)
     params = read_config(name).get("hydra", {}).get("sweeper", {}).get("params", {})
-    hydras = {}
+    overrides = []
     for word in options.overrides:
-        key = word.partition("=")[0]
-        hydras[word] = [word if options.multirun else to_hydra(word, schema)]
-        if key in params:  # it takes the place of the files' own sweep
-            hydras[word].append(f"~hydra.sweeper.params.{key}")
-    sweep = options.multirun or any("launcher=" in word for word in hydras)
-    return ([one for word in words for one in hydras.get(word, [word])],
-            [one for word in options.overrides for one in hydras[word]], sweep)
+        overrides.append(word if options.multirun else to_hydra(word, schema))
+        if (key := word.partition("=")[0]) in params:  # in place of the files' own sweep
+            overrides.append(f"~hydra.sweeper.params.{key}")
+    sweep = options.multirun or any("launcher=" in word for word in overrides)
+    others = [word for word in words if word not in options.overrides]
+    return [*overrides, *others], overrides, sweep  # Hydra takes them in this order only
 
 
 def _single(overrides: list[str]) -> list[str]:
