@@ -259,6 +259,9 @@ def _complaint(error: Exception, name: str) -> str:
         lambda line: not line.startswith(("Config search path", "See https")),
         str(error).splitlines())
     text = " ".join(filter(None, map(str.strip, kept)))
+    if option := re.search(r"Could not find '([^'/]+)/([^'/]+)'", text):
+        known = ", ".join(group_options(option[1]))
+        return f"{option[1]}={option[2]} is unknown; choose from {known}"
     if text.startswith("Ambiguous value"):
         return f"{first.removesuffix(':')}: it takes one value; --multirun runs a job for each"
     if "hydra/launcher" in text:

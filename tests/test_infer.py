@@ -189,7 +189,7 @@ def test_help_says_how_to_call_it(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["infer.py", "--help"])
     with pytest.raises(SystemExit) as ending:
-        infer.entry()
+        infer.main()
     assert ending.value.code == 0
     assert "infer.py capture=DIR" in capsys.readouterr().out
 
