@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ESTIMATOR, REPORTS, parse_settings, run_cases, table, write_report
-from benchmarks.refine_views import known_drape
+from benchmarks.known import known_drape
 from common.cli import run_command
 from common.errors import InputError
 from data.captures import Capture

@@ -38,8 +38,9 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.known import known_drape
 from benchmarks.real_captures import Specimen, agreement, recognition
-from benchmarks.refine_views import WAYS, along_warp, judge, known_drape, recovered
+from benchmarks.refine_views import WAYS, along_warp, judge, recovered
 from common.cli import run_command
 from common.errors import InputError
 from data.picture import shade

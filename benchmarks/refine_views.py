@@ -38,21 +38,17 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.known import CLEAN, known_drape
 from common.cli import run_command
-from common.command import compose_config
-from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.fabrics import fabric_from_theta
 from data.nuisances import NAMES
-from data.options import Options, config_from_options
-from data.sampling import DrapePlan, plan_drape
 from data.setups import Setups
 from drapenet.checkpoint import bundled, read_header
 from drapenet.comparison import same_folds
 from drapenet.convention import LINEAR, RATIO, SWAPPED
 from drapenet.coverage import LEVELS, covered, ranks
-from sim.drape import DrapeResult, drape
+from sim.drape import drape
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import fold_outline
 from sim.scene import Rig
@@ -69,31 +65,6 @@ DEFAULTS = {
     "out": str(REPORTS / "refine_views.json"),
 }
 WAYS = ("network", "refined")
-IDEAL = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
-         "border": 0, "holes": 0, "hem_share": 0.0}
-
-
-def planned(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
-    """A fabric of the prior, without the training's share of very soft ones, and a specimen of it.
-    """
-    words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
-    config = config_from_options(compose_config("generate", words, schema=Options))
-    return plan_drape(number, config=config.sampling, prior=config.prior)
-
-
-def known_drape(
-    number: int, *, rig: str, nuisances: str, edge_mm: float, seed: int
-) -> tuple[DrapePlan, DrapeResult]:
-    """A fabric of the prior and specimen of it, and its drape."""
-    plan = planned(number, rig=rig, nuisances=nuisances, seed=seed)
-    specimen = plan.nuisances
-    result = drape(
-        fabric_from_theta(plan.theta), rig=specimen.rig(Rig.from_name(rig)), edge=1e-3 * edge_mm,
-        start=plan.start, seed=plan.seed, offset=tuple(plan.offset), laws=specimen.laws)
-    if not result.converged:
-        raise InputError(f"fabric {number} did not converge ({result.message}); choose another "
-                         "seed=")
-    return plan, result
 
 
 def case(
@@ -107,7 +78,7 @@ def case(
     plan, shape = known_drape(number, rig=rig, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
     setups = Setups.load("real")
     if nuisances == "none":
-        setups = replace(setups, **IDEAL)
+        setups = replace(setups, **CLEAN)
     seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
                           nominal=CameraRig.load(rig).intrinsics)
     capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,

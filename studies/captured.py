@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.refine_views import IDEAL as CLEAN
-from benchmarks.refine_views import planned
+from benchmarks.known import CLEAN, planned
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
