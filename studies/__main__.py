@@ -1,4 +1,7 @@
-"""Run studies: ``python -m studies NAME|all [key=value ...]``; keys in ``configs/study/``."""
+"""Run studies: ``python -m studies NAME|all [key=value ...]``; keys in ``configs/study/``.
+
+``python -m studies page`` runs nothing: it writes the page and the pictures from the reports.
+"""
 
 import benchmarks.one_thread  # noqa: F401
 
@@ -30,10 +33,22 @@ def reports() -> dict[str, Report]:
             for name in ORDER if study_named(name).report.exists()}
 
 
+def write_page(*, pictures: bool = False) -> None:
+    """Write the page, and the pictures if wanted, from the reports that are there."""
+    known = reports()
+    for name in known if pictures else ():
+        study = study_named(name)
+        write_figure(study.report.with_suffix(".png"), study.draw(known[name]))
+    replace_file(PAGE, page([study_named(name) for name in ORDER], known).encode())
+
+
 def main(argv: list[str]) -> None:
     """The command line."""
+    if argv == ["page"]:
+        write_page(pictures=True)
+        return
     if not argv or argv[0] not in (*ORDER, "all"):
-        raise InputError(f"name a study: {', '.join(ORDER)} or all")
+        raise InputError(f"name a study: {', '.join(ORDER)}, all, or page alone")
     for name in ORDER if argv[0] == "all" else argv[:1]:
         study = study_named(name)
         config = parse_overrides(read_config(f"study/{name}"), argv[1:])
@@ -44,8 +59,7 @@ def main(argv: list[str]) -> None:
         write_figure(out.with_suffix(".png"), study.draw(report))
         print(study.answer(report), file=sys.stderr)
         if out == study.report:
-            known = {one: found for one, found in reports().items()}
-            replace_file(PAGE, page([study_named(one) for one in ORDER], known).encode())
+            write_page()
 
 
 if __name__ == "__main__":

@@ -47,11 +47,11 @@ def variations(report: Report) -> dict[str, np.ndarray]:
 def answer(report: Report) -> str:
     """In sentences."""
     found = {way: np.median(values) for way, values in variations(report).items()}
-    return (f"Another start changes α by {found['starts']:.1f} % (median coefficient of "
-            f"variation), another orientation of the same drape by {found['orientations']:.1f} %, "
-            f"another set-up by {found['set-ups']:.1f} %. The mean over a fabric's starts is still "
-            f"wrong by {100 * _common(report):.0f} % (root mean square): most of an error belongs "
-            "to the fabric, and more drapes do not remove it.")
+    return (f"The coefficient of variation of α is {found['starts']:.1f} % over starts (median "
+            f"over fabrics), {found['orientations']:.1f} % over orientations of one drape and "
+            f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
+            f"error of {100 * _common(report):.0f} % (root mean square): most of the error is "
+            "common to all drapes of a fabric, and more drapes do not remove it.")
 
 
 def _common(report: Report) -> float:
@@ -87,10 +87,9 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "repeatability", "Repeatability", "002, Figures 22 and 23",
-    "How much do estimates of one fabric vary with the folds it happens to take, the direction in "
-    "which it lies, and the camera's place?", run, answer, rows, draw,
+    "How much do estimates of one fabric vary with its folds, its orientation and the camera's "
+    "position?", run, answer, rows, draw,
     "low coefficients of variation, five points higher for a network trained on one start; no "
     "table. Not comparable: theirs are of real fabrics draped by hand.",
-    "Simulated fabrics without friction, which in real cloth adds to the scatter. The comparison "
-    "with networks trained on one start and on one orientation was not made: each takes two hours "
-    "of training.")
+    "Simulated fabrics without friction, which in real cloth adds to the scatter. Networks trained "
+    "on one start or on one orientation were not compared: each takes two hours of training.")

@@ -1,4 +1,4 @@
-"""What each fault of a set-up does to an estimate, and where the checks object (002, 7.3.2)."""
+"""How each fault of a set-up changes an estimate, and whether the checks report it (002, 7.3.2)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ SENSORS = ("smooth", "paper", "tof")
 SETUPS: dict[str, tuple[str, tuple[float, ...], Callable[[float], dict[str, Any]]]] = {
     "pitch": ("°", (20, 25, 50, 55, 60), lambda v: {"pitch": (np.radians(v),) * 2}),
     "distance": ("m", (0.35, 0.4, 0.7, 0.8, 1.0), lambda v: {"distance": (v, v)}),
-    "turn": ("°, deviation", (1, 2.5, 5, 10), lambda v: {"turn": np.radians(v)}),
+    "turn": ("° (deviation)", (1, 2.5, 5, 10), lambda v: {"turn": np.radians(v)}),
     "sensor": ("", (1, 2, 3), lambda v: {"sensors": {SENSORS[int(v) - 1]: 1.0}}),
 }
 """Faults of set-ups: unit, values, and what replaces the set-up's entries."""
@@ -116,10 +116,11 @@ def answer(report: Report) -> str:
     silent = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
               for value, one in values.items()
               if one["error"] > 1.5 * plain and one["doubted"] < 0.5]
-    return (f"Without faults the error of log α is {plain:.2f}. More than half as much again: "
-            f"{', '.join(hard) or 'none'}. Of these, the checks object to fewer than half of the "
-            f"captures at: {', '.join(silent) or 'none'}. A density that is wrong by 5 % changes "
-            "all moduli by 5 %: they are proportional to it.")
+    noted = (f"the checks report fewer than half of the captures with {', '.join(silent)}"
+             if silent else "the checks report each of these in at least half of the captures")
+    return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
+            f"half: {', '.join(hard) or 'none'}; {noted}. An error of 5 % in the density "
+            "changes all moduli by 5 %, because they are proportional to it.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
@@ -127,14 +128,14 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     def shown(name: str, value: str) -> str:
         return SENSORS[int(value) - 1] if name == "sensor" else f"{value} {_unit(name)}".strip()
 
-    return (["fault", "value", "error of log α", "bias", "doubted"],
+    return (["fault", "value", "error of log α", "bias", "with a warning"],
             [[name, shown(name, value), f"{one['error']:.3f}", f"{one['bias']:+.3f}",
               f"{one['doubted']:.0%}"]
              for name, values in report["faults"].items() for value, one in values.items()])
 
 
 def draw(report: Report) -> Figure:
-    """Error over value, a panel a fault; filled where more than half is doubted."""
+    """Error over value, a panel a fault; red where more than half of the captures get a warning."""
     faults = {name: values for name, values in report["faults"].items() if name != "none"}
     plain = report["faults"]["none"]["0"]["error"]
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -147,21 +148,22 @@ def draw(report: Report) -> Figure:
         for place, value, one in zip(x, y, values.values(), strict=True):
             axes.plot(place, value, "o", color="#2f6da8",
                       mfc="#b5403a" if one["doubted"] > 0.5 else "white")
-        axes.set(title=name, xlabel=_unit(name), ylim=(0, None))
+        axes.set(title=name, xlabel=_unit(name))
         if name == "sensor":
             axes.set_xticks(x, SENSORS)
     for axes in panels[len(faults):]:
         axes.axis("off")
-    panels[0].set_ylabel("error of log α")
-    figure.suptitle("red: more than half of the captures are doubted", fontsize=9)
+    panels[0].set_ylim(0, None)
+    figure.supylabel("error of log α [spread over fabrics]", fontsize=10)
+    figure.suptitle("red: more than half of the captures get a warning", fontsize=9)
     return figure
 
 
 STUDY = Study(
     "robustness", "Robustness", "002, section 7.3.2",
-    "How much does each fault of a set-up alone change an estimate, and do the checks of captures "
-    "notice?", run, answer, rows, draw,
+    "How much does each single fault of a set-up change an estimate, and do the checks of captures "
+    "report it?", run, answer, rows, draw,
     "reliable whatever the orientation; no figures for other faults.",
-    "Simulated fabrics, one fault at a time, four views. The specimens have no bending friction, "
-    "which the network does not know: it takes some of their stiffness for friction, whence the "
+    "Simulated fabrics, one fault at a time, four views. The specimens have no bending friction. "
+    "The network does not know this and attributes part of their stiffness to friction: hence the "
     "bias without faults. It was trained on pitches of 25° to 50° and distances of 0.4 m to 0.7 m.")

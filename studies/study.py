@@ -17,11 +17,12 @@ PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
 _HEAD = """# Studies
 
-Experiments of the papers, repeated with this system. Each has a command, which is resumed where it
-was interrupted, and writes its section of this page; `make studies` runs all. Errors of log α and
-β/α are root mean squares of the posterior's mean in units of the spread over fabrics, unless
-stated otherwise. 002 is Feng et al. 2022, 000 is Larionov et al. Timings and validations of the
-simulator are in [validation.md](validation.md).
+Experiments of the papers, repeated with this system. Each has a command that resumes where it was
+interrupted and writes its section of this page; `make studies` runs all, `python -m studies page`
+writes the page and its pictures from the reports alone. Errors of log α and β/α are root mean
+squares of the difference between the posterior's mean and the truth, in units of the standard
+deviation over fabrics, unless stated otherwise. 002 is Feng et al. 2022, 000 is Larionov et al.
+Timings and validations of the simulator are in [validation.md](validation.md).
 """
 
 Report = dict[str, Any]
@@ -62,6 +63,7 @@ class Study:
         draw: its picture, from the report.
         paper: what the paper has found, and whether it can be compared.
         limits: of the answer.
+        given: what each method knows, where they differ.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Study:
     draw: Callable[[Report], Figure]
     paper: str
     limits: str
+    given: str = ""
 
     @property
     def report(self) -> Path:
@@ -82,12 +85,13 @@ class Study:
 
     def section(self, report: Report) -> str:
         """Its part of the page."""
-        return "\n\n".join([
+        return "\n\n".join(filter(None, [
             f"## {self.title}", f"*After* {self.after}. {self.question} "
             f"*Command*: `python -m studies {self.name}`.", self.answer(report),
             table(*self.rows(report)),
             f"![{self.title}](studies/{self.name}.png)",
-            f"*Paper*: {self.paper}", f"*Limits*: {self.limits}"])
+            self.given and f"*Given*: {self.given}",
+            f"*Paper*: {self.paper}", f"*Limits*: {self.limits}"]))
 
 
 def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:

@@ -78,16 +78,16 @@ def answer(report: Report) -> str:
              if len(values)}
     plain, equal = (found.get(f"hinges along the edge, {way}", np.nan)
                     for way in ("α as estimated", "equivalent α"))
-    return (f"Hinges that take the modulus across their edge lie {plain:.2f} mm (median) from the "
-            f"plate's drape with α as estimated, {equal:.2f} mm with the equivalent modulus "
-            f"({report['ratio']:.3f} α, docs/exports.md); another mesh of the plate's own law lies "
-            f"{found[OTHER_MESH]:.2f} mm away. What hinges do differently depends on the direction "
-            "of folds on the mesh, which one factor does not mend.")
+    return (f"Drapes by hinges, each with the modulus across its edge, lie {plain:.2f} mm (median) "
+            f"from those by the plate's law with α as estimated, and {equal:.2f} mm with the "
+            f"equivalent modulus ({report['ratio']:.3f} α, docs/exports.md); the plate's law on "
+            f"another mesh lies {found[OTHER_MESH]:.2f} mm away. The bias of hinges depends on "
+            "the direction of folds on the mesh, which a single factor does not correct.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """By law and modulus."""
-    return (["simulated with", "came to rest", "displacement, mm: median, largest",
+    return (["simulated with", "converged", "displacement, mm: median, largest",
              "curvature, %: median"],
             [[way, f"{len(values)} of {len(report['fabrics'])}",
               f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
@@ -113,10 +113,10 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "transfer", "Transfer to hinges", "002, Figure 24 and section 7.4",
-    "Does a fabric drape alike in a simulator that bends at hinges, as ARCSim and most games do?",
+    "Does a fabric drape alike in a simulator that bends at hinges, as ARCSim and many games do?",
     run, answer, rows, draw,
-    "less than 0.1 mm at most between three simulators with the same bending model and parameters. "
-    "Not comparable: there all three have one discrete law on one mesh; here the laws are two.",
-    "Equilibria next to the plate's drape on its mesh, so that folds are the same. The modulus is "
-    "scaled as for unstructured meshes. Other simulators were not run on the cylinder; strips in "
-    "Newton's Style3D are in docs/exports.md.")
+    "at most 0.1 mm between three simulators with the same bending model and parameters. Not "
+    "comparable: there all three have one discrete law on one mesh; here two laws are compared.",
+    "Each drape starts from that by the plate's law on the same mesh, so that folds are the same. "
+    "The modulus is scaled as for unstructured meshes. Other simulators were not run on the "
+    "cylinder; strips in Newton's Style3D are in docs/exports.md.")

@@ -61,16 +61,16 @@ def run(config: dict[str, Any]) -> Report:
 def answer(report: Report) -> str:
     """In sentences."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
-    return (f"One view: error of log α {one:.3f}; two {two:.3f}; four {four:.3f}; eight "
-            f"{eight:.3f}. The first three views take most of the error away; beyond four, each "
-            f"doubling takes {100 * (1 - eight / four):.0f} %. The posterior bound of four views "
-            f"by a good sensor is {report['bound']:.3f} ([validation](validation.md#what-a-drape-"
-            "determines)).")
+    return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
+            f"four and {eight:.3f} with eight. Most of the gain comes from the first three views; "
+            f"from four to eight the error falls by {100 * (1 - eight / four):.0f} %. The "
+            f"posterior bound of four views by a good sensor is {report['bound']:.3f} "
+            "([validation](validation.md#what-a-drape-determines)).")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """By number of views."""
-    return (["views", "log α (95 %)", "β/α", "own standard deviation of log α", "inside 50 %",
+    return (["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
              "68 %", "90 %"],
             [[count, f"{one['log_alpha']:.3f} ({one['interval_95'][0]:.3f} to "
               f"{one['interval_95'][1]:.3f})", f"{one['beta_over_alpha']:.2f}",
@@ -79,7 +79,7 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Error and the network's own deviation over views."""
+    """Error and the posterior's standard deviation over views."""
     figure = Figure(figsize=(6, 3.4), layout="constrained")
     axes = figure.subplots()
     count = [int(key) for key in report["views"]]
@@ -88,18 +88,18 @@ def draw(report: Report) -> Figure:
     axes.fill_between(count, low, high, color="#2f6da8", alpha=0.15, lw=0)
     axes.plot(count, [one["log_alpha"] for one in values], "o-", color="#2f6da8", label="error")
     axes.plot(count, [one["deviation"] for one in values], "s--", color="#b5403a",
-              label="own standard deviation")
-    axes.set(xlabel="views", ylabel="log α, share of the spread", ylim=(0, None))
+              label="posterior's standard deviation")
+    axes.set(xlabel="views", ylabel="log α [spread over fabrics]", ylim=(0, None))
     axes.legend(frameon=False)
     return figure
 
 
 STUDY = Study(
     "views", "Number of views", "002, Figure 19",
-    "How much does each view add, with everything that real specimens and captures differ in?",
+    "How much does each view add where specimens and captures vary as real ones do?",
     run, answer, rows, draw,
     "Figure 19 chooses four views; its losses are of a network without intervals, on other data. "
     "The order is the same: one view is much worse, four are nearly as good as eight.",
     "One network for all numbers of views, trained with one to eight. Simulated fabrics of the "
-    "prior, without the tenth of very soft ones that the training and `make evaluate` add; hence "
-    "smaller errors than there.")
+    "prior, without the tenth of very soft ones that the training and `make evaluate` add; errors "
+    "are therefore smaller than there.")
