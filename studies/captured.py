@@ -6,23 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.known import CLEAN, planned
-from common.errors import InputError
+from benchmarks import known
 from data.cameras import CameraRig
 from data.captures import Capture
-from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
 from data.sampling import DrapePlan
 from data.setups import Setups, SyntheticCapture
 from drapenet.checkpoint import Header, bundled, read_header
 from drapenet.convention import SWAPPED
+from drapenet.estimate import Estimate
 from drapenet.inference import Inferred, capture_doubts, infer_capture
-from sim.drape import DrapeResult, drape
+from sim.drape import DrapeResult
 from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
 
 RIG = "square300_cylinder100"
-IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
+IDEAL = known.CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
                  "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
 """A set-up without faults: a smooth sensor where the rig's camera stands, exact quarter turns."""
 
@@ -63,26 +61,20 @@ def spread() -> np.ndarray:
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
     """Fabric ``number`` of the prior, and a specimen of it."""
-    return planned(number, rig=RIG, nuisances=nuisances, seed=seed)
+    return known.planned(number, rig=RIG, nuisances=nuisances, seed=seed)
 
 
 def draped(
     plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
 ) -> DrapeResult:
-    """A drape of the specimen; from another start where one is given.
+    """A centred drape of the specimen; from another start where one is given.
 
     Raises:
         InputError: it does not converge.
     """
-    own = nuisances or plan.nuisances
-    result = drape(fabric_from_theta(plan.theta), rig=own.rig(Rig.from_name(RIG)), edge=edge,
-                   start=start or plan.fallback, seed=plan.seed if seed is None else seed,
-                   offset=offset, laws=own.laws)
-    if not result.converged:
-        raise InputError(f"a drape of fabric {plan.fabric} did not converge ({result.message}); "
-                         "choose another seed=")
-    return result
+    return known.draped(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
+                        offset=offset, nuisances=nuisances)
 
 
 def ideal(**changes: object) -> Setups:
@@ -97,18 +89,23 @@ def seen(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> Synthe
 
 
 def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
-         known: dict[str, float] | None = None) -> Reading:
+         friction: float | None = None) -> Reading:
     """The network's answer.
 
     Args:
         density: kg/m², as the user states it.
-        known: membrane, N/m, and friction, N·m per metre, as the user knows them.
+        friction: N·m per metre, where the user knows it.
     """
     capture = Capture(found.views, found.intrinsics, found.turns, density, None, RIG, Path(), ())
-    inferred = infer_capture(capture, header(), **known or {})
-    along = np.cos(2 * (inferred.estimate.axis - found.orientation)) >= 0
-    samples = inferred.estimate.samples if along else inferred.estimate.samples[:, SWAPPED]
+    inferred = infer_capture(capture, header(), friction=friction)
+    samples = along_warp(inferred.estimate, found.orientation)
     return Reading(samples.mean(axis=0), samples, inferred, capture)
+
+
+def along_warp(estimate: Estimate, orientation: float) -> np.ndarray:
+    """(S, 6) samples of theta along the true warp, which lies at ``orientation``, rad."""
+    along = np.cos(2 * (estimate.axis - orientation)) >= 0
+    return estimate.samples if along else estimate.samples[:, SWAPPED]
 
 
 def rms(values: np.ndarray) -> float:
