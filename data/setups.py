@@ -43,7 +43,8 @@ class SyntheticCapture:
 
 @dataclass(frozen=True)
 class Setups:
-    """A distribution of set-ups; SI units and radians, see ``configs/setup``.
+    """A distribution of set-ups; SI units and radians, see ``configs/setup``. ``orientation`` is
+    that of the warp in the first view.
 
     Raises:
         InputError: limits that make no sense.
@@ -63,9 +64,10 @@ class Setups:
     holes: int
     hem_share: float
     hem: float
+    orientation: tuple[float, float] = (0.0, 2 * np.pi)
 
     def __post_init__(self) -> None:
-        for name in ("distance", "pitch", "fill", "above", "aside"):
+        for name in ("distance", "pitch", "fill", "above", "aside", "orientation"):
             low, high = getattr(self, name)
             if not low <= high:
                 raise InputError(f"setup: {name} from {low:g} to {high:g}: the smaller one first")
@@ -128,7 +130,7 @@ class Setups:
         turns = np.arange(count) * (2 * np.pi / count)
         wrong = rng.normal(0.0, self.turn, count)
         wrong[0] = 0.0
-        orientation = float(rng.uniform(0, 2 * np.pi))
+        orientation = float(rng.uniform(*self.orientation))
         intrinsics, poses = camera_tensors([camera])
         views = render_batch(
             torch.from_numpy(positions[None]), torch.from_numpy(faces[None].astype(np.int64)),

@@ -145,8 +145,8 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
     errors = (np.concatenate(means) - truth[:, :MODULI]) / spread
     places = np.concatenate(places)
     return {
-        "log_alpha": _figure(errors[:, :3], maps.fabric),
-        "beta_over_alpha": _figure(errors[:, 3:], maps.fabric),
+        "log_alpha": rms_with_interval(errors[:, :3], maps.fabric),
+        "beta_over_alpha": rms_with_interval(errors[:, 3:], maps.fabric),
         "prior": {"log_alpha": float(np.std(truth[:, :3] / spread[:3], axis=0).mean()),
                   "beta_over_alpha": float(np.std(truth[:, 3:6] / spread[3:], axis=0).mean())},
         "inside": {f"{level:.0%}": {"mean": float(share.mean()), "each": share.round(3).tolist()}
@@ -155,7 +155,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
     }
 
 
-def _figure(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
+def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
     """Root mean square of errors (N, 3), and its 95 % interval over fabrics (N,)."""
     _, place = np.unique(fabric, return_inverse=True)
     count = np.bincount(place)

@@ -91,8 +91,11 @@ class MapNet(torch.nn.Module):
         for harmonic in _HARMONICS:
             waves += [torch.cos(harmonic * angle), torch.sin(harmonic * angle)]
         pooled = around @ torch.stack(waves, dim=1).to(around) / around.shape[2]
-        return Mixture.of_outputs(self.head(torch.cat([pooled.flatten(1), known], dim=1)),
-                                  **self.shape)
+        return self.posterior(self.head(torch.cat([pooled.flatten(1), known], dim=1)))
+
+    def posterior(self, outputs: torch.Tensor) -> Mixture:
+        """The distribution that outputs (N, :func:`outputs_of`) of the head stand for."""
+        return Mixture.of_outputs(outputs, **self.shape)
 
 
 def _close(module: torch.nn.Module) -> None:

@@ -48,6 +48,11 @@ class Mixture:
                 - gap.shape[2] / 2 * math.log(2 * math.pi))
         return torch.logsumexp(each + self.logits.log_softmax(dim=1), dim=1)
 
+    @property
+    def mean(self) -> torch.Tensor:
+        """(N, T) of the whole mixture."""
+        return (self.logits.softmax(dim=1)[..., None] * self.means).sum(dim=1)
+
     def sample(self, count: int, generator: torch.Generator) -> torch.Tensor:
         """(count, N, T) draws; a mixture and a generator on the CPU."""
         shares = self.logits.softmax(dim=1)

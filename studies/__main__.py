@@ -13,12 +13,12 @@ from pathlib import Path
 
 from benchmarks.common import write_figure, write_report
 from common.cli import parse_overrides, run_command
-from common.configs import read_config
 from common.errors import InputError
 from common.files import replace_file, require_file
-from studies.study import PAGE, Report, Study, page
+from studies.study import PAGE, Report, Study, default_config, page
 
-ORDER = ("table3", "repeatability", "robustness", "views", "transfer", "recognition")
+ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
+         "transfer", "recognition")
 """Of the sections."""
 
 
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> None:
         raise InputError(f"name a study: {', '.join(ORDER)}, all, or page alone")
     for name in ORDER if argv[0] == "all" else argv[:1]:
         study = study_named(name)
-        config = parse_overrides(read_config(f"study/{name}"), argv[1:])
+        config = parse_overrides(default_config(name), argv[1:])
         out = Path(config["out"]) if config["out"] else study.report
         require_file(out)
         report = {"settings": config, **study.run(config)}

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import ROOT, run_cases, table
+from common.configs import read_config
 
 PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
@@ -28,7 +30,7 @@ Timings and validations of the simulator are in [validation.md](validation.md).
 Report = dict[str, Any]
 
 
-_OF_THE_RUN = ("fabrics", "workers", "cases", "out", "scans")
+_OF_THE_RUN = ("fabrics", "workers", "cases", "out", "scans", "learned")
 
 
 def over_fabrics(
@@ -48,6 +50,19 @@ def over_fabrics(
                      sources=sources)
 
 
+def default_config(name: str) -> dict[str, Any]:
+    """The keys of ``configs/study/NAME.yaml``, and of the files that its defaults list names;
+    those of FILE@KEY under that key.
+    """
+    own = read_config(f"study/{name}")
+    config: dict[str, Any] = {}
+    for part in own.pop("defaults", ["_self_"]):
+        file, _, key = part.partition("@")
+        found = own if part == "_self_" else default_config(file)
+        config |= {key: found} if key else found
+    return config
+
+
 @dataclass(frozen=True)
 class Study:
     """An experiment.
@@ -64,6 +79,7 @@ class Study:
         paper: what the paper has found, and whether it can be compared.
         limits: of the answer.
         given: what each method knows, where they differ.
+        more: another table, from the report.
     """
 
     name: str
@@ -77,6 +93,7 @@ class Study:
     paper: str
     limits: str
     given: str = ""
+    more: Callable[[Report], str] | None = None
 
     @property
     def report(self) -> Path:
@@ -88,7 +105,7 @@ class Study:
         return "\n\n".join(filter(None, [
             f"## {self.title}", f"*After* {self.after}. {self.question} "
             f"*Command*: `python -m studies {self.name}`.", self.answer(report),
-            table(*self.rows(report)),
+            table(*self.rows(report)), *([self.more(report)] if self.more else []),
             f"![{self.title}](studies/{self.name}.png)",
             self.given and f"*Given*: {self.given}",
             f"*Paper*: {self.paper}", f"*Limits*: {self.limits}"]))
@@ -98,3 +115,34 @@ def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
     """The page with a section for every study that has a report."""
     sections = [study.section(reports[study.name]) for study in studies if study.name in reports]
     return "\n".join([_HEAD, "\n\n".join(sections), ""])
+
+
+def error_cell(result: dict[str, Any] | None, name: str, *, interval: bool = False) -> str:
+    """An error of a training (:func:`studies.learned.learn`) on unseen fabrics, for a table."""
+    if result is None:
+        return "–"
+    found = result["unseen"]["fabrics"][name]
+    low, high = found["interval_95"]
+    return f"{found['rmse']:.3f}" + (f" ({low:.3f} to {high:.3f})" if interval else "")
+
+
+def error_picture(groups: dict[str, dict[str, dict[str, Any]]]) -> Figure:
+    """Errors of trainings by name, with their intervals; groups, by label, one above the other."""
+    names = list(dict.fromkeys(name for group in groups.values() for name in group))
+    figure = Figure(figsize=(9, 1.2 + 0.32 * len(names)), layout="constrained")
+    for axes, (key, title) in zip(figure.subplots(1, 2, sharey=True), (
+            ("log_alpha", "log α"), ("beta_over_alpha", "β/α")), strict=True):
+        for k, (label, group) in enumerate(groups.items()):
+            found = [one["unseen"]["fabrics"][key] for one in group.values()]
+            middle = np.array([one["rmse"] for one in found])
+            low, high = np.transpose([one["interval_95"] for one in found])
+            places = np.array([names.index(name) for name in group])
+            axes.errorbar(middle, places + 0.25 * (k - (len(groups) - 1) / 2),
+                          xerr=[middle - low, high - middle], fmt="o", ms=4, label=label or None)
+        axes.set(title=title, xlabel="error, in deviations over fabrics", xlim=(0, None))
+        axes.set_yticks(range(len(names)), names)
+        axes.grid(axis="x", color="0.9")
+    axes.invert_yaxis()
+    if len(groups) > 1:
+        axes.legend(fontsize=8)
+    return figure

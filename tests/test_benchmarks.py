@@ -16,24 +16,18 @@ from benchmarks import (
     common,
     default_mesh,
     information,
-    learning_curve,
     meshes,
     perturbed,
     real_captures,
     refine_views,
     report,
-    stacked_views,
-    training,
 )
 from benchmarks.common import ROOT, load_arrays, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.render import DepthRenderer
 from drapenet.checkpoint import read_header, save_checkpoint
 from drapenet.comparison import compare
 from drapenet.network import MapNet
-from drapenet.targets import Symmetry
 from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
@@ -381,55 +375,6 @@ def test_scans_are_estimated_and_their_estimates_draped(
     assert len(found["scans"]) == 4 and found["refine_scan"] is None
     assert found["prediction"]["count"] == {"pairs": 4, "drapes": 4, "converged": 4}
     assert out.with_suffix(".png").stat().st_size > 10_000
-
-
-def test_stacked_views_are_turned_and_reflected_as_their_specimen():
-    specimen = make_specimen(Rig(), edge=0.015).mesh
-    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=0.015, start="", seed=0,
-                  offset=(0.0, 0.0), laws=None)
-    camera = CameraRig.load().nominal()
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-    def views(positions: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(DepthRenderer(positions, specimen.faces).views(camera, 0.3))
-
-    for quarters, mirror in product(range(4), (False, True)):
-        symmetry = Symmetry(torch.tensor([32 * quarters]), torch.tensor([mirror]))
-        found, = stacked_views.turned(views(cloth.positions)[None], symmetry)
-        spun = np.linalg.matrix_power(turn, quarters)
-        first = np.array([[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1]])
-        shown = cloth.positions @ first.T * ([-1, 1, 1] if mirror else 1) @ spun.T @ first
-        assert torch.isclose(found, views(shown), atol=1e-3).float().mean() > 0.99
-
-
-def test_stacked_views_are_means_of_cloth():
-    views = np.zeros((1, 6, 6), np.float32)
-    views[0, :3, :3], views[0, 0, 0] = 0.65, 0.0
-    views[0, 3, 3:] = 0.6
-    shrunk = stacked_views.shrunk(views)
-    np.testing.assert_allclose(shrunk, [[[1.0, 2.0], [2.0, 2.0]]], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_networks_on_maps_and_on_stacked_views_are_compared(cloth_dataset, tmp_path, one_thread):
-    out = tmp_path / "training.json"
-    training.main([f"data={cloth_dataset}", "captures=1", "widths=4", "cpu_seconds=1,2", "batch=8",
-                   "workers=1", f"work={tmp_path / 'work'}", f"out={out}"])
-    rows = json.loads(out.read_text())["rows"]
-    assert [row["cpu_seconds"] for row in rows] == [1.0, 2.0] * 2
-    assert all(row["steps"] >= 1 and 0 < row["log_alpha"] < 5 for row in rows)
-
-
-def test_learning_curves_are_of_one_number_of_steps(cloth_dataset, tmp_path):
-    out = tmp_path / "curve.json"
-    words = [f"data={cloth_dataset}", "captures=1", "neighbours=false", "width=4", "steps=3",
-             "batch=8", "workers=1", f"work={tmp_path / 'work'}", f"out={out}"]
-    with pytest.raises(InputError, match="numbers from 8"):
-        learning_curve.main([*words, "fabrics=7,20"])
-    learning_curve.main([*words, "fabrics=8,20"])
-    rows = json.loads(out.read_text())["results"]
-    assert [row["fabrics"] for row in rows] == [8, 20]
-    assert out.with_suffix(".png").exists()
 
 
 def test_every_benchmark_can_be_imported():

@@ -19,7 +19,7 @@ from sim.material import is_admissible
 
 SCHEMA_VERSION = 1
 WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
-BUNDLED = ("gaussian", "vae")
+BUNDLED = ("gaussian", "mixture", "vae")
 """Names of the priors that ship with the project, ``data/weights/NAME.json``."""
 MAXIMUM_TRIES = 10_000
 
@@ -79,7 +79,7 @@ def load_prior(name: str | Path) -> Prior:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"cannot read the prior {path}: {error.strerror}; the bundled ones are "
-                         f"{' and '.join(BUNDLED)}") from None
+                         f"{', '.join(BUNDLED)}") from None
     except (ValueError, RecursionError):
         raise InputError(f"{path} is no prior: not a JSON file") from None
     return prior_from_content(content, origin=str(path))

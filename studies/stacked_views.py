@@ -5,36 +5,40 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torchvision
 
 from data.cameras import CameraRig
 from data.setups import Setups
 from data.shards import Shard
 from drapenet.canonical import AZIMUTHS
 from drapenet.maps import Maps
-from drapenet.posterior import Mixture, outputs_of
 from drapenet.targets import MODULI, Symmetry, TargetScale, targets_of
 from drapenet.training import CaptureSet
+from studies.networks import Answer
 
 FOUR = (0.0, 0.0, 0.0, 1.0)  # shares of captures with 1, 2, ... views
 SHRINK = 3  # pixels of the views to one of 80 x 60
 CENTRE, SCALE, BACKGROUND = 0.55, 0.1, 2.0  # m, m, and what lies far behind the cloth
-POSTERIOR = {"components": 2, "targets": MODULI + 2}
+CHANNELS = 5  # four views and the focal length
+TARGETS = MODULI + 2  # those of a disc
+ONE_ORIENTATION = np.radians(10.0)  # up to which the warp lies aside where it is said to be fixed
 
 
-def setups() -> Setups:
-    """Those trained on, but of four views."""
-    return replace(Setups.load(), views=FOUR)
+def setups(*, fixed: bool = False) -> Setups:
+    """Those trained on, but of four views; with ``fixed``, all specimens in one orientation."""
+    return replace(Setups.load(), views=FOUR, **(
+        {"orientation": (-ONE_ORIENTATION, ONE_ORIENTATION)} if fixed else {}))
 
 
-def pictures(shard: str, rig: str, captures: int, seed: int, dataset: str) -> dict:
+def pictures(
+    shard: str, rig: str, captures: int, seed: int, dataset: str, fixed: bool
+) -> dict:
     """The captures that maps of a shard are made of (:func:`drapenet.maps.make_maps`), as arrays.
 
     ``views`` (N, 4, 60, 80) float16, see :func:`shrunk`; ``focal`` (N,), relative to the nominal
     one, less 1; ``orientation`` (N,) of the warp in the first view, rad. ``dataset`` says what the
     shard holds.
     """
-    drawn, nominal = setups(), CameraRig.load(rig).intrinsics
+    drawn, nominal = setups(fixed=fixed), CameraRig.load(rig).intrinsics
     views, focal, orientation = [], [], []
     with Shard(Path(shard)) as drapes:
         index = drapes.column("index")
@@ -67,13 +71,6 @@ def turned(views: torch.Tensor, symmetry: Symmetry) -> torch.Tensor:
     return torch.where(symmetry.mirror[:, None, None, None], views.flip(-1), views)
 
 
-def resnet() -> torch.nn.Module:
-    """A plain ResNet-18 of four views and the focal length."""
-    network = torchvision.models.resnet18(num_classes=outputs_of(**POSTERIOR))
-    network.conv1 = torch.nn.Conv2d(5, 64, 7, stride=2, padding=3, bias=False)
-    return network
-
-
 @dataclass(frozen=True)
 class StackedBatch:
     """Pictures (N, 5, H, W) and standardised targets (N, 8)."""
@@ -81,9 +78,9 @@ class StackedBatch:
     pictures: torch.Tensor
     targets: torch.Tensor
 
-    def through(self, network: torch.nn.Module) -> Mixture:
-        """The posterior that :func:`resnet` gives."""
-        return Mixture.of_outputs(network(self.pictures), **POSTERIOR)
+    def through(self, network: torch.nn.Module) -> Answer:
+        """What the network answers."""
+        return network(self.pictures)
 
 
 class StackedSet(CaptureSet):
