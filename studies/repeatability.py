@@ -177,6 +177,6 @@ STUDY = Study(
     "low coefficients of variation, five points higher for a network trained on one start; no "
     "table. Not comparable: theirs are of real fabrics draped by hand.",
     "Simulated fabrics without friction, which in real cloth adds to the scatter. The small "
-    "networks learned for minutes (`studies/learned.py`) and vary less than they err because they "
-    "shrink towards the mean; their captures are those of the first table, the variation that of "
-    "the stiffer and the softer yarns.", more=small_networks)
+    "networks were trained for minutes (`studies/learned.py`); they shrink towards the mean, so "
+    "that their variation is smaller than their error. They see the captures of the first table; "
+    "their variation is that of the stiffer and the softer yarns.", more=small_networks)

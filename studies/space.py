@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import run_cases, table
+from benchmarks.common import run_cases, table, tick_short_scales
 from data.fabrics import fabric_from_theta
 from drapenet.comparison import compare
 from sim.drape import DrapeResult, drape
@@ -96,14 +96,15 @@ def _linear(report: Report) -> dict[str, float]:
 
 def answer(report: Report) -> str:
     """In sentences."""
-    def errors(judges: str) -> str:
-        return ", ".join(f"{one['unseen'][judges]['log_alpha']['rmse']:.2f} ({SPACES[name]})"
+    def errors(judges: str, key: str) -> str:
+        return ", ".join(f"{one['unseen'][judges][key]['rmse']:.2f} ({SPACES[name]})"
                          for name, one in report["spaces"].items())
 
     found = _linear(report)
-    text = f"On unseen fabrics of the autoencoder the error of log α is {errors('fabrics')}"
+    text = ("On unseen fabrics of the autoencoder the error of log α is "
+            f"{errors('fabrics', 'log_alpha')}, of β/α {errors('fabrics', 'beta_over_alpha')}")
     if "table" in report["spaces"]["vae"]["unseen"]:
-        text += f"; on measured fabrics {errors('table')}"
+        text += f"; on measured fabrics that of log α is {errors('table', 'log_alpha')}"
     return (f"{text}. The best linear law (β = 0) lies {found['fitted']:.1f} mm (median) from a "
             f"softening fabric's drape to which it is fitted, with {found['alpha']:.2f} times its "
             f"α, and {found['elsewhere']:.1f} mm from its drape from another start.")
@@ -151,12 +152,13 @@ def draw(report: Report) -> Figure:
     left.set_yticks(range(len(SPACES)), [name.replace(" around ", "\naround ").replace(
         " of three ", "\nof three ") for name in SPACES.values()])
     left.set(xlabel="error of log α", xlim=(0, None), ylim=(2.5, -0.5))
-    left.legend(fontsize=8)
+    left.legend(fontsize=8, loc="lower left")
     for name, label in (("fitted", "fitted drape"), ("elsewhere", "another start")):
         values = sorted(one[name][0] for one in report["linear"].values() if one[name])
         right.plot(range(1, len(values) + 1), values, "o-", ms=4, label=label)
     right.set(xlabel="fabrics, sorted", ylabel="displacement [mm]", yscale="log",
               title="best linear law")
+    tick_short_scales(right.yaxis)
     right.legend(fontsize=8)
     return figure
 
