@@ -122,11 +122,11 @@ def answer(report: Report) -> str:
             f"over fabrics), {found['orientations']:.1f} % over orientations of one drape and "
             f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
             f"error of {100 * _common(report):.0f} % (root mean square): most of the error is "
-            "common to all drapes of a fabric, and more drapes do not remove it. Among small networks, "
-            "one start in the training gives a variation over starts of "
-            f"{small['one start']['starts']:.1f} %, several {small['several starts']['starts']:.1f}"
-            f" %; one orientation a variation over orientations of "
-            f"{small['one orientation']['orientations']:.1f} %, all orientations "
+            "common to all drapes of a fabric, and more drapes do not remove it. A small network "
+            "trained on drapes from one start varies by "
+            f"{small['one start']['starts']:.1f} % over starts, one trained on several starts by "
+            f"{small['several starts']['starts']:.1f} %; trained on one orientation it varies by "
+            f"{small['one orientation']['orientations']:.1f} % over orientations, on all by "
             f"{small['any orientation']['orientations']:.1f} %.")
 
 
