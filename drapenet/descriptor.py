@@ -143,7 +143,7 @@ class PhaseFree:
     """
 
     nuisances = ()
-    start = scale = np.zeros(0)
+    start = scale = deviation = np.zeros(0)
 
     def __init__(self, descriptor: Descriptor, target: np.ndarray, *, sigma: float = 2e-3) -> None:
         self._descriptor, self._target, self._sigma = descriptor, target, sigma

@@ -59,7 +59,7 @@ class Limits:
         decrease: smallest decrease worth a step, relative to the value.
         target: value that is good enough.
         longest: longest step, in the problem's units; further away a linearised drape says
-            little. Of Levenberg-Marquardt and Gauss-Newton.
+            little. Of Levenberg-Marquardt.
     """
 
     evaluations: int = 25
@@ -172,15 +172,15 @@ class Run:
         return self.trace[-1]
 
 
-def levenberg_marquardt(run: Run, *, damped: bool = True) -> tuple[Status, str]:
+def levenberg_marquardt(run: Run) -> tuple[Status, str]:
     """Gauss-Newton within a region of trust; unknowns at a bound that want to leave it stay.
 
-    Damped, the step is the best one of the linearised problem no longer than the radius, and what
-    the residuals hardly depend on hardly moves. Otherwise it is the whole step, shortened.
+    The step is the best one of the linearised problem no longer than the radius, so that what the
+    residuals hardly depend on hardly moves.
     """
     problem, limits = run.problem, run.limits
     x, value = run.best.x, run.best.value
-    radius = limits.longest if not damped else 0.5 * limits.longest
+    radius = 0.5 * limits.longest
     while True:
         linearised = problem.linearised(x)
         if linearised is None:
@@ -192,8 +192,7 @@ def levenberg_marquardt(run: Run, *, damped: bool = True) -> tuple[Status, str]:
         free = np.flatnonzero(~at_bound)
         while True:
             step = np.zeros(len(x))
-            step[free] = _step_within(gradient[free], curvature[np.ix_(free, free)], radius,
-                                      damped=damped)
+            step[free] = _step_within(gradient[free], curvature[np.ix_(free, free)], radius)
             whole = np.linalg.norm(step) < 0.99 * radius
             step = np.clip(x + step, problem.low, problem.high) - x
             length = float(np.linalg.norm(step))
@@ -214,9 +213,7 @@ def levenberg_marquardt(run: Run, *, damped: bool = True) -> tuple[Status, str]:
                 break
 
 
-def _step_within(
-    gradient: np.ndarray, curvature: np.ndarray, radius: float, *, damped: bool
-) -> np.ndarray:
+def _step_within(gradient: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
     """The step (n,) that minimises the quadratic, no longer than ``radius``."""
     if not len(gradient):
         return np.zeros(0)
@@ -234,8 +231,6 @@ def _step_within(
     length = float(np.linalg.norm(step(0.0)))
     if length <= radius:
         return step(0.0)
-    if not damped:
-        return step(0.0) * (radius / length)
     low = math.log(values[0]) - 40
     high = math.log(max(np.linalg.norm(gradient) / radius, values[0])) + 1
     return step(math.exp(brentq(excess, low, high, xtol=1e-3)))

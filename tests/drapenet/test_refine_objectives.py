@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.registered import VertexPositions
 from data.cameras import Camera, CameraRig
 from data.render import DepthRenderer, render_views
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
@@ -48,22 +47,6 @@ def test_robust_residuals_and_their_derivatives() -> None:
     assert slope == pytest.approx(differences, rel=1e-6, abs=1e-9)
     expected = np.where(np.abs(r) > limit, limit * (np.abs(r) - limit / 2), r**2 / 2)
     assert bent**2 / 2 == pytest.approx(expected)
-
-
-def test_vertex_positions_have_exact_derivatives() -> None:
-    rng = np.random.default_rng(1)
-    target = rng.standard_normal((20, 3))
-    objective = VertexPositions(target, weight=rng.uniform(0.5, 2, 20), sigma=0.01)
-    moves = rng.standard_normal((4, 20, 3))
-    found = objective.linearised(target + 0.1, np.zeros(0))
-    differences = np.stack([
-        objective.residuals(target + 0.1 + 1e-5 * move, np.zeros(0))
-        - objective.residuals(target + 0.1 - 1e-5 * move, np.zeros(0)) for move in moves], axis=1)
-    assert found.along(moves) == pytest.approx(differences / 2e-5, rel=1e-6)
-    # Half a mean of squared distances in units of sigma, times the number of vertices.
-    weightless = VertexPositions(target, sigma=0.01)
-    shifted = weightless.residuals(target + np.array([0.03, 0.0, 0.04]), np.zeros(0))
-    assert value(shifted) == pytest.approx(0.5 * 20 * 25)
 
 
 def test_a_drape_fits_its_own_views(compared: tuple[np.ndarray, DepthViews]) -> None:

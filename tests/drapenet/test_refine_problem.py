@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.registered import VertexPositions, springs_to_vertices
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from data.nuisances import NuisanceConfig, Nuisances
@@ -16,7 +15,7 @@ from data.prior.gaussian import GaussianPrior
 from data.render import QUARTERS, render_views
 from drapenet.canonical import square_turn
 from drapenet.refine import problem as problems
-from drapenet.refine.attraction import Springs
+from drapenet.refine.attraction import Springs, plane_springs
 from drapenet.refine.cloth import (
     ALPHA_RANGE,
     LAWS,
@@ -30,6 +29,7 @@ from drapenet.refine.cloth import (
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.objective import Linearised
 from drapenet.refine.optimisers import Limits, Status, minimise
+from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem, laplace
 from drapenet.refine.search import CapturedViews, Round, search
 from sim.drape import DrapeResult, drape
@@ -57,8 +57,16 @@ def away(shape: DrapeResult) -> DrapeResult:
     return follow(shape, fabric_from_theta(AWAY))
 
 
+def vertex_positions(
+    target: np.ndarray, kind: type[RobustPositions] = RobustPositions
+) -> RobustPositions:
+    """All coordinates of the vertices, each with a standard deviation of 1 mm, far ones too."""
+    return kind(target, vertices=np.ones(len(target), dtype=bool), sigma=math.sqrt(3) * 1e-3,
+                limit=1e6, independent=3 * len(target))
+
+
 def positions_problem(shape: DrapeResult, near: DrapeResult, theta: np.ndarray, **more) -> Problem:
-    return Problem(near, Cloth.of(theta), VertexPositions(shape.positions), free=THETA_NAMES,
+    return Problem(near, Cloth.of(theta), vertex_positions(shape.positions), free=THETA_NAMES,
                    **more)
 
 
@@ -98,7 +106,7 @@ def test_drapes_move_as_their_derivatives_say() -> None:
 def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult) -> None:
     known = Knowledge.of(GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7), SPREAD)
     free = (*THETA_NAMES, "membrane", "friction", "offset_warp")
-    problem = Problem(away, Cloth(known.mean).with_theta(AWAY), VertexPositions(shape.positions),
+    problem = Problem(away, Cloth(known.mean).with_theta(AWAY), vertex_positions(shape.positions),
                       free=free, known=known, doubt=1.5)
     problem.value(problem.start)
     residuals, jacobian = problem.linearised(problem.start)
@@ -158,7 +166,7 @@ def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape: Drape
     problem.value(problem.start)
     rng = np.random.default_rng(0)
     target = shape.positions + 2e-3 * rng.standard_normal(shape.positions.shape)
-    noisy = Problem(shape, Cloth.of(THETA), VertexPositions(target), free=THETA_NAMES)
+    noisy = Problem(shape, Cloth.of(THETA), vertex_positions(target), free=THETA_NAMES)
     for one, doubt in ((problem, 1.0), (noisy, 2.0)):
         one.value(one.start)
         one.weigh()
@@ -198,7 +206,7 @@ def test_springs_have_exact_derivatives() -> None:
 def test_held_cloth_has_the_derivatives_of_its_equilibria(
     shape: DrapeResult, away: DrapeResult
 ) -> None:
-    springs = [springs_to_vertices(shape, pull=0.3)]
+    springs = [plane_springs(shape.scene, shape.positions, pull=0.3)]
     held = follow(away, fabric_from_theta(AWAY), extra=springs)
     assert held.converged
     gap, free = (np.linalg.norm(d.positions - shape.positions, axis=1).mean()
@@ -219,7 +227,7 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 def test_the_surface_that_holds_cloth_moves_with_the_camera(shape: DrapeResult) -> None:
     """Derivatives by an objective's parameter go through the springs as well."""
 
-    class Shifted(VertexPositions):
+    class Shifted(RobustPositions):
         nuisances, scale, deviation = ("shift",), np.full(1, 1e-3), np.ones(1)
         start = np.zeros(1)
 
@@ -229,10 +237,10 @@ def test_the_surface_that_holds_cloth_moves_with_the_camera(shape: DrapeResult) 
 
     def hold(nuisance: np.ndarray) -> Springs:
         aside = np.array([nuisance[0], 0.0, 0.0])
-        return springs_to_vertices(shape.at(shape.positions + aside), pull=3.0)
+        return plane_springs(shape.scene, shape.positions + aside, pull=3.0)
 
-    problem = Problem(shape, Cloth.of(THETA), Shifted(shape.positions), free=["log_alpha_warp"],
-                      hold=hold, options=TIGHT)
+    problem = Problem(shape, Cloth.of(THETA), vertex_positions(shape.positions, Shifted),
+                      free=["log_alpha_warp"], hold=hold, options=TIGHT)
     aside = np.array([0.0, 1.0])
     there = problem.start + 2 * aside
     assert problem.value(there) > problem.value(problem.start)
@@ -250,7 +258,7 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
     theta = np.concatenate([np.log(alpha), np.full(3, -2e-3)])
     soft = drape(fabric_from_theta(theta), edge=5e-3, seed=1, start="fold")
     assert soft.converged and soft.touches
-    springs = [springs_to_vertices(soft, pull=0.3)]
+    springs = [plane_springs(soft.scene, soft.positions, pull=0.3)]
     same = follow(soft.at(soft.positions), soft.fabric, extra=springs)
     assert np.abs(same.positions - soft.positions).max() < 1e-6  # springs stand idle
     other = theta + np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0])

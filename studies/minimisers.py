@@ -1,19 +1,17 @@
 """Optimisers that Levenberg-Marquardt is compared with, for :mod:`drapenet.refine.optimisers`.
 
-Gauss-Newton uses the residuals and their derivatives, L-BFGS-B the gradient only, the two evolution
-strategies values only.
+L-BFGS-B uses the gradient only, CMA-ES values only.
 """
 
 import math
-from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize as scipy_minimise
 
 from drapenet.refine.optimisers import Method, Run, Status, levenberg_marquardt
 
-SIGMA = 0.3  # first deviation of the evolution strategies, in the problem's units
-SEED = 0  # of the evolution strategies
+SIGMA = 0.3  # first deviation of the evolution strategy, in the problem's units
+SEED = 0  # of the evolution strategy
 _FAILED = 1e30  # stands for an infinite value where a method needs a number
 
 
@@ -57,25 +55,4 @@ def cma_es(run: Run) -> tuple[Status, str]:
     return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
 
 
-def one_plus_one(run: Run) -> tuple[Status, str]:
-    """(1+1)-ES: one parent, one child, a step size for one success in five."""
-    problem, limits = run.problem, run.limits
-    rng = np.random.default_rng(SEED)
-    sigma = SIGMA
-    while sigma > limits.step / 10:
-        before = run.best
-        run.value(np.clip(before.x + sigma * rng.standard_normal(len(before.x)),
-                          problem.low, problem.high))
-        better = run.best is not before
-        run.iterations += better
-        sigma *= 1.5 if better else 1.5**-0.25
-    return Status.CONVERGED, "the step size has become small"
-
-
-METHODS: dict[str, Method] = {
-    "lm": levenberg_marquardt,
-    "gauss_newton": partial(levenberg_marquardt, damped=False),
-    "lbfgs": lbfgs,
-    "cmaes": cma_es,
-    "one_plus_one": one_plus_one,
-}
+METHODS: dict[str, Method] = {"lm": levenberg_marquardt, "lbfgs": lbfgs, "cmaes": cma_es}
