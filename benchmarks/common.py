@@ -101,8 +101,8 @@ def run_cases(
             (:func:`load_arrays`).
         cases: keyword arguments of ``work`` by name of the case, fit for JSON.
         workers: processes, one thread each.
-        sources: folders of sources that the figures depend on, beside ``work`` itself; with
-            "drapenet", on the bundled weights as well.
+        sources: folders and files of sources that the figures depend on, beside ``work`` itself;
+            with "drapenet", on the bundled weights as well.
 
     Returns:
         Results by name, in the order of ``cases``.
@@ -159,12 +159,13 @@ def _finished(path: Path, stamp: dict) -> dict | None:
 
 
 def sources_digest(folders: Sequence[str], work: Callable) -> str:
-    """A short digest of the sources in ``folders`` and of ``work``: figures of other sources are
-    others."""
+    """A short digest of the sources in ``folders``, files too, and of ``work``: figures of other
+    sources are others."""
     digest = hashlib.sha256(inspect.getsource(work).encode())
     # A JSON stands beside the weights and has their digest.
-    files = {file for folder in folders for kind in ("py", "json")
-             for file in (ROOT / folder).rglob(f"*.{kind}")}
+    files = {ROOT / name for name in folders if (ROOT / name).is_file()}
+    files |= {file for folder in folders for kind in ("py", "json")
+              for file in (ROOT / folder).rglob(f"*.{kind}")}
     for file in sorted(files):
         digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]

@@ -6,7 +6,7 @@ Their drop over reach is compared with the heavy elastica's, and given as the mo
 seems to have, over the fabric's. VBD is left out: with the steps that a strip needs to hang at rest
 there (above 4 000 a second) it takes minutes for each second.
 
-Needs ``pip install newton==1.8.0 warp-lang==1.19.0``. Keys (``key=value``):
+Needs the packages of the extra ``studies``. Keys (``key=value``):
 
     edge_mm   of the strips' mesh
     mesh      its kind, :data:`drapenet.export.MESHES`
@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import style3d
 from benchmarks.common import REPORTS, parse_settings, table, write_report
 from common.cli import run_command
-from common.errors import InputError
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.export import GAMMA, MESHES, export, read_material
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
@@ -69,30 +69,13 @@ def hang(
         material: ``MATERIAL`` of the exported module.
         angle: rad, from the strip's length to the warp.
     """
-    import newton
-    import warp as wp
-    from newton.solvers import SolverStyle3D, style3d
+    from newton.solvers import SolverStyle3D
 
-    wp.config.quiet = True
-    wp.set_device("cpu")
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, -GRAVITY))
-    SolverStyle3D.register_custom_attributes(builder)
-    points = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
-    warp = np.array([np.cos(angle), np.sin(angle)])
-    weft = np.array([warp[1], -warp[0]])
-    style3d.add_cloth_mesh(
-        builder, pos=wp.vec3(0, 0, 0), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0, 0, 0),
-        vertices=[wp.vec3(*point) for point in points], indices=mesh.faces.ravel().tolist(),
-        density=material["density_kg_m2"], particle_radius=1e-4,
-        panel_verts=np.column_stack([mesh.rest @ weft, mesh.rest @ warp]).tolist(),
-        panel_indices=mesh.faces.tolist(),
-        tri_aniso_ke=wp.vec3(MEMBRANE, MEMBRANE, MEMBRANE / 4),
-        edge_aniso_ke=wp.vec3(*material["edge_aniso_ke"]))
-    for k in np.flatnonzero(held):
-        builder.particle_mass[k] = 0.0
-        builder.particle_flags[k] = builder.particle_flags[k] & ~newton.ParticleFlags.ACTIVE
-    model = builder.finalize()
-    solver = SolverStyle3D(model=model, iterations=ITERATIONS)
+    model = style3d.cloth(
+        mesh, held, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]), angle=angle,
+        density=material["density_kg_m2"], stiffness=material["edge_aniso_ke"], young=MEMBRANE,
+        shear=MEMBRANE / 4).finalize()
+    solver = SolverStyle3D(model=model, config=SolverStyle3D.Config(iterations=ITERATIONS))
     solver.collision = None  # nothing to touch
     now, then, control = model.state(), model.state(), model.control()
     for _ in range(round(seconds / STEP)):
@@ -105,11 +88,9 @@ def hang(
 def main(argv: list[str]) -> None:
     """Hang all strips and write the report."""
     config = parse_settings(DEFAULTS, argv)
-    try:
-        import newton
-    except ImportError:
-        raise InputError("Newton is not installed: pip install newton==1.8.0 warp-lang==1.19.0"
-                         ) from None
+    style3d.require()
+    import newton
+
     edge, rows = 1e-3 * config["edge_mm"], []
     for fabric, alphas in FABRICS.items():
         with tempfile.TemporaryDirectory() as temporary:
