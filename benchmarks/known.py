@@ -7,6 +7,7 @@ from data.nuisances import Nuisances
 from data.options import Options, config_from_options
 from data.sampling import DrapePlan, plan_drape
 from sim.drape import DrapeResult, drape
+from sim.laws import Laws
 from sim.scene import Rig
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
@@ -25,8 +26,10 @@ def planned(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
 def draped(
     plan: DrapePlan, *, rig: str, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] | None = None, nuisances: Nuisances | None = None,
+    laws: Laws | None = None,
 ) -> DrapeResult:
-    """The drape of a planned specimen, with another start, seed, offset or nuisances where given.
+    """The drape of a planned specimen, with another start, seed, offset, nuisances or laws where
+    given.
 
     Args:
         edge: m, at the rim of the mesh.
@@ -37,7 +40,8 @@ def draped(
     own = nuisances or plan.nuisances
     result = drape(fabric_from_theta(plan.theta), rig=own.rig(Rig.from_name(rig)), edge=edge,
                    start=start or plan.start, seed=plan.seed if seed is None else seed,
-                   offset=tuple(plan.offset) if offset is None else offset, laws=own.laws)
+                   offset=tuple(plan.offset) if offset is None else offset,
+                   laws=laws or own.laws)
     if not result.converged:
         raise InputError(f"a drape of fabric {plan.fabric} did not converge ({result.message}); "
                          "choose another seed=")

@@ -2,7 +2,7 @@
 
 Its bending energy is the quadratic one of hinges, ½ (modulus/3) · 3/(A0 + A1) |Σ wᵢ xᵢ|², its
 membrane Baraff's and Witkin's; it marches in time, in single precision. It needs the packages of
-``pip install 'drapenet[studies]'``, and imports them where it is used.
+the extra ``studies``, and imports them where it is used.
 """
 
 import sys
@@ -23,13 +23,12 @@ from sim.scene import GRAVITY, Rig
 if TYPE_CHECKING:
     from newton import ModelBuilder
 
-INSTALL = "pip install 'drapenet[studies]'"
+INSTALL = "pip install --constraint constraints.txt --editable '.[studies]'"
 RADIUS = 1e-4  # m, of the particles, which touch at that distance
 YOUNG, SHEAR = 200.0, 77.0
 """N/m, along the yarns and in shear, as this project's membrane has at Poisson's ratio 0.3."""
 _CONTACT = 5.0  # N/m at a particle; vertices then enter the cylinder by 0.2 mm at most
 _NEAR = 0.01  # m, within which vertices are tested for contact
-_SLIP = 3e-5  # m/s, below which friction is viscous; the solver's own value is 1e-2
 _RATE, _LINEAR = 4000, 4
 """Steps a second of one projection each, and steps of conjugate gradients in it. The projection's
 matrix has the membrane's stiffness in all directions: with long steps, cloth creeps for minutes."""
@@ -77,7 +76,8 @@ def cloth(
     import warp as wp
     from newton.solvers import SolverStyle3D, style3d
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
+    wp.ScopedTimer.enabled = False
     wp.set_device("cpu")
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, -GRAVITY))
     SolverStyle3D.register_custom_attributes(builder)
@@ -109,28 +109,27 @@ class Settled:
     motion: float
 
 
-def settle(builder: "ModelBuilder", *, seconds: float, friction: float = 0.0) -> Settled:
+def settle(builder: "ModelBuilder", *, seconds: float) -> Settled:
     """A cloth comes to rest on the shapes in ``builder``, if there are any.
 
     The solver's own damping, 0.2 % of the velocity a step, keeps it from swinging. Contact of the
-    cloth with itself is left out.
+    cloth with itself is left out. So is friction, which the solver takes from the slip between the
+    projections of a step: with one there is none.
 
     Args:
         seconds: of simulated time.
-        friction: Coulomb's, of the cloth's particles on shapes of the same friction.
     """
     import newton
     from newton.solvers import SolverStyle3D
 
     model = builder.finalize()
-    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = _CONTACT, 0.0, friction
+    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = _CONTACT, 0.0, 0.0
     solver = SolverStyle3D(model=model, config=SolverStyle3D.Config(
         iterations=1, linear_iterations=_LINEAR))
     pipeline = contacts = None
     if model.shape_count:
         pipeline = newton.CollisionPipeline(model, soft_contact_gap=_NEAR)
         contacts, touching = pipeline.contacts(), solver.collision
-        touching.friction_epsilon = _SLIP
         touching.stiff_vf = touching.stiff_ee = touching.stiff_ef = 0.0  # of the cloth with itself
         touching.frame_begin = lambda *_: None  # would look for it all the same
     else:
@@ -150,13 +149,13 @@ def settle(builder: "ModelBuilder", *, seconds: float, friction: float = 0.0) ->
 
 def draped(
     specimen: Specimen, positions: np.ndarray, rig: Rig, *, density: float,
-    modulus: Sequence[float], seconds: float, friction: float = 0.0,
+    modulus: Sequence[float], seconds: float,
 ) -> Settled:
     """A specimen comes to rest on the cylinder of ``rig`` from ``positions`` (V, 3), m.
 
     Args:
         density: kg/m². modulus: (3,) N·m, of hinges along warp, bias and weft.
-        seconds, friction: as for :func:`settle`.
+        seconds: of simulated time.
     """
     import newton
     import warp as wp
@@ -167,5 +166,5 @@ def draped(
     builder.add_shape_cylinder(
         -1, xform=wp.transform(wp.vec3(0, 0, -half - RADIUS), wp.quat_identity()),
         radius=rig.plate_radius - RADIUS, half_height=half,
-        cfg=newton.ModelBuilder.ShapeConfig(mu=friction, margin=0.0, gap=_NEAR))
-    return settle(builder, seconds=seconds, friction=friction)
+        cfg=newton.ModelBuilder.ShapeConfig(mu=0.0, margin=0.0, gap=_NEAR))
+    return settle(builder, seconds=seconds)

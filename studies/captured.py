@@ -17,6 +17,7 @@ from drapenet.convention import SWAPPED
 from drapenet.estimate import Estimate
 from drapenet.inference import Inferred, capture_doubts, infer_capture
 from sim.drape import DrapeResult
+from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY
 
 RIG = "square300_cylinder100"
@@ -67,14 +68,15 @@ def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
 def draped(
     plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
+    laws: Laws | None = None,
 ) -> DrapeResult:
-    """A centred drape of the specimen; from another start where one is given.
+    """A centred drape of the specimen; from another start, by other laws where they are given.
 
     Raises:
         InputError: it does not converge.
     """
     return known.draped(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
-                        offset=offset, nuisances=nuisances)
+                        offset=offset, nuisances=nuisances, laws=laws)
 
 
 def ideal(**changes: object) -> Setups:

@@ -1,0 +1,96 @@
+"""Studies of other simulators' drapes; Style3D where it is installed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import style3d
+from common.errors import InputError
+from data.fabrics import from_theta, to_theta
+from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
+from sim.cantilever.equivalent import free_end
+from sim.drape import drape
+from sim.material import MICRO, Fabric
+from sim.mesh import strip
+from sim.mesh.specimens import Specimen
+from sim.scene import GRAVITY
+from sim.state import State
+from studies import optimisers, transfer
+
+THETA = to_theta(np.array([60.0, 40.0, 20.0]) * MICRO, np.array([-120.0, -80.0, -40.0]) * 1e-9)
+
+
+def test_a_fabric_s_mean_is_the_same_in_all_directions_and_between_them():
+    alpha, beta = from_theta(optimisers.isotropic(THETA))
+    assert np.ptp(alpha) == np.ptp(beta) == 0 and 20 * MICRO < alpha[0] < 60 * MICRO
+    assert beta / alpha == pytest.approx(-2e-3)
+    again = optimisers.isotropic(to_theta(alpha, beta))
+    assert again == pytest.approx(to_theta(alpha, beta))
+
+
+def test_starts_lie_within_factors_of_two():
+    rng = np.random.default_rng(0)
+    starts = np.array([from_theta(optimisers.disturbed(THETA, rng)) for _ in range(50)])
+    factors = starts / np.array(from_theta(THETA))
+    assert factors.min() >= 0.5 - 1e-12 and factors.max() <= 2 + 1e-12
+    assert np.log(factors).std() == pytest.approx(np.log(2) / np.sqrt(3), rel=0.1)
+
+
+def test_a_drape_registered_to_its_own_mesh_stays_and_to_another_lies_on_it():
+    shape = drape(Fabric([60 * MICRO] * 3), edge=8e-3, seed=1)
+    same, other = (optimisers.registered(shape, shape.positions, shape.fabric, topology, 8e-3)
+                   for topology in (1, 2))
+    assert np.abs(same.positions - shape.positions).max() < 1e-6
+    assert not np.array_equal(other.rest, shape.rest)
+    lowest = [one.positions[:, 2].min() for one in (shape, other)]
+    assert lowest[0] == pytest.approx(lowest[1], abs=2e-3)
+    assert np.abs(other.positions[other.held, 2]).max() == 0
+
+
+def test_without_newton_its_rows_are_left_out_and_the_page_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(style3d, "find_spec", lambda _: None)
+    assert style3d.left_out("rows are") and style3d.INSTALL in capsys.readouterr().err
+    with pytest.raises(InputError, match="studies"):
+        style3d.require()
+    report = json.loads(transfer.STUDY.report.read_text(encoding="utf-8"))
+    report.pop("style3d", None)
+    assert "left out" in transfer.STUDY.answer(report)
+    assert not any("Style3D" in row[0] for row in transfer.rows(report)[1])
+
+
+@pytest.mark.slow
+def test_the_best_moduli_of_a_search_fit_better_than_its_start():
+    found = optimisers.case(number=0, target="plate", edge_mm=8.0, seconds=0.0, simulations=5,
+                            simulations_free=5, seed=909)
+    for way in found["ways"].values():
+        assert 0 < way["simulations"] <= 5 and len(way["trace"]) >= 1
+    lm = found["ways"]["lm"]
+    assert np.mean(np.square(lm["alpha"])) < np.mean(np.square(found["start"]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not style3d.installed(), reason=f"needs Newton: {style3d.INSTALL}")
+def test_a_strip_in_style3d_hangs_as_its_modulus_says_with_half_a_hinge_at_the_clamp():
+    alpha, density, edge = 40 * MICRO, 0.2, 5e-3
+    mesh, held = strip(length=0.06, width=0.03, edge=edge, clamp=2 * edge, diagonals="alternating")
+    found = style3d.settle(style3d.cloth(
+        mesh, held, np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]), density=density,
+        stiffness=style3d.edge_stiffness([1.21 * alpha] * 3)), seconds=8.0)
+    assert found.motion < 0.05
+    gamma = gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, State.at(mesh, found.positions))))
+    length = 0.06 + edge / 2  # hinges at the clamp bend as if both of their sides were free
+    assert gamma == pytest.approx(density * GRAVITY * length**3 / alpha, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not style3d.installed(), reason=f"needs Newton: {style3d.INSTALL}")
+def test_style3d_s_cloth_comes_down_and_stays_out_of_the_cylinder():
+    shape = drape(Fabric([80 * MICRO] * 3), edge=8e-3, seed=1)
+    found = style3d.draped(Specimen(shape.mesh, shape.held), shape.positions, shape.rig,
+                           density=0.3, modulus=[20 * MICRO] * 3, seconds=0.5)
+    held = shape.positions[shape.held]
+    assert np.array_equal(found.positions[shape.held], held.astype(np.float32))
+    below = found.positions[:, 2] < -2e-3
+    assert np.hypot(*found.positions[below, :2].T).min() > shape.rig.plate_radius - 5e-4
+    assert found.positions[:, 2].mean() < shape.positions[:, 2].mean() - 1e-3
