@@ -118,5 +118,6 @@ STUDY = Study(
     "at most 0.1 mm between three simulators with the same bending model and parameters. Not "
     "comparable: there all three have one discrete law on one mesh; here two laws are compared.",
     "Each drape starts from that by the plate's law on the same mesh, so that folds are the same. "
-    "The modulus is scaled as for unstructured meshes. Other simulators were not run on the "
-    "cylinder; strips in Newton's Style3D are in docs/exports.md.")
+    "The modulus is scaled as for unstructured meshes. The estimate was not given to "
+    "another simulator here: drapes of Newton's Style3D on the cylinder are in *Moduli of another "
+    "simulator's drape*, strips in docs/exports.md.")
