@@ -109,49 +109,15 @@ class Settled:
     motion: float
 
 
-def settle(builder: "ModelBuilder", *, seconds: float) -> Settled:
-    """A cloth comes to rest on the shapes in ``builder``, if there are any.
-
-    The solver's own damping, 0.2 % of the velocity a step, keeps it from swinging. Contact of the
-    cloth with itself is left out. So is friction, which the solver takes from the slip between the
-    projections of a step: with one there is none.
-
-    Args:
-        seconds: of simulated time.
-    """
-    import newton
-    from newton.solvers import SolverStyle3D
-
-    model = builder.finalize()
-    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = _CONTACT, 0.0, 0.0
-    solver = SolverStyle3D(model=model, config=SolverStyle3D.Config(
-        iterations=1, linear_iterations=_LINEAR))
-    pipeline = contacts = None
-    if model.shape_count:
-        pipeline = newton.CollisionPipeline(model, soft_contact_gap=_NEAR)
-        contacts, touching = pipeline.contacts(), solver.collision
-        touching.stiff_vf = touching.stiff_ee = touching.stiff_ef = 0.0  # of the cloth with itself
-        touching.frame_begin = lambda *_: None  # would look for it all the same
-    else:
-        solver.collision = None
-    now, then, control = model.state(), model.state(), model.control()
-    steps = round(seconds * _RATE)
-    for step in range(steps):
-        if pipeline and step % _CONTACTS == 0:
-            pipeline.collide(now, contacts)
-        if step == 3 * steps // 4:
-            before = now.particle_q.numpy().astype(np.float64)
-        solver.step(now, then, control, contacts, 1 / _RATE)
-        now, then = then, now
-    found = now.particle_q.numpy().astype(np.float64)
-    return Settled(found, float(1e3 * np.linalg.norm(found - before, axis=1).mean()))
-
-
 def draped(
     specimen: Specimen, positions: np.ndarray, rig: Rig, *, density: float,
     modulus: Sequence[float], seconds: float,
 ) -> Settled:
     """A specimen comes to rest on the cylinder of ``rig`` from ``positions`` (V, 3), m.
+
+    The solver's own damping, 0.2 % of the velocity a step, keeps it from swinging. Contact of the
+    cloth with itself is left out. So is friction, which the solver takes from the slip between the
+    projections of a step: with one there is none.
 
     Args:
         density: kg/m². modulus: (3,) N·m, of hinges along warp, bias and weft.
@@ -159,6 +125,7 @@ def draped(
     """
     import newton
     import warp as wp
+    from newton.solvers import SolverStyle3D
 
     builder = cloth(specimen.mesh, specimen.held, positions, density=density,
                     stiffness=edge_stiffness(modulus))
@@ -167,4 +134,23 @@ def draped(
         -1, xform=wp.transform(wp.vec3(0, 0, -half - RADIUS), wp.quat_identity()),
         radius=rig.plate_radius - RADIUS, half_height=half,
         cfg=newton.ModelBuilder.ShapeConfig(mu=0.0, margin=0.0, gap=_NEAR))
-    return settle(builder, seconds=seconds)
+    model = builder.finalize()
+    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = _CONTACT, 0.0, 0.0
+    solver = SolverStyle3D(model=model, config=SolverStyle3D.Config(
+        iterations=1, linear_iterations=_LINEAR))
+    touching = solver.collision
+    touching.stiff_vf = touching.stiff_ee = touching.stiff_ef = 0.0  # of the cloth with itself
+    touching.frame_begin = lambda *_: None  # would look for it all the same
+    pipeline = newton.CollisionPipeline(model, soft_contact_gap=_NEAR)
+    contacts, control = pipeline.contacts(), model.control()
+    now, then = model.state(), model.state()
+    steps = round(seconds * _RATE)
+    for step in range(steps):
+        if step % _CONTACTS == 0:
+            pipeline.collide(now, contacts)
+        if step == 3 * steps // 4:
+            before = now.particle_q.numpy().astype(np.float64)
+        solver.step(now, then, control, contacts, 1 / _RATE)
+        now, then = then, now
+    found = now.particle_q.numpy().astype(np.float64)
+    return Settled(found, float(1e3 * np.linalg.norm(found - before, axis=1).mean()))
