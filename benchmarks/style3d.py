@@ -23,7 +23,7 @@ from sim.scene import GRAVITY, Rig
 if TYPE_CHECKING:
     from newton import ModelBuilder
 
-INSTALL = "pip install --constraint constraints.txt --editable '.[studies]'"
+INSTALL = "pip install --constraint constraints.txt --editable '.[newton]'"
 RADIUS = 1e-4  # m, of the particles, which touch at that distance
 YOUNG, SHEAR = 200.0, 77.0
 """N/m, along the yarns and in shear, as this project's membrane has at Poisson's ratio 0.3."""
