@@ -123,7 +123,7 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     if key == "capture":
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
-    density = checked_density(config.density_g_m2, "density_g_m2")
+    density = checked_density(config.density_g_m2)
     return [read_scan_capture(path, density=density, held=config.held) for path in paths]
 
 

@@ -67,8 +67,8 @@ def write_report(path: Path, content: dict) -> None:
 
 def write_figure(path: Path, figure: "Figure") -> None:
     """Write a matplotlib figure as PNG."""
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
+    with replacing(path) as file:
+        figure.savefig(file, format="png", dpi=110)
 
 
 def tick_short_scales(*scales: "Axis") -> None:
@@ -137,7 +137,7 @@ def run_cases(
 def _keep(path: Path, stamp: dict, result: dict) -> None:
     """Write a finished case, its arrays first, so that no JSON stands without them."""
     if arrays := result.pop("arrays", None):
-        with replacing(path.with_suffix(".npz")) as temporary, temporary.open("wb") as file:
+        with replacing(path.with_suffix(".npz")) as file:
             np.savez_compressed(file, **arrays)
     text = json.dumps({**stamp, "result": result}, indent=1, allow_nan=False) + "\n"
     replace_file(path, text.encode())

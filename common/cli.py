@@ -1,5 +1,6 @@
 """Shared conduct of the command lines: ``key=value`` words, one-line errors, exit codes."""
 
+import errno
 import math
 import os
 import signal
@@ -111,8 +112,10 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
     import common.interrupt  # noqa: F401 (of a command that does not begin with it)
 
     keep_freed_memory()
+    open_output()
     try:
         main(sys.argv[1:])
+        sys.stdout.flush()
     except InputError as error:
         if os.environ.get(FULL_ERROR) == "1":
             raise
@@ -127,4 +130,23 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
         # Whoever read the output, such as `head`, has seen enough; Python's own last flush must
         # not complain about it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        with suppress(OSError):
+            print(f"error: {error.strerror}; make room, or send the output elsewhere",
+                  file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(2)
     sys.exit(0)
+
+
+def open_output() -> None:
+    """Let standard output and error be there, whoever closed them, and take every text: names of
+    files may be none, and terminals may know ASCII only.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
+        elif hasattr(getattr(sys, name), "reconfigure"):
+            getattr(sys, name).reconfigure(errors="backslashreplace")

@@ -1,12 +1,21 @@
 """The one exception that stands for a user's mistake."""
 
+LONGEST = 700  # characters of a message
+
 
 class InputError(ValueError):
     """Bad input: the message is one line that says what is wrong and how to mend it.
 
     Command lines turn it into that line on standard error and exit code 2
-    (:func:`common.cli.run_command`); nobody should see a traceback for it.
+    (:func:`common.cli.run_command`); nobody should see a traceback for it. Names that it repeats
+    may have lines, be long or be no text: the message is one short line of text all the same.
     """
+
+    def __init__(self, message: str) -> None:
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST // 2]} … {message[-LONGEST // 2 :]}"
+        super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode()
+                                 for c in message))
 
 
 def one_line(error: Exception) -> str:

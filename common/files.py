@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from common.errors import InputError, one_line
 
@@ -16,26 +17,28 @@ PARTIAL_SUFFIX = ".part"
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside ``path``; what is written there replaces ``path`` at the end.
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Yield a new file beside ``path``; what is written there replaces ``path`` at the end.
 
     The folder is created where it is missing. If the block fails, ``path`` is as it was before
-    and the temporary file is removed.
+    and the temporary file is removed. Its name is nobody else's: several processes, on any
+    machines, may write ``path``, and the last one to finish wins; see :func:`remove_partial`.
 
     Raises:
         InputError: the system refuses to write.
     """
-    temporary = path.with_name(path.name + PARTIAL_SUFFIX)
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        # Without it a power cut could leave an empty file under the final name.
-        with temporary.open("rb+") as file:
+        with temporary.open("xb") as file:
+            yield file
+            # Without it a power cut could leave an empty file under the final name.
+            file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
         reason = error.strerror or one_line(error)
-        raise InputError(f"cannot write {path}: {reason}; choose another place") from None
+        raise InputError(f"cannot write {path}: {reason}; choose another place") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -78,8 +81,15 @@ def reason_closed(folder: Path) -> str:
 
 def replace_file(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` in one step, see :func:`replacing`."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
+    for attempt in range(10):
+        try:
+            with replacing(path) as file:
+                file.write(data)
+            return
+        except InputError as error:
+            # Another process has taken the file for a leftover.
+            if attempt == 9 or not isinstance(error.__cause__, FileNotFoundError):
+                raise
 
 
 def replace_json(path: Path, content: object) -> None:
@@ -112,39 +122,10 @@ def remove_file(path: Path) -> None:
                          "earlier run") from None
 
 
-def replace_shared_file(path: Path, data: bytes) -> None:
-    """Like :func:`replace_file`, where several processes, on any machines, may write ``path``.
-
-    Each has a temporary name of its own, see :func:`remove_partial`; the last one to finish wins.
-
-    Raises:
-        InputError: the system refuses to write.
-    """
-    for _ in range(10):
-        name = f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}"
-        temporary = path.with_name(name)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with temporary.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-            return
-        except (FileExistsError, FileNotFoundError) as error:
-            reason = error.strerror  # another process took the file for a leftover
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror or one_line(error)}") from None
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
-    raise InputError(f"cannot write {path}: {reason}")
-
-
 def remove_partial(folder: Path, pattern: str) -> None:
     """Remove what writers of files named like ``pattern`` have left behind.
 
-    Whoever is writing one with :func:`replace_shared_file` at this moment writes it again.
+    Whoever is writing one with :func:`replace_file` at this moment writes it again.
     """
     for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
         leftover.unlink(missing_ok=True)

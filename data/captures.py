@@ -17,15 +17,19 @@ InputError of one line that names the file.
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import yaml
 from PIL import Image
+from pydantic import Field
 from scipy import ndimage
 
+from common.documents import Schema, read_text, read_yaml, shown
 from common.errors import InputError, one_line
 from data.board import board_intrinsics, board_turns, shows_board
 from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
@@ -34,12 +38,7 @@ from data.frames import read_frames
 from data.reading import (
     LARGEST_PICTURE,
     MOST_VIEWS,
-    SMALLEST_PICTURE,
-    finite_number,
-    read_mapping,
-    read_text,
     read_views,
-    shown,
 )
 from sim.scene import Rig
 
@@ -54,10 +53,38 @@ FEW_ISOLATED = 0.003  # of the cloth's pixels: so many any sensor has
 SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
-CAPTURE_KEYS = {"density_g_m2", "depth_unit_m", "intrinsics", "turns_deg", "warp_direction_deg",
-                "rig", "size_px"}
 LARGEST_WIDTH = 400  # pixels; of larger pictures every n-th is taken
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
+
+
+class _Density(Schema):
+    density_g_m2: float = Field(
+        ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
+        description="weigh the specimen, give its g/m² and check the unit")
+
+
+class _Pixels(Schema):
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+class Description(_Density):
+    """``capture.yaml``: density, g/m²; depth unit, m; intrinsics, px; turns and direction, °; size
+    of the picture that points are projected to, px.
+    """
+
+    depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
+    intrinsics: _Pixels | None = Field(
+        None, description="give fx, fy, cx and cy in pixels, such as {fx: 305.0, fy: 305.0, "
+                          "cx: 119.5, cy: 89.5}")
+    turns_deg: list[float] | None = Field(
+        None, description="one angle for each view, such as [0, 90, 180, 270]")
+    warp_direction_deg: float | None = None
+    rig: str = DEFAULT_RIG
+    size_px: list[Annotated[int, Field(ge=1, le=max(LARGEST_PICTURE))]] | None = Field(
+        None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
 
 
 @dataclass(frozen=True)
@@ -203,40 +230,24 @@ def whole_turns(count: int) -> np.ndarray:
 
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
-    description = read_mapping(file)
-    unknown = set(map(str, description)) - CAPTURE_KEYS
-    if unknown:
-        raise InputError(
-            f"{file}: unknown key {shown(min(unknown))}; "
-            f"known keys: {', '.join(sorted(CAPTURE_KEYS))}"
-        )
-    density = checked_density(description.get("density_g_m2"), f"{file}: density_g_m2")
-    unit = description.get("depth_unit_m")
-    if unit is not None and (unit := finite_number(unit, f"{file}: depth_unit_m")) <= 0:
-        raise InputError(f"{file}: depth_unit_m={unit:g} must be positive, 0.001 for millimetres")
-    rig = description.get("rig", DEFAULT_RIG)
-    if not isinstance(rig, str):
-        raise InputError(f"{file}: rig={shown(rig)} is not a name")
+    known = Description.of(read_yaml(file), file)
     try:
-        CameraRig.load(rig)
+        CameraRig.load(known.rig)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-    direction = description.get("warp_direction_deg")
-    if direction is not None:
-        direction = math.radians(finite_number(direction, f"{file}: warp_direction_deg")) % math.pi
     found = read_frames(
-        path, unit, lambda width, height: _intrinsics(description.get("intrinsics"), file, width,
-                                                      height), _size(description, file))
+        path, known.depth_unit_m,
+        lambda width, height: _intrinsics(known.intrinsics, file, width, height), known.size_px)
     views, background = found.frames, found.background
     height, width = views.shape[1:]
     intrinsics = found.intrinsics
     board = found.color is not None and shows_board(found.color)
-    if board and intrinsics is None and "intrinsics" not in description:
+    if board and intrinsics is None and known.intrinsics is None:
         intrinsics = board_intrinsics(found.color)
-    elif intrinsics is None or "intrinsics" in description:
-        intrinsics = _intrinsics(description.get("intrinsics"), file, width, height)
-    turns = _turns(description.get("turns_deg"), file, len(views))
-    if board and "turns_deg" not in description:
+    elif intrinsics is None or known.intrinsics is not None:
+        intrinsics = _intrinsics(known.intrinsics, file, width, height)
+    turns = _turns(known.turns_deg, file, len(views))
+    if board and known.turns_deg is None:
         turns = board_turns(found.color, intrinsics)
     step = -(-width // LARGEST_WIDTH)
     if step > 1:
@@ -244,11 +255,14 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
                                    for key in INTRINSICS_KEYS},
                                 width=views.shape[2], height=views.shape[1])
-    cut = _cut(path, views, intrinsics, rig,
+    cut = _cut(path, views, intrinsics, known.rig,
                None if background is None else background[::step, ::step])
     views = cut.views if cut else views
-    capture = checked_capture(path, views, intrinsics, turns, density, direction, rig,
-                              cut.doubts if cut else ())
+    direction = known.warp_direction_deg
+    capture = checked_capture(
+        path, views, intrinsics, turns, 1e-3 * known.density_g_m2,
+        None if direction is None else math.radians(direction) % math.pi, known.rig,
+        cut.doubts if cut else ())
     return replace(capture, cut=cut)
 
 
@@ -264,19 +278,6 @@ def _cut(
         return cut_out(frames, intrinsics, tester, background)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def _size(description: Mapping, file: Path) -> tuple[int, int] | None:
-    """Width and height, px, that the description states for point clouds."""
-    value = description.get("size_px")
-    if value is None:
-        return None
-    whole = isinstance(value, list) and len(value) == 2 and all(type(n) is int for n in value)
-    if not whole or not all(low <= n <= high for n, low, high in zip(
-            value, SMALLEST_PICTURE, LARGEST_PICTURE, strict=True)):
-        raise InputError(f"{file}: size_px={shown(value)}: give width and height in pixels, such "
-                         "as [640, 480]")
-    return value[0], value[1]
 
 
 def _read_published(path: Path) -> Capture:
@@ -384,46 +385,30 @@ def _read_density(file: Path) -> tuple[str, str]:
     lines = [line.split() for line in read_text(file).splitlines() if line.strip()]
     if len(lines) != 1 or len(lines[0]) > 2:
         raise InputError(f"{file} must hold one line such as 'data0 300' (g/m2)")
-    return lines[0][-1], f"{file}: density"
+    return lines[0][-1], f"{file}"
 
 
-def checked_density(value: object, what: str) -> float:
-    """kg/m2 from g/m2; InputError that names it ``what`` where no fabric can have it."""
-    if value is None:
-        raise InputError(f"{what} is missing; weigh the specimen and give its g/m2")
-    if isinstance(value, str):
-        try:
-            value = float(value)
-        except ValueError:
-            raise InputError(f"{what}={shown(value)} is not a number; give g/m2") from None
-    grams = finite_number(value, what)
-    low, high = DENSITY_RANGE
-    if not low <= grams <= high:
-        raise InputError(f"{what}={grams:g} is outside {low:g}-{high:g} g/m2; check the unit")
-    return grams * 1e-3
+def checked_density(value: object, what: str = "") -> float:
+    """kg/m2 from g/m2, of the file ``what``; InputError where no fabric can have it."""
+    with suppress(TypeError, ValueError):
+        value = float(value) if isinstance(value, str) else value
+    return 1e-3 * _Density.of({} if value is None else {"density_g_m2": value}, what).density_g_m2
 
 
-def _turns(value: object, file: Path, count: int) -> np.ndarray:
-    if value is None:
+def _turns(degrees: list[float] | None, file: Path, count: int) -> np.ndarray:
+    if degrees is None:
         return whole_turns(count)
-    if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{file}: turns_deg={shown(value)}: give one angle for each of the "
+    if len(degrees) != count:
+        raise InputError(f"{file}: turns_deg={shown(degrees)}: give one angle for each of the "
                          f"{count} views, such as [0, 90, 180, 270]")
-    turns = np.radians([finite_number(turn, f"{file}: turns_deg") for turn in value])
-    return turns - turns[0]
+    return np.radians(degrees) - np.radians(degrees[0])
 
 
-def _intrinsics(value: object, file: Path, width: int, height: int) -> Intrinsics:
-    if not isinstance(value, Mapping) or set(value) != set(INTRINSICS_KEYS):
-        raise InputError(
-            f"{file}: intrinsics must give fx, fy, cx and cy in pixels, "
-            "such as {fx: 305.0, fy: 305.0, cx: 119.5, cy: 89.5}"
-        )
-    numbers = {
-        key: finite_number(value[key], f"{file}: intrinsics.{key}") for key in INTRINSICS_KEYS
-    }
+def _intrinsics(pixels: _Pixels | None, file: Path, width: int, height: int) -> Intrinsics:
+    if pixels is None:
+        raise InputError(f"{file}: intrinsics is missing; "
+                         f"{Description.model_fields['intrinsics'].description}")
     try:
-        return Intrinsics(**numbers, width=width, height=height)
+        return Intrinsics(**pixels.model_dump(), width=width, height=height)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from common.errors import InputError, one_line
+from common.documents import LARGEST_TABLE, read_text
+from common.errors import InputError
 from sim.material import REFERENCE_DENSITY, Fabric
 
 THETA_NAMES = (
@@ -100,13 +101,13 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     """
     path = Path(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, skipinitialspace=True)
-            rows = [(reader.line_num, row) for row in reader if any(row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise InputError(f"cannot read the fabric table {path}: {reason}; give fabrics=FILE, a CSV "
-                         f"file with the columns {_COLUMNS}") from None
+        text = read_text(path, LARGEST_TABLE, "fabric table")
+        reader = csv.reader(text.splitlines(), skipinitialspace=True)
+        rows = [(reader.line_num, row) for row in reader if any(row)]
+    except (InputError, csv.Error) as error:
+        reason = f"{path}: {error}" if isinstance(error, csv.Error) else error
+        raise InputError(f"{reason}; give fabrics=FILE, a CSV file with the columns {_COLUMNS}"
+                         ) from None
     if len(rows) < 2:
         raise InputError(f"{path} holds no fabrics; expected a header line and one row a fabric")
     header = rows[0][1]

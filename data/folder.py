@@ -5,12 +5,12 @@ of processes may work in a folder: a file appears under its name by being rename
 whoever writes a shard writes the same bytes, or finds in the manifest that it would not.
 """
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from common.documents import parse_json
 from common.errors import InputError
 from common.files import remove_partial
 from common.provenance import environment
@@ -104,7 +104,8 @@ class DatasetFolder:
             raise InputError(f"{self.root} has no {MANIFEST}, and {path.name} in it is damaged or "
                              "something else; remove it, or choose another folder") from None
         with Shard(path) as file:
-            self._require_same(file.attribute("identity"), json.loads(file.attribute("config")))
+            self._require_same(file.attribute("identity"),
+                               parse_json(file.attribute("config") or "", path))
 
     def _require_same(self, identity: object, settings: dict) -> None:
         if identity != self.identity:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.documents import require_regular, shown
 from common.errors import InputError, one_line
 from data.cameras import Intrinsics
 from data.reading import (
@@ -25,9 +26,7 @@ from data.reading import (
     median_depth,
     numbered,
     read_picture,
-    require_regular,
     require_size,
-    shown,
 )
 from data.recordings import ENDINGS, read_recording
 

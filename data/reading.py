@@ -1,22 +1,17 @@
-"""Guarded reading of what a user gives: every fault becomes an InputError of one line."""
+"""Guarded reading of pictures: every fault becomes an InputError of one line."""
 
 import itertools
-import math
 import re
-import reprlib
-import stat
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import yaml
 from PIL import Image, UnidentifiedImageError
 
+from common.documents import require_regular
 from common.errors import InputError, one_line
 
 SMALLEST_PICTURE = (80, 60)
 LARGEST_PICTURE = (4096, 4096)
-LARGEST_TEXT = 65536  # bytes
 LARGEST_FILE = 160 << 20  # bytes, of a picture
 MOST_VIEWS = 8
 MILLIMETRE = 1e-3  # m, per count unless stated
@@ -107,65 +102,3 @@ def require_size(what: str | Path, width: int, height: int) -> None:
             f"{what}: wrong size, {width}x{height} pixels; views have from "
             f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
             f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")
-
-
-def require_regular(file: Path, largest: int, kind: str) -> None:
-    """InputError unless a file is a regular one, neither a device nor a pipe, and not too large.
-
-    Args:
-        largest: bytes. kind: what it should be, for the message.
-    """
-    try:
-        found = file.stat()
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({one_line(error)})") from None
-    if not stat.S_ISREG(found.st_mode):
-        raise InputError(f"{file} is not a regular file; give a {kind}")
-    if found.st_size > largest:
-        raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {largest}")
-
-
-def read_text(file: Path) -> str:
-    """A short text file in UTF-8."""
-    require_regular(file, LARGEST_TEXT, "description")
-    try:
-        return file.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{file} is not text in UTF-8; save it as such") from None
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({one_line(error)})") from None
-
-
-def read_mapping(file: Path) -> Mapping:
-    """A YAML file of ``key: value`` lines."""
-    return parse_mapping(read_text(file), file)
-
-
-def parse_mapping(text: str, what: str | Path) -> Mapping:
-    """A YAML text of ``key: value`` lines, called ``what`` in messages."""
-    try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
-        # LookupError and AttributeError come from values that contradict their tag: "!!int ''".
-        raise InputError(f"{what} is not valid YAML ({one_line(error)})") from None
-    if not isinstance(content, Mapping):
-        raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
-    return content
-
-
-def finite_number(value: object, what: str) -> float:
-    """``value`` as a float; neither text nor a truth value nor NaN nor infinite."""
-    number = math.nan
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-    if not math.isfinite(number):
-        raise InputError(f"{what}={shown(value)} is not a finite number")
-    return number
-
-
-def shown(value: object) -> str:
-    """``value`` as Python writes it, cut short: a hostile file's may be endless, or have lines."""
-    return reprlib.repr(value)[:60]

@@ -14,9 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from common.documents import require_regular
 from common.errors import InputError, one_line
 from data.cameras import Intrinsics
-from data.reading import MILLIMETRE, MOST_VIEWS, median_depth, require_regular, require_size
+from data.reading import MILLIMETRE, MOST_VIEWS, median_depth, require_size
 
 ENDINGS = (".bag", ".db3")
 LARGEST_RECORDING = 16 << 30  # bytes

@@ -56,6 +56,8 @@ def read_scan(path: Path, rig: Rig) -> Scan:
         raise InputError(f"{path}: a scan has from 3 to {LARGEST_SCAN} vertices and triangles")
     if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= count:
         raise InputError(f"{path}: faces must be indices of vertices")
+    if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
+        raise InputError(f"{path}: a face is there twice; leave repeated faces out")
     if not all(a.dtype.kind in "fiu" and np.isfinite(a).all() for a in (positions, rest)):
         raise InputError(f"{path}: vertices and rest must be finite numbers")
     scan = Scan(

@@ -7,15 +7,19 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
+from pydantic import Field
 from scipy import ndimage
 
 from common.configs import read_option
-from common.errors import InputError, one_line
+from common.documents import Schema
+from common.errors import InputError
 from data.cameras import Camera, CameraRig, Intrinsics, Pose
 from data.rasterise import camera_tensors, render_batch
+from data.reading import MOST_VIEWS
 from data.sensor import load_sensor
 from data.sensor_noise import SensorNoise
 
@@ -39,6 +43,30 @@ class SyntheticCapture:
     turns: np.ndarray
     orientation: float
     sensor: str
+
+
+_Share = Annotated[float, Field(ge=0, le=1)]
+_Limits = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class SetupFile(Schema):
+    """``configs/setup/NAME.yaml``, which explains its keys."""
+
+    remedy = "see configs/setup/real.yaml"
+    views: list[_Share] = Field(max_length=MOST_VIEWS)
+    distance_mm: _Limits
+    pitch_deg: _Limits
+    fill: _Limits
+    above_mm: _Limits
+    aside_mm: _Limits
+    roll_deg: float = Field(ge=0, le=90)
+    focal_percent: float = Field(ge=0, le=50)
+    turn_deg: float = Field(ge=0, le=90)
+    sensors: dict[str, _Share] = Field(max_length=100)
+    border_px: int = Field(ge=0, le=100)
+    holes: int = Field(ge=0, le=1000)
+    hem_share: _Share
+    hem_mm: float = Field(ge=0, le=1000)
 
 
 @dataclass(frozen=True)
@@ -85,26 +113,23 @@ class Setups:
     @classmethod
     def from_config(cls, config: Mapping) -> "Setups":
         """Build from the mapping of such a file."""
-        try:
-            return cls(
-                views=tuple(config["views"]),
-                distance=_scaled(config["distance_mm"], 1e-3),
-                pitch=_scaled(config["pitch_deg"], np.pi / 180),
-                fill=_scaled(config["fill"], 1.0),
-                above=_scaled(config["above_mm"], 1e-3),
-                aside=_scaled(config["aside_mm"], 1e-3),
-                roll=np.radians(config["roll_deg"]),
-                focal=config["focal_percent"] / 100,
-                turn=np.radians(config["turn_deg"]),
-                sensors=dict(config["sensors"]),
-                border=int(config["border_px"]),
-                holes=int(config["holes"]),
-                hem_share=float(config["hem_share"]),
-                hem=config["hem_mm"] * 1e-3,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"the set-ups are not complete ({one_line(error)}); see "
-                             "configs/setup/real.yaml") from None
+        given = SetupFile.of(config, "setup")
+        return cls(
+            views=tuple(given.views),
+            distance=_scaled(given.distance_mm, 1e-3),
+            pitch=_scaled(given.pitch_deg, np.pi / 180),
+            fill=_scaled(given.fill, 1.0),
+            above=_scaled(given.above_mm, 1e-3),
+            aside=_scaled(given.aside_mm, 1e-3),
+            roll=np.radians(given.roll_deg),
+            focal=given.focal_percent / 100,
+            turn=np.radians(given.turn_deg),
+            sensors=given.sensors,
+            border=given.border_px,
+            holes=given.holes,
+            hem_share=given.hem_share,
+            hem=given.hem_mm * 1e-3,
+        )
 
     def as_dict(self) -> dict:
         """All fields, in JSON's types."""
@@ -178,7 +203,7 @@ class Setups:
                 view[top : top + size, left : left + size] = 0.0
 
 
-def _scaled(limits: tuple[float, float], unit: float) -> tuple[float, float]:
+def _scaled(limits: list[float], unit: float) -> tuple[float, float]:
     low, high = limits
     return low * unit, high * unit
 

@@ -11,12 +11,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
+from pydantic import ConfigDict
+from pydantic import Field as Entry
 
+from common.documents import Schema, read_json
 from common.errors import InputError, one_line
-from common.files import replace_shared_file
+from common.files import replace_file
 from data.nuisances import NAMES
 from data.progress import over_shards
 
@@ -24,6 +28,8 @@ SCHEMA_VERSION = 6
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
+MOST_EXTENT = 1 << 20  # of an array along one of its axes
+MOST_FOLDS = 1000
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ def write_shard(
         most = max(len(mesh) for mesh in meshes)
         _write_field(file, FACES, Field("i4", (most, 3), "", ""), meshes)
     content = memory.getbuffer()[SEAL_SIZE:]
-    replace_shared_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
+    replace_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
 
 
 def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
@@ -219,6 +225,56 @@ class Shard:
             self.close()
             raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}; "
                              "generate it anew")
+        if wrong := self._wrong_array():
+            self.close()
+            raise InputError(f"{self.path}: {wrong} is not as docs/data_format.md has it; generate "
+                             "it anew")
+
+    def _wrong_array(self) -> str:
+        """The first array that is missing, of another type or shape, too large, or that stands in
+        another file; empty where there is none.
+        """
+        found = {name: self._file[name] for name in self._file
+                 if isinstance(self._file.get(name, getlink=True), h5py.HardLink)
+                 and isinstance(self._file[name], h5py.Dataset)}
+        sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
+        if [len(size) for size in sizes] != [1, 3, 3] or any(
+                extent > MOST_EXTENT for size in sizes for extent in size):
+            return "index, positions or faces"
+        (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
+        expected = {name: (field.dtype, (rows, *field.shape))
+                    for name, field in fields(vertices).items()}
+        for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
+            array = found.get(name)
+            if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
+                    or array.external or array.is_virtual
+                    or np.prod(array.chunks or 0, dtype=float) > MOST_EXTENT * 3):
+                return name
+        return ""
+
+    def require_sound(self) -> None:
+        """InputError for values that no drape has."""
+        column = {name: self.column(name) for name, field in fields(0).items()
+                  if name not in POINTS}
+        done = column["status"] == "converged"
+        vertices, faces = column["vertices"], self._file[FACES][:]
+        sound = {
+            "theta": np.isfinite(column["theta"]).all(),
+            "nuisances": np.isfinite(column["nuisances"]).all(),
+            "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
+            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MOST_FOLDS)).all(),
+            "rejected": column["rejected"].min(initial=0) >= 0,
+            "vertices": ((vertices >= 3 * done)
+                         & (vertices <= self._file["positions"].shape[1])).all(),
+            "mesh": ((column["mesh"] >= 0) & (column["mesh"] < len(faces))).all(),
+            "faces": faces.min(initial=0) >= 0,
+        }
+        if sound["mesh"]:
+            most = faces.max(axis=(1, 2), initial=0)
+            sound["faces"] &= (most[column["mesh"]][done] < vertices[done]).all()
+        if wrong := [name for name, right in sound.items() if not right]:
+            raise InputError(f"{self.path}: {wrong[0]} holds values that no drape has; generate it "
+                             "anew")
 
     def __enter__(self) -> "Shard":
         return self
@@ -241,7 +297,7 @@ class Shard:
     def column(self, name: str) -> np.ndarray:
         """All rows of a field, as stored; text as str."""
         rows = self._file[name][:]
-        return np.char.decode(rows, "utf-8") if rows.dtype.kind == "S" else rows
+        return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
     def storage(self) -> dict[str, int]:
         """Bytes on disk of each field's values, compressed."""
@@ -261,15 +317,30 @@ ANEW = ("remove it and run the command that made the dataset again, which keeps 
         "whole")
 """What helps against a damaged manifest."""
 
-_KINDS = {"identity": str, "drapes": int, "config": dict, "complete": bool}
-_KINDS_AT_THE_END = _KINDS | {"hash": str, "shards": dict}
-"""What a manifest must hold, and a finished one."""
+class _Begun(Schema):
+    """What a manifest must hold."""
+
+    model_config = ConfigDict(extra="ignore")
+    remedy = ANEW
+    identity: str
+    drapes: int = Entry(ge=1, le=10**9)
+    config: dict[str, Any] = Entry(min_length=1)
+    complete: bool
+    provenance: list[Any] = Entry(default_factory=list)
+
+
+class _Finished(_Begun):
+    """What a finished one must hold."""
+
+    hash: str
+    shards: dict[Annotated[str, Entry(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Entry(
+        min_length=1)
 
 
 def write_manifest(root: Path, content: dict) -> None:
     """Write the dataset's ``dataset.json`` in one step."""
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    replace_shared_file(root / MANIFEST, text.encode())
+    replace_file(root / MANIFEST, text.encode())
 
 
 def read_manifest(root: Path) -> dict | None:
@@ -279,23 +350,15 @@ def read_manifest(root: Path) -> dict | None:
         InputError: it cannot be read, is damaged, or belongs to another schema version.
     """
     path = Path(root) / MANIFEST
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
+    if not path.exists():
         return None
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except (ValueError, RecursionError):
-        content = None
+    content = read_json(path, remedy=ANEW)
     if not isinstance(content, dict):
         raise InputError(f"{path} is damaged; {ANEW}")
     if content.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
                          "dataset anew, in another folder")
-    kinds = _KINDS_AT_THE_END if content.get("complete") else _KINDS
-    for name, kind in kinds.items():
-        if type(content.get(name)) is not kind or content[name] == {}:
-            raise InputError(f"{path} is damaged, in '{name}'; {ANEW}")
+    (_Finished if content.get("complete") else _Begun).of(content, f"{path} is damaged")
     return content
 
 

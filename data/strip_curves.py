@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.documents import read_text
 from common.errors import InputError, one_line
 
 COLUMNS = ("x_mm", "y_mm")
@@ -29,14 +30,11 @@ def read_curve(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path} is larger than 1 MB; a deflection curve is not")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [(reader.line_num, row) for reader in [csv.reader(file, skipinitialspace=True)]
-                    for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise InputError(f"cannot read the curve {path}: {reason}") from None
+        reader = csv.reader(read_text(path, LARGEST_FILE, "deflection curve").splitlines(),
+                            skipinitialspace=True)
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"the curve {path} cannot be read: {one_line(error)}") from None
     header = [cell.strip() for cell in rows[0][1]] if rows else []
     if not set(COLUMNS) <= set(header):
         raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "

@@ -17,6 +17,7 @@ from typing import Any
 import joblib
 import numpy as np
 
+from common.documents import Schema, read_json
 from common.errors import InputError, one_line
 from common.files import remove_file, replace_file, replace_json, replacing, require_folder
 from common.provenance import code_state
@@ -31,6 +32,13 @@ from drapenet.sources import header_for
 from drapenet.tree import entries_of
 
 _PIECE = 1 << 20  # bytes
+
+
+class Done(Schema):
+    """``done.json``."""
+
+    stamp: str
+    failure: str
 
 
 def estimate_tree(
@@ -105,10 +113,9 @@ def _failure(folder: Path, stamp: str | None = None) -> str | None:
     finished, or with another ``stamp``.
     """
     try:
-        content = json.loads((folder / DONE).read_text(encoding="utf-8"))
-        known = stamp is None or content["stamp"] == stamp
-        return str(content["failure"]) if known else None
-    except (OSError, ValueError, KeyError, TypeError):
+        content = Done.of(read_json(folder / DONE), folder / DONE)
+        return content.failure if stamp in (None, content.stamp) else None
+    except InputError:
         return None
 
 
@@ -138,7 +145,7 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
     capture = read_capture(path)
     result = estimate_capture(capture, header_for([capture], checkpoint), **options)
     found = result.estimate
-    with replacing(folder / SAMPLES) as temporary, temporary.open("wb") as stream:
+    with replacing(folder / SAMPLES) as stream:
         np.savez(stream, samples=found.samples, names=np.array(found.names), axis=found.axis,
                  certainty=found.certainty, density=found.density, spread=found.spread,
                  warnings=np.array(found.warnings, dtype=str))

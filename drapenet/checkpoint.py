@@ -8,14 +8,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field, model_validator
 
-from common.errors import InputError
+from common.documents import (
+    Schema,
+    parse_json,
+    read_bytes,
+    read_json,
+    require_regular,
+    shown,
+)
+from common.errors import InputError, one_line
 from common.files import replace_file
 from data.fabrics import THETA_NAMES
 
@@ -29,8 +37,74 @@ if TYPE_CHECKING:
 SCHEMA = "drapenet-checkpoint"
 SCHEMA_VERSION = 2
 
-_HEADER_KEYS = {"rig", "model", "targets", "fabrics", "dataset", "weights", "validation", "config"}
-_TARGETS = {6, 8}
+LARGEST_WEIGHTS = 2 << 30  # bytes
+_Theta = Annotated[list[float], Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))]
+_Positive = Annotated[float, Field(gt=0)]
+
+
+class _Part(Schema):
+    model_config = ConfigDict(extra="ignore")
+
+
+class _Model(Schema):
+    width: int = Field(ge=1, le=512)
+    components: int = Field(ge=1, le=32)
+    targets: Literal[6, 8]
+    distance: _Positive
+    spread: _Positive
+
+
+class _Targets(Schema):
+    mean: list[float]
+    std: list[_Positive]
+
+
+class _Fabrics(Schema):
+    low: _Theta
+    high: _Theta
+    deviation: list[_Positive] = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
+
+
+class _Dataset(_Part):
+    sha256: str
+    generation: dict[str, Any]
+
+
+class _Weights(_Part):
+    sha256: str
+
+
+class _Config(_Part):
+    setup: dict[str, Any]
+
+
+class Description(_Part):
+    """A checkpoint's JSON file, but for what is there for people only."""
+
+    remedy = "copy both files again"
+    rig: str
+    model: _Model
+    targets: _Targets
+    fabrics: _Fabrics
+    dataset: _Dataset
+    weights: _Weights
+    validation: dict[str, Any]
+    config: _Config
+
+    @model_validator(mode="after")
+    def _alike(self) -> Description:
+        if not len(self.targets.mean) == len(self.targets.std) == self.model.targets:
+            raise ValueError("targets.mean and targets.std must have model.targets="
+                             f"{self.model.targets} numbers each")
+        return self
+
+
+class Record(Schema):
+    """What training's state says of a run: its settings, how far it is, its least loss."""
+
+    run: dict[str, Any]
+    epochs_done: int = Field(ge=0, le=10**9)
+    best_loss: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,40 +185,15 @@ def read_header(path: str | Path) -> Header:
         if not file.is_file():
             raise InputError(f"no checkpoint file {file}; give checkpoint=NAME.safetensors with "
                              "NAME.json beside it, or train one with 'make train'")
-    try:
-        content = json.loads(description.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {description}: {error}") from None
+    content = read_json(description, remedy=Description.remedy)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError(f"{description} does not describe a checkpoint of this project")
     if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{description} has schema version {content.get('schema_version')}, this "
-                         f"program reads {SCHEMA_VERSION}; use the program version that wrote it")
-    _check_content(content, description)
+        version = shown(content.get("schema_version"))
+        raise InputError(f"{description} has schema version {version}, this program reads "
+                         f"{SCHEMA_VERSION}; use the program version that wrote it")
+    Description.of(content, description)
     return Header(weights, content)
-
-
-def _check_content(content: dict[str, Any], path: Path) -> None:
-    missing = sorted(_HEADER_KEYS - content.keys())
-    if missing:
-        raise InputError(f"{path} lacks {', '.join(missing)}; it is incomplete, copy it anew")
-    try:
-        targets = [content["targets"][key] for key in ("mean", "std")]
-        fabrics = [content["fabrics"][key] for key in ("low", "high", "deviation")]
-        sound = (len(targets[0]) in _TARGETS
-                 and all(len(row) == len(targets[0]) for row in targets)
-                 and all(len(row) == len(THETA_NAMES) for row in fabrics)
-                 and all(math.isfinite(value) for row in (*targets, *fabrics) for value in row)
-                 and min(*targets[1], *fabrics[2]) > 0
-                 and content["model"]["targets"] == len(targets[0])
-                 and isinstance(content["dataset"]["generation"], dict)
-                 and isinstance(content["weights"]["sha256"], str)
-                 and isinstance(content["dataset"]["sha256"], str))
-    except (KeyError, TypeError, ValueError):
-        sound = False
-    if not sound:
-        raise InputError(f"{path}: targets, fabrics, weights or dataset are not described as "
-                         "expected; copy it anew")
 
 
 def load_model(header: Header) -> MapNet:
@@ -159,7 +208,7 @@ def load_model(header: Header) -> MapNet:
 
     from drapenet.network import MapNet
 
-    data = header.path.read_bytes()
+    data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
     if hashlib.sha256(data).hexdigest() != header.content["weights"]["sha256"]:
         raise InputError(f"{header.path} is not the file that its JSON describes; copy both anew")
     try:
@@ -226,20 +275,24 @@ def load_state(
     """
     from safetensors import SafetensorError, safe_open
 
+    require_regular(path, LARGEST_WEIGHTS, "training's state")
     try:
         with safe_open(path, framework="pt") as file:
-            record = json.loads(file.metadata()["record"])
+            record = Record.of(parse_json((file.metadata() or {}).get("record", ""), "record"), "")
             tensors = {name: file.get_tensor(name) for name in file.keys()}
         model.load_state_dict({name.removeprefix("model."): value
                                for name, value in tensors.items() if name.startswith("model.")})
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for name, value in tensors.items():
+            if name.startswith("optimizer."):
+                _, index, key = name.split(".")
+                moments.setdefault(int(index), {})[key] = value
+        for index, parameter in enumerate(optimizer.param_groups[0]["params"] if moments else ()):
+            if any(value.shape not in ((), parameter.shape) for value in moments[index].values()):
+                raise ValueError(f"moments of parameter {index} have another shape")
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path} cannot be resumed ({reason}); remove it to start anew") from None
-    moments: dict[int, dict[str, torch.Tensor]] = {}
-    for name, value in tensors.items():
-        if name.startswith("optimizer."):
-            _, index, key = name.split(".")
-            moments.setdefault(int(index), {})[key] = value
+        raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
+                         ) from None
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
-    return record
+    return record.model_dump()

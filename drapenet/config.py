@@ -6,6 +6,8 @@ from typing import Any
 
 from common.errors import InputError
 
+MOST_CORES = 1024
+
 
 @dataclass
 class ModelConfig:
@@ -52,8 +54,9 @@ class TrainConfig:
         optim = self.optim
         if self.epochs < 1 or self.captures < 1 or optim.batch_size < 2:
             raise InputError("training needs epochs >= 1, captures >= 1, optim.batch_size >= 2")
-        if self.model.width < 1 or self.model.components < 1:
-            raise InputError("model.width and model.components must be at least 1")
+        if not (1 <= self.model.width <= 512 and 1 <= self.model.components <= 32):
+            raise InputError("model.width must lie between 1 and 512, model.components between 1 "
+                             "and 32")
         if not 0 < self.validation_fraction < 1:
             raise InputError("validation_fraction must lie between 0 and 1")
         if not 0 <= optim.warm_up < 1:
@@ -61,8 +64,10 @@ class TrainConfig:
         if not (optim.learning_rate > 0 and optim.weight_decay >= 0 and optim.clip > 0):
             raise InputError("optim.learning_rate and optim.clip must be positive, "
                              "optim.weight_decay not negative")
-        if min(self.seed, self.threads, self.fabrics) < 0 or self.workers < 1:
-            raise InputError("seed, threads and fabrics must not be negative, workers at least 1")
+        for name, low, high in (("seed", 0, 2**63 - 1), ("threads", 0, MOST_CORES),
+                                ("workers", 1, MOST_CORES), ("fabrics", 0, 10**9)):
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"{name}={getattr(self, name)} must lie between {low} and {high}")
 
     def defining(self) -> dict:
         """The settings that a resumed run must share: all but places and machinery."""

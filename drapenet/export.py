@@ -19,14 +19,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field, model_validator
 
 from common.command import command
+from common.documents import Schema, parse_json, read_bytes, shown
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
-from data.reading import finite_number, require_regular, shown
 from drapenet.config import ExportConfig
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
@@ -54,6 +55,43 @@ MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
 FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
 SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
 GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
+
+
+class _Quantity(Schema):
+    model_config = ConfigDict(extra="ignore")
+    median: float
+
+
+class _Alpha(_Quantity):
+    median: float = Field(gt=0)
+
+
+class _Direction(Schema):
+    model_config = ConfigDict(extra="ignore")
+    alpha_uN_m: _Alpha  # noqa: N815 (the file's own name)
+    beta_nN_m2: _Quantity  # noqa: N815
+
+
+class _Capture(Schema):
+    model_config = ConfigDict(extra="ignore")
+    density_g_m2: float = Field(gt=0)
+
+
+class EstimateFile(Schema):
+    """What is read of an ``estimate.json``."""
+
+    model_config = ConfigDict(extra="ignore")
+    remedy = "give the estimate.json that infer.py writes"
+    convention: Literal["warp/weft", "stiff/soft"]
+    capture: _Capture
+    moduli: dict[str, _Direction]
+    warnings: list[str]
+
+    @model_validator(mode="after")
+    def _named(self) -> "EstimateFile":
+        if tuple(self.moduli) not in (WARP_WEFT, STIFF_SOFT):
+            raise ValueError(f"moduli: the directions {shown(list(self.moduli))} are unknown")
+        return self
 
 
 @dataclass(frozen=True)
@@ -153,33 +191,18 @@ def read_material(
         raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
     if not 0 <= curvature <= 1000:
         raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
-    require_regular(path, LARGEST_ESTIMATE, "estimate")
-    try:
-        data = path.read_bytes()
-        content = json.loads(data)
-        if content["schema"] != SCHEMA or content["schema_version"] != SCHEMA_VERSION:
-            raise InputError(f"{path} is not of version {SCHEMA_VERSION}; estimate the capture "
-                             "again")
-        names = tuple(content["moduli"])
-        if names not in (WARP_WEFT, STIFF_SOFT):
-            raise InputError(f"{path}: directions {shown(names)} are unknown; estimate the "
-                             "capture again")
-        alpha, beta = (np.array([finite_number(content["moduli"][name][key]["median"],
-                                               f"{path}: {key}") for name in names]) * unit
-                       for key, unit in (("alpha_uN_m", MICRO), ("beta_nN_m2", NANO)))
-        density = 1e-3 * finite_number(content["capture"]["density_g_m2"], f"{path}: density_g_m2")
-        if not (alpha.min() > 0 and density > 0):
-            raise InputError(f"{path}: moduli and density must be positive; estimate the capture "
-                             "again")
-        material = Material(alpha, beta, density, curvature, mesh, edge, content,
-                            hashlib.sha256(data).hexdigest())
-        material.about  # what a file must have besides  # noqa: B018
-        return material
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise InputError(f"{path} is no estimate; give the estimate.json that infer.py writes"
-                         ) from None
+    data = read_bytes(path, LARGEST_ESTIMATE, "estimate")
+    content = parse_json(data, path, EstimateFile.remedy)
+    if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
+                                         ] != [SCHEMA, SCHEMA_VERSION]:
+        raise InputError(f"{path} is no estimate of version {SCHEMA_VERSION}; estimate the capture "
+                         "again")
+    found = EstimateFile.of(content, path)
+    alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
+                   for key in ("alpha_uN_m", "beta_nN_m2"))
+    return Material(MICRO * np.array(alpha), NANO * np.array(beta),
+                    1e-3 * found.capture.density_g_m2, curvature, mesh, edge, content,
+                    hashlib.sha256(data).hexdigest())
 
 
 @cache

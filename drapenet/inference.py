@@ -1,5 +1,6 @@
 """One capture: from views to an estimate, its JSON and the files that show it."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from common.ctrl_c import require_interruption
-from common.errors import InputError
+from common.errors import InputError, one_line
 from data.cameras import Camera
 from data.captures import Capture
 from data.setups import Setups
@@ -121,9 +122,14 @@ def estimate_capture(
                          "it nevertheless")
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
+    name = os.fsencode(capture.path.resolve().name).decode(errors="replace")
+
+    def content() -> dict[str, Any]:
+        known_by_now = to_json(estimate, capture=about, source=source)
+        return known_by_now | {"warnings": known_by_now["warnings"] + doubts}
+
     if first:
-        content = to_json(estimate, capture=about, source=source)
-        first(content | {"warnings": content["warnings"] + doubts})
+        first(content())
     drape, files = None, {}
     if refine and (refine is True or refine["by"] != "none"):
         from drapenet.refine.refined import refined_capture
@@ -156,20 +162,19 @@ def estimate_capture(
             files = {
                 REPORT: draw_report(
                     estimate, capture.views, drape, warnings=[*estimate.warnings, *doubts],
-                    title=f"{capture.path.resolve().name}: {capture.density * 1e3:g} g/m²"),
+                    title=f"{name}: {capture.density * 1e3:g} g/m²"),
                 TORQUES: draw_torques(estimate),
                 SHAPES: drape_glb(capture.views, camera, found, rig, drape)}
+            files[PAGE] = render("report.html", name=name, content=content(), report=files[REPORT])
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
         # A minute of refinement must not be lost for it.
         doubts.append("interrupted: there is no report")
         files = {}
-    content = to_json(estimate, capture=about, source=source)
-    content["warnings"] += doubts
-    if files:
-        files[PAGE] = render("report.html", name=capture.path.resolve().name, content=content,
-                             report=files[REPORT])
-    return Result(estimate, content, files)
+    except Exception as error:  # nor for a font, a full memory or a name that cannot be drawn
+        doubts.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
+        files = {}
+    return Result(estimate, content(), files)
 
 
 def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:

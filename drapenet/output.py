@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from common.errors import InputError
 from common.files import remove_file, replace_file, replace_json, require_file, require_folder
 
 ESTIMATE = "estimate.json"
@@ -31,8 +32,13 @@ def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
 
 
 def write_files(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write what shows an estimate (:class:`drapenet.inference.Result`)."""
+    """Write what shows an estimate (:class:`drapenet.inference.Result`); a failure is a warning."""
+    written = []
     for name, data in files.items():
-        replace_file(out / name, data)
-    if files:
-        print(f"report:   {', '.join(str(out / name) for name in files)}")
+        try:
+            replace_file(out / name, data)
+            written.append(str(out / name))
+        except InputError as error:
+            print(f"warning: no report: {error}")
+    if written:
+        print(f"report:   {', '.join(written)}")

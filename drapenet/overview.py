@@ -7,7 +7,6 @@ joined (:mod:`drapenet.joint`).
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from data.captures import require_alike
@@ -98,7 +98,7 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
 def _finished(out: Path, entry: Entry) -> Finished:
     folder = out / entry.place
     try:
-        content = json.loads((folder / ESTIMATE).read_text(encoding="utf-8"))
+        content = read_json(folder / ESTIMATE)
         with np.load(folder / SAMPLES, allow_pickle=False) as file:
             kept = dict(file)
         estimate = Estimate(kept["samples"], tuple(kept["names"].tolist()), float(kept["axis"]),

@@ -64,7 +64,7 @@ def draw_report(
     figure.suptitle(title, fontsize=14, parse_math=False)
     if warnings:
         figure.supxlabel("\n".join(f"warning: {line}" for line in warnings),
-                         x=0.01, ha="left", fontsize=9)
+                         x=0.01, ha="left", fontsize=9, parse_math=False)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
     return picture.getvalue()

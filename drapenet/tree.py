@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.documents import LARGEST_TABLE, read_text, shown
 from common.errors import InputError, one_line
 from data.captures import MARKS
-from data.reading import require_regular, shown
 
 COLUMNS = ("fabric", "sample", "capture")
 """Of a list; ``sample`` may be left out, ``capture`` is a folder, relative to the list's."""
-LARGEST_LIST = 8 << 20  # bytes
 LONGEST_NAME = 80  # characters, of a folder of results
 
 
@@ -81,9 +80,8 @@ def _stop(error: OSError) -> None:
 
 
 def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
-    require_regular(file, LARGEST_LIST, "list")
     try:
-        lines = csv.DictReader(file.read_text(encoding="utf-8-sig").splitlines(), strict=True)
+        lines = csv.DictReader(read_text(file, LARGEST_TABLE, "list").splitlines(), strict=True)
         missing = {"fabric", "capture"} - set(lines.fieldnames or ())
         if missing:
             raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
@@ -94,9 +92,8 @@ def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
                 raise InputError(f"{file}, line {number}: fabric={shown(fabric)} and "
                                  f"capture={shown(capture)} must both be given")
             yield (fabric, sample, capture), file.parent / capture
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{file} cannot be read ({one_line(error)}); give a CSV file in UTF-8"
-                         ) from None
+    except csv.Error as error:
+        raise InputError(f"{file} cannot be read ({one_line(error)}); give a CSV file") from None
 
 
 def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:

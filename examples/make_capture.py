@@ -49,7 +49,7 @@ def main(argv: list[str]) -> None:
         raise InputError(f"{out} holds something else than a capture made here; choose another "
                          "out=")
     require_folder(out)
-    density = checked_density(config["density"], "density")
+    density = checked_density(config["density"])
     rig = CameraRig.load()
     noise = load_sensor(config["sensor"])
     if isinstance(noise, StructuredLight):

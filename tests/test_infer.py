@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -301,6 +302,27 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
     content = json.loads((out / "estimate.json").read_text())
     assert any("interrupted" in warning for warning in content["warnings"])
     assert content["moduli"]
+
+
+@pytest.mark.parametrize("name", ["$a$ and $$", os.fsdecode(b"caf\xe9 \n")])
+def test_a_report_that_fails_does_not_lose_the_estimate(
+    capture: Path, checkpoint: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture = capture.rename(capture.with_name(name))
+    given = words(capture, checkpoint, "drapes=1", "edge_mm=20")
+    infer.main(given)
+    out = capture.parent / "out"
+    assert (out / "report.html").exists() and (out / "report.png").exists()
+
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no\nfont")
+
+    monkeypatch.setattr("drapenet.report.draw_report", fail)
+    infer.main(given)
+    content = json.loads((out / "estimate.json").read_text())
+    assert content["capture"]["source"] == str(capture)
+    assert content["warnings"][-1] == "there is no report: RuntimeError, no font"
+    assert [file.name for file in out.iterdir()] == ["estimate.json"]
 
 
 def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

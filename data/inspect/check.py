@@ -46,6 +46,7 @@ def _check_shards(root: Path, manifest: dict) -> None:
                 raise InputError(f"{root / name} belongs to another dataset (identity "
                                  f"{str(shard.attribute('identity'))[:12]} instead of "
                                  f"{manifest['identity'][:12]})")
+            shard.require_sound()
             indices.extend(shard.column("index").tolist())
             outcomes.update(shard.column("status").tolist())
     if indices != list(range(manifest["drapes"])):

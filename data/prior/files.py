@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file
 from data.fabrics import THETA_NAMES, from_theta
@@ -75,14 +76,8 @@ def load_prior(name: str | Path) -> Prior:
         InputError: no such file, or not a prior.
     """
     path = WEIGHTS / f"{name}.json" if name in BUNDLED else Path(name)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read the prior {path}: {error.strerror}; the bundled ones are "
-                         f"{', '.join(BUNDLED)}") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is no prior: not a JSON file") from None
-    return prior_from_content(content, origin=str(path))
+    remedy = f"give the file of a prior; the bundled ones are {", ".join(BUNDLED)}"
+    return prior_from_content(read_json(path, remedy=remedy), origin=str(path))
 
 
 def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[np.ndarray, int]:

@@ -13,7 +13,7 @@ from drapenet.table import with_interval
 
 def render(template: str, **values: object) -> bytes:
     """A page in UTF-8. What is not marked as safe is escaped; a missing name is an error."""
-    return _environment().get_template(template).render(values).encode()
+    return _environment().get_template(template).render(values).encode(errors="replace")
 
 
 @cache

@@ -9,30 +9,56 @@ import re
 import warnings
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
 from PIL import Image
+from pydantic import BeforeValidator, Field
 
+from common.documents import LARGEST_TEXT, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
-from data.captures import INTRINSICS_KEYS, MARKS, checked_density
+from data.captures import INTRINSICS_KEYS, MARKS, Description, checked_density
 from data.frames import BACKGROUND
-from data.reading import LARGEST_TEXT, finite_number, parse_mapping, shown
 from drapenet.service.settings import Settings
 from drapenet.tree import plain_name
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
 PACKED = (*PICTURES, *SCANS, ".yaml", ".txt")
 KINDS = (*PACKED, ".zip")
-NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m", *INTRINSICS_KEYS)
-"""Fields of the form that are numbers; those left empty are taken from ``capture.yaml``."""
-TEXTS = ("rig", "refine", "name")
-LONGEST_FIELD = 200  # characters
-REFINE = ("no", "yes")
 _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
+
+
+def _number(text: str) -> float:
+    with suppress(ValueError):
+        return float(text.replace(",", "."))
+    raise ValueError("is not a number")
+
+
+_Number = Annotated[float, BeforeValidator(_number)] | None
+_Text = Annotated[str, Field(max_length=200)] | None
+
+
+class Form(Schema):
+    """A form's fields; those left empty are taken from ``capture.yaml``."""
+
+    density_g_m2: _Number = None
+    warp_direction_deg: _Number = None
+    depth_unit_m: _Number = None
+    fx: _Number = None
+    fy: _Number = None
+    cx: _Number = None
+    cy: _Number = None
+    rig: _Text = None
+    refine: Literal["no", "yes"] = "no"
+    name: _Text = None
+
+
+TEXTS = ("rig", "refine", "name")
+NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
 class RequestError(Exception):
@@ -108,29 +134,16 @@ def write_upload(upload: Upload, folder: Path) -> None:
 
 
 def _fields(texts: Mapping[str, str]) -> dict[str, Any]:
-    fields: dict[str, Any] = {}
-    for key, text in texts.items():
-        if key not in (*NUMBERS, *TEXTS):
-            raise RequestError(422, f"unknown field {shown(key)}; known fields: files, "
-                               f"{', '.join((*NUMBERS, *TEXTS))}")
-        if len(text) > LONGEST_FIELD:
-            raise RequestError(422, f"{key} has {len(text)} characters; at most {LONGEST_FIELD}")
-        if not (text := text.strip()):
-            continue
-        fields[key] = text
-        if key in NUMBERS:
-            try:
-                fields[key] = finite_number(float(text.replace(",", ".")), key)
-            except ValueError:
-                raise RequestError(422, f"{key}={shown(text)} is not a number") from None
-    if fields.get("refine", "no") not in REFINE:
-        raise RequestError(422, f"refine={shown(fields['refine'])}: give yes or no")
-    return fields
+    given = {key: text.strip() for key, text in texts.items() if text.strip()}
+    try:
+        return Form.of(given, "").model_dump(exclude_none=True)
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
 
 
 def _require_density(value: object) -> None:
     try:
-        checked_density(value, "density_g_m2")
+        checked_density(value)
     except InputError as error:
         raise RequestError(422, str(error)) from None
 
@@ -242,14 +255,12 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
     """``capture.yaml``: the given one with what the form's fields state in its place."""
     try:
         text = (given or b"{}").decode("utf-8")
-        content = dict(parse_mapping(text, "capture.yaml"))
+        content = dict(parse_yaml(text, "capture.yaml"))
         content |= {key: fields[key] for key in (*NUMBERS[:3], "rig") if key in fields}
         intrinsics = {key: fields[key] for key in INTRINSICS_KEYS if key in fields}
-        if missing := [key for key in INTRINSICS_KEYS if intrinsics and key not in intrinsics]:
-            raise RequestError(422, f"{missing[0]} is missing; give fx, fy, cx and cy, in pixels")
         if intrinsics:
             content["intrinsics"] = intrinsics
-        _require_density(content.get("density_g_m2"))
+        Description.of(content, "")
         return yaml.safe_dump(content).encode()
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None

@@ -1,12 +1,12 @@
 """What a worker process does for one estimate; how far it is stands in its folder's state.json."""
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.workers import follow
@@ -27,8 +27,8 @@ def read_state(folder: Path) -> dict[str, Any] | None:
 def read_json(file: Path) -> Any:
     """What a file holds; None where it cannot be read."""
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_document(file)
+    except InputError:
         return None
 
 

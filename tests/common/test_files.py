@@ -23,8 +23,8 @@ def test_a_file_is_made_with_its_folder_and_replaced(tmp_path):
 def test_an_interrupted_write_changes_nothing(tmp_path):
     path = tmp_path / "a.json"
     replace_file(path, b"first")
-    with pytest.raises(KeyboardInterrupt), replacing(path) as temporary:
-        temporary.write_bytes(b"half of the sec")
+    with pytest.raises(KeyboardInterrupt), replacing(path) as file:
+        file.write(b"half of the sec")
         assert path.read_bytes() == b"first"
         raise KeyboardInterrupt
     assert path.read_bytes() == b"first"
@@ -106,3 +106,21 @@ def test_errors_become_one_line():
     assert one_line(ValueError("two\n  lines")) == "two lines"
     assert one_line(KeyError()) == "KeyError"
     assert len(one_line(ValueError("x" * 1000))) == 200
+
+
+def test_links_that_wait_where_a_file_will_be_written_are_not_followed(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    for name in ("estimate.json", "estimate.json.part"):
+        (tmp_path / name).symlink_to(tmp_path / "mine")
+    replace_file(tmp_path / "estimate.json", b"{}")
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert (tmp_path / "estimate.json").read_bytes() == b"{}"
+    assert not (tmp_path / "estimate.json").is_symlink()
+
+
+def test_messages_are_one_short_line_of_text_whatever_names_they_repeat():
+    name = os.fsdecode(b"two\nlines \xff \x1b[2J")
+    message = str(InputError(f"capture '{name}' " + "x" * 5000 + "; check the path"))
+    assert message.isprintable() and message.encode() and len(message) < 750
+    assert message.startswith(r"capture 'two\nlines \udcff \x1b[2J' xx")
+    assert message.endswith("xx; check the path")

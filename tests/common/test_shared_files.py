@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from common.errors import InputError
-from common.files import remove_partial, replace_shared_file
+from common.files import remove_partial, replace_file
 
 
 def test_whoever_loses_its_temporary_file_writes_it_again(tmp_path, monkeypatch):
@@ -19,14 +19,14 @@ def test_whoever_loses_its_temporary_file_writes_it_again(tmp_path, monkeypatch)
         real(source, target)
 
     monkeypatch.setattr(os, "replace", replace)
-    replace_shared_file(path, b"content")
+    replace_file(path, b"content")
     assert path.read_bytes() == b"content" and len({str(name) for name in lost}) == 3
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_writers_at_once_leave_one_whole_file(tmp_path):
     contents = [bytes([65 + i]) * 300_000 for i in range(8)]
-    threads = [threading.Thread(target=replace_shared_file, args=(tmp_path / "file", content))
+    threads = [threading.Thread(target=replace_file, args=(tmp_path / "file", content))
                for content in contents]
     for thread in threads:
         thread.start()
@@ -48,6 +48,6 @@ def test_what_the_system_refuses_is_one_line(tmp_path):
     (tmp_path / "file").mkdir()
     (tmp_path / "file" / "inside").touch()
     with pytest.raises(InputError, match="cannot write") as refusal:
-        replace_shared_file(tmp_path / "file", b"content")
+        replace_file(tmp_path / "file", b"content")
     assert "\n" not in str(refusal.value)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -288,18 +288,19 @@ BAD_METRIC = {
     "density in kg": (setting(density_g_m2=0.15), "density_g_m2=0.15 is outside 10-1000"),
     "heavy density": (setting(density_g_m2=1000.1), "is outside 10-1000"),
     "density in words": (setting(density_g_m2="light"), "density_g_m2='light' is not a number"),
-    "density true": (setting(density_g_m2=True), "not a finite number"),
+    "density true": (setting(density_g_m2=True), "=True is not a number"),
     "no density": (setting(density_g_m2=None), "density_g_m2 is missing"),
-    "no intrinsics": (setting(intrinsics=None), "must give fx, fy, cx and cy"),
-    "half the intrinsics": (setting(intrinsics={"fx": 305.0}), "must give fx, fy, cx and cy"),
+    "no intrinsics": (setting(intrinsics=None), "intrinsics is missing; give fx, fy, cx and cy"),
+    "half the intrinsics": (
+        setting(intrinsics={"fx": 305.0}), "intrinsics.fy is missing; give fx, fy, cx and cy"),
     "NaN focal length": (setting(intrinsics=GOOD | {"fx": float("inf")}), "intrinsics.fx=inf"),
     "negative focal length": (setting(intrinsics=GOOD | {"fy": -305.0}), "positive focal"),
-    "negative unit": (setting(depth_unit_m=-0.001), "must be positive"),
+    "negative unit": (setting(depth_unit_m=-0.001), "must be more than 0; 0.001 for"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
     "unknown rig": (setting(rig="disc300"), "unknown rig 'disc300'"),
-    "list for a rig": (setting(rig=["disc300"]), "rig=['disc300'] is not a name"),
+    "list for a rig": (setting(rig=["disc300"]), "rig=['disc300'] is not a text"),
     "lines in a key": (write("capture.yaml", b'"a\\nb": 1\n'), "unknown key 'a\\nb'"),
-    "endless density": (setting(density_g_m2=10**400), "not a finite number"),
+    "endless density": (setting(density_g_m2=10**400), "is not a number"),
     "misspelt key": (setting(density=150), "unknown key 'density'"),
     "broken YAML": (write("capture.yaml", b"density_g_m2: [1\n"), "is not valid YAML"),
     "YAML of a list": (write("capture.yaml", b"- 150\n"), "must hold 'key: value' lines"),
@@ -317,7 +318,7 @@ BAD_PUBLISHED = {
     "truncated picture": (truncate("3.png", 0.7), "3.png cannot be read"),
     "16-bit": (picture("1.png", lambda a: a.astype(np.uint16) * 4), "must be 8-bit grey"),
     "NaN density": (write("density.txt", b"data0 nan"), "not a finite number"),
-    "negative density": (write("density.txt", b"data0 -300"), "-300 is outside 10-1000"),
+    "negative density": (write("density.txt", b"data0 -300"), "-300.0 is outside 10-1000"),
     "density in words": (write("density.txt", b"data0 thick"), "'thick' is not a number"),
     "no density": (write("density.txt", b"\n"), "must hold one line"),
     "many densities": (write("density.txt", b"data0 300\ndata1 200\n"), "must hold one line"),
@@ -375,7 +376,7 @@ def test_the_published_captures_are_read(name):
 
 
 @pytest.mark.parametrize(("word", "complaint"), [
-    ("density=5000", "density=5000 is outside 10-1000 g/m2"),
+    ("density=5000", "density_g_m2=5000.0 is outside 10-1000; weigh"),
     ("out=/proc/capture", "cannot write to the folder /proc/capture"),
     ("out=", "needs the name of a folder"),
 ])

@@ -70,7 +70,7 @@ def test_bad_tables_are_refused_in_one_line(tmp_path, lines, complaint):
 
 
 def test_missing_table_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.csv: No such file") as refusal:
+    with pytest.raises(InputError, match=r"nowhere\.csv cannot be read \(No such file") as refusal:
         read_fabric_table(tmp_path / "nowhere.csv")
     assert HEADER in str(refusal.value)
 

@@ -95,11 +95,11 @@ def test_save_and_load(prior, tmp_path):
         ({"mean": [0, 1]}, "'mean', 6 finite"),
         ({"mean": None}, "'mean', 6 finite"),
         ({"mean": "many"}, "'mean', 6 finite"),
-        ({"fabrics": float("inf")}, "'fabrics', a whole number"),
+        ({"fabrics": float("inf")}, "no JSON document"),
         ({"fabrics": 201.5}, "'fabrics', a whole number"),
         ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
         ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
-        ({"covariance": (np.eye(6) * np.nan).tolist()}, "finite"),
+        ({"covariance": (np.eye(6) * np.nan).tolist()}, "no JSON document"),
     ],
 )
 def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
@@ -115,7 +115,7 @@ def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
 def test_other_files_are_no_prior(tmp_path, text):
     path = tmp_path / "p.json"
     path.write_text(text)
-    with pytest.raises(InputError, match="no prior"):
+    with pytest.raises(InputError, match=r"no prior|no JSON document"):
         load_prior(path)
 
 
@@ -174,7 +174,7 @@ def test_bundled_prior_covers_the_published_fabrics(prior):
     ([], "the command is: fit"),
     (["learn"], "the command is: fit"),
     (["fit"], "a table of fabrics is needed"),
-    (["fit", "fabrics=nowhere.csv"], "cannot read the fabric table nowhere"),
+    (["fit", "fabrics=nowhere.csv"], "nowhere.csv cannot be read"),
     (["fit", "speed=1"], "unknown key 'speed'"),
     (["fit", "fabrics=nowhere.csv", "model=oracle"], "model=oracle"),
 ])

@@ -80,7 +80,9 @@ def test_a_longer_lens_is_given_with_its_error(drape: SimpleNamespace) -> None:
     ({"pitch_deg": [50, 25]}, "pitch from"),
     ({"views": [0.5] * 3}, "shares of views"),
     ({"sensors": {"smooth": 0.4}}, "shares of sensors"),
-    ({"distance_mm": None}, "not complete"),
+    ({"distance_mm": None}, "distance_mm=None is not a list"),
+    ({"holes": 10**9}, "holes=1000000000 must be at most 1000"),
+    ({"hem_mm": "15"}, "hem_mm='15' is not a number"),
 ])
 def test_set_ups_that_make_no_sense_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from common.errors import InputError
 from drapenet.canonical import AZIMUTHS, ELEVATIONS
@@ -58,12 +59,17 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("changes", "message"), [
     ({"schema": "other"}, "does not describe"),
     ({"schema_version": 99}, "schema version 99"),
-    ({"targets": {"mean": [0], "std": [1]}}, "not described as expected"),
-    ({"targets": {"mean": [0] * 6, "std": [1] * 5 + [0]}}, "not described as expected"),
-    ({"fabrics": {"low": [0] * 6}}, "not described as expected"),
-    ({"model": {"targets": 8}}, "not described as expected"),
-    ({"weights": None}, "not described as expected"),
-    ({"dataset": {"sha256": 3}}, "not described as expected"),
+    ({"targets": {"mean": [0], "std": [1]}}, "must have model.targets=6 numbers"),
+    ({"targets": {"mean": [0] * 6, "std": [1] * 5 + [0]}},
+     r"targets\.std\.5=0 must be more than 0"),
+    ({"fabrics": {"low": [0] * 6}}, r"fabrics\.high is missing"),
+    ({"model": {"targets": 8}}, r"model\.width is missing"),
+    ({"weights": None}, "weights=None is not a mapping"),
+    ({"dataset": {"sha256": 3}}, r"dataset\.sha256=3 is not a text"),
+    ({"model": {"width": 100000, "components": 2, "targets": 6, "distance": 0.1, "spread": 0.1}},
+     r"model\.width=100000 must be at most 512"),
+    ({"model": {"width": 8, "targets": 6, "depth": 3}}, r"model\.components is missing"),
+    ({"config": {"setup": None}}, r"config\.setup=None is not a mapping"),
 ])
 def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:
     edit(checkpoint, **changes)
@@ -75,17 +81,21 @@ def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str
 def test_incomplete_json_is_refused(checkpoint: Path) -> None:
     file = checkpoint.with_suffix(".json")
     file.write_text(file.read_text()[:100])
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match="is no JSON document"):
         read_header(checkpoint)
     file.write_text(json.dumps({"schema": "drapenet-checkpoint", "schema_version": 2}))
-    with pytest.raises(InputError, match="lacks"):
+    with pytest.raises(InputError, match="rig is missing"):
         read_header(checkpoint)
 
 
-def test_an_unknown_network_is_refused(checkpoint: Path) -> None:
-    edit(checkpoint, model={"width": 8, "targets": 6, "depth": 3})
-    with pytest.raises(InputError, match="does not fit the network"):
-        load_model(read_header(checkpoint))
+@pytest.mark.parametrize("text", [
+    "[" * 100_000, '{"schema": 1, "schema": 2}', '{"rig": NaN}', "9" * 9999, "\ud800", "[]",
+    "null"])
+def test_hostile_json_is_refused_in_one_line(checkpoint: Path, text: str) -> None:
+    checkpoint.with_suffix(".json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(InputError) as caught:
+        read_header(checkpoint)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize("rig", ["square300_cylinder100", "disc300_support180"])
@@ -118,10 +128,11 @@ def test_state_brings_back_weights_moments_and_record(tmp_path: Path) -> None:
     model = torch.nn.Linear(3, 2)
     optimizer = torch.optim.Adam(model.parameters(), lr=0.1)
     step(model, optimizer)
-    save_state(tmp_path / "state", model=model, optimizer=optimizer, record={"epochs_done": 1})
+    record = {"run": {"settings": {}}, "epochs_done": 1, "best_loss": 0.5}
+    save_state(tmp_path / "state", model=model, optimizer=optimizer, record=record)
     other = torch.nn.Linear(3, 2)
     resumed = torch.optim.Adam(other.parameters(), lr=0.1)
-    assert load_state(tmp_path / "state", model=other, optimizer=resumed) == {"epochs_done": 1}
+    assert load_state(tmp_path / "state", model=other, optimizer=resumed) == record
     step(model, optimizer)
     step(other, resumed)
     assert torch.equal(model.weight, other.weight)
@@ -131,5 +142,24 @@ def test_a_damaged_state_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "state").write_bytes(b"not safetensors")
     model = torch.nn.Linear(1, 1)
     with pytest.raises(InputError, match="cannot be resumed"):
+        load_state(tmp_path / "state", model=model,
+                   optimizer=torch.optim.Adam(model.parameters()))
+
+
+@pytest.mark.parametrize(("record", "tensors", "complaint"), [
+    ({"epochs_done": "1"}, {}, "epochs_done='1' is not a whole number"),
+    ({"best_loss": []}, {}, r"best_loss=\[\] is not a number"),
+    ({"run": None}, {}, "run=None is not a mapping"),
+    ({}, {"optimizer.0.exp_avg": torch.zeros(7)}, "moments of parameter 0 have another shape"),
+    ({}, {"optimizer.x": torch.zeros(1)}, "cannot be resumed"),
+])
+def test_a_state_of_other_content_is_an_input_error(
+    tmp_path: Path, record: dict, tensors: dict, complaint: str
+) -> None:
+    model = torch.nn.Linear(1, 1)
+    content = {"run": {}, "epochs_done": 1, "best_loss": 0.5} | record
+    save_file({**{f"model.{name}": value for name, value in model.state_dict().items()}, **tensors},
+              tmp_path / "state", metadata={"record": json.dumps(content)})
+    with pytest.raises(InputError, match=complaint):
         load_state(tmp_path / "state", model=model,
                    optimizer=torch.optim.Adam(model.parameters()))

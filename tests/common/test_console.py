@@ -1,0 +1,47 @@
+"""What commands print where the output is full, closed, or knows ASCII only."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LONG = "print('a ' * 20000)"
+SCRIPT = """
+import os, sys
+from common.cli import run_command
+from common.errors import InputError
+def main(argv):
+    {body}
+run_command(main)
+"""
+
+
+def run(body: str, redirection: str, **environment: str) -> subprocess.CompletedProcess:
+    code = SCRIPT.format(body=body)
+    shell = ["sh", "-c", f'exec "$@" {redirection}', "sh"]
+    return subprocess.run([*shell, sys.executable, "-c", code], cwd=ROOT, capture_output=True,
+                          env=os.environ | environment)
+
+
+@pytest.mark.parametrize("body", ["print('a')", LONG])
+def test_a_full_output_is_one_line(body: str) -> None:
+    found = run(body, ">/dev/full")
+    assert found.returncode == 2
+    assert found.stderr.startswith(b"error: No space left on device; ") and (
+        found.stderr.count(b"\n") == 1)
+
+
+def test_closed_outputs_are_nobodys_business() -> None:
+    for redirection in (">&-", ">&- 2>&-"):
+        found = run(LONG + "; print('x', file=sys.stderr); sys.stdout.write('y')", redirection)
+        assert (found.returncode, found.stdout) == (0, b"")
+
+
+def test_ascii_outputs_and_names_that_are_no_text() -> None:
+    found = run("print(chr(181), os.fsdecode(b'\\xff')); raise InputError(chr(181) + chr(10))", "",
+                PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
+    assert found.stdout == b"\\xb5 \\udcff\n"
+    assert (found.returncode, found.stderr) == (2, b"error: \\xb5\\n\n")

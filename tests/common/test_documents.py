@@ -1,0 +1,127 @@
+"""Hostile and broken documents end in one short line, in little time."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from common.documents import Schema, parse_json, parse_yaml, read_bytes, read_json, read_yaml, shown
+from common.errors import InputError
+
+
+class Cloth(Schema):
+    density: float = Field(ge=10, le=1000, description="weigh it")
+    folds: int = 0
+    names: list[str] = Field(default=[], max_length=2)
+
+
+def merge_bomb(levels: int = 60) -> str:
+    """Merge keys that double at every level."""
+    lines = ["a0: &a0 {k0: 1}"]
+    lines += [f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}], k{k}: 1}}" for k in range(1, levels)]
+    return "\n".join(lines)
+
+
+HOSTILE = {
+    "huge number": "density: " + "9" * 400,
+    "number of thousands of digits": "density: 0x" + "f" * 30_000,
+    "tag without value": "density: !!int ''",
+    "tag of another kind": "density: !!timestamp soon",
+    "truth that is none": "density: !!bool perhaps",
+    "object": "density: !!python/object/apply:os.getcwd []",
+    "lines in text": 'density: "a\\nb\\nc"',
+    "long text": "density: " + "x" * 10_000,
+    "multiplying aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + "".join(f"{b}: &{b} [{','.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefg", "bcdefgh",
+                                                                       strict=True))
+    + "density: *h",
+    "merge keys": merge_bomb(),
+    "merge key": "<<: {density: 150}",
+    "itself": "&a density: *a",
+    "brackets": "density: " + "[" * 30_000,
+    "braces": "{" * 60_000,
+    "questions": "? " * 30_000,
+    "repeated key": "density: 150\ndensity: 300",
+    "repeated key inside": "density: {a: 1, a: 1}",
+    "many keys, the last repeated": "\n".join(f"k{k}: 1" for k in range(8000)) + "\nk0: 2",
+    "no key": "? [a, b]\n: 1",
+    "unknown key": "density: 150\nweight: 1",
+    "unknown key with lines": '"a\\nb": 150',
+    "NaN": "density: .nan",
+    "truth": "density: true",
+    "text": "density: '150'",
+    "too light": "density: 0.15",
+    "missing": "folds: 3",
+    "part of a fold": "density: 150\nfolds: 3.5",
+    "many names": "density: 150\nnames: [a, b, c]",
+    "other names": "density: 150\nnames: [a, [b]]",
+    "list": "- density",
+    "nothing": "",
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_documents_are_refused_in_one_short_line(tmp_path: Path, case: str) -> None:
+    file = tmp_path / "capture.yaml"
+    file.write_text(HOSTILE[case])
+    begun = time.process_time()
+    with pytest.raises(InputError) as refusal:
+        Cloth.of(read_yaml(file), file)
+    assert time.process_time() - begun < 3
+    message = str(refusal.value)
+    assert message.isprintable() and len(message) < 450 and "capture.yaml" in message
+
+
+def test_messages_name_quantity_value_limit_and_remedy() -> None:
+    for content, message in (
+        ({"density": 0.15}, "f: density=0.15 is outside 10-1000; weigh it"),
+        ({"density": "150"}, "f: density='150' is not a number; weigh it"),
+        ({}, "f: density is missing; weigh it"),
+        ({"density": 150, "names": ["a", 3]}, "f: names.1=3 is not a text"),
+        ({"density": 150, "folds": True}, "f: folds=True is not a whole number"),
+        ({"density": 150, "mass": 1}, "f: unknown key 'mass'; known keys: density, folds, names"),
+        ([], "f: is not a mapping"),
+    ):
+        with pytest.raises(InputError) as refusal:
+            Cloth.of(content, "f")
+        assert str(refusal.value) == message
+
+
+def test_sound_documents_are_taken_as_they_are() -> None:
+    cloth = Cloth.of(parse_yaml("density: 150\nnames: [a, b]", "x"), "x")
+    assert cloth.density == 150.0 and isinstance(cloth.density, float) and cloth.names == ["a", "b"]
+    assert parse_json('{"a": [1, 2.5, null, "µ"]}', "x") == {"a": [1, 2.5, None, "µ"]}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"a":' * 100_000, "NaN",
+                                  '{"a": 1, "a": 1}', "\ud800", '"\x00"', "1" * 10_000])
+def test_hostile_json_is_refused_in_one_short_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(InputError, match="no JSON document") as refusal:
+        read_json(tmp_path / "a.json")
+    assert str(refusal.value).isprintable() and len(str(refusal.value)) < 400
+
+
+def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 40)
+    for name, complaint in (
+        ("pipe", "not a regular file; give a table"), ("endless", "not a regular"),
+        ("sparse", "has 1099511627776 bytes; a table has at most 100"), (".", "not a regular"),
+        ("loop", "cannot be read .*levels of symbolic links"), ("none", "No such file"),
+        ("a\0b", "cannot be read"),
+    ):
+        with pytest.raises(InputError, match=complaint):
+            read_bytes(tmp_path / name, 100, "table")
+    (tmp_path / "sound").write_bytes(b"x" * 100)
+    assert read_bytes(tmp_path / "sound", 100, "table") == b"x" * 100
+
+
+def test_values_are_shown_in_one_short_line() -> None:
+    for value in (10**6000, "x\n" * 1000, [[[[[[[["deep"]]]]]]]], {"a": "b" * 100}):
+        assert shown(value).isprintable() and len(shown(value)) <= 60
