@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import ConfigDict
 from pydantic import Field as Entry
 
-from common.documents import Schema, read_json
+from common.documents import Schema, read_json, require_regular
 from common.errors import InputError, one_line
 from common.files import replace_file
 from data.nuisances import NAMES
@@ -28,6 +28,7 @@ SCHEMA_VERSION = 6
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
+LARGEST_SHARD = 16 << 30  # bytes
 MOST_EXTENT = 1 << 20  # of an array along one of its axes
 MOST_FOLDS = 1000
 
@@ -175,6 +176,7 @@ def verified_digest(path: Path) -> str:
         InputError: the file is cut short or damaged, of another schema version, or no shard.
         OSError: it cannot be read.
     """
+    require_regular(path, LARGEST_SHARD, "shard")
     with Path(path).open("rb") as file:
         seal = file.read(SEAL_SIZE)
         whole, content = hashlib.sha256(seal), hashlib.sha256()
@@ -217,6 +219,7 @@ class Shard:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        require_regular(self.path, LARGEST_SHARD, "shard")
         try:
             self._file = h5py.File(self.path, "r")
         except OSError:

@@ -182,7 +182,7 @@ def read_header(path: str | Path) -> Header:
     weights = Path(f"{stem}.safetensors")
     description = weights.with_suffix(".json")
     for file in (weights, description):
-        if not file.is_file():
+        if not file.exists():
             raise InputError(f"no checkpoint file {file}; give checkpoint=NAME.safetensors with "
                              "NAME.json beside it, or train one with 'make train'")
     content = read_json(description, remedy=Description.remedy)

@@ -8,6 +8,7 @@ it more and more, until its strain is as large as in a drape. Trimesh's non-rigi
 25 mm from the scanned one.
 """
 
+import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from common.documents import read_bytes
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
@@ -36,6 +38,7 @@ SLID = 0.05
 """Cloth does not stretch so much by its own weight: a scan whose edges differ by this from their
 rest lengths, root mean square, has vertices that slid along the cloth."""
 RAW = (".ply", ".obj")
+LARGEST_CLOUD = 256 << 20  # bytes
 LEAST_HELD = 0.5  # of the support's radius
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
 _FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
@@ -148,11 +151,11 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     """
     import trimesh
 
+    # In memory first: a scan may name other files, materials for example, which are not read.
+    data = read_bytes(path, LARGEST_CLOUD, "scan")
     try:
-        # In memory first: a scan may name other files, materials for example, which are not read.
-        with path.open("rb") as file:
-            loaded = trimesh.load(file, file_type=path.suffix[1:].lower(), process=False,
-                                  skip_materials=True, force=None)
+        loaded = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
+                              skip_materials=True, force=None)
         points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
         if points.shape[1:] != (3,):
             raise ValueError("points of another number of coordinates than three")

@@ -1,0 +1,74 @@
+"""Pipes, devices and sparse files in place of every file that a user may give."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from common.errors import InputError
+from data.captures import read_capture
+from data.drape_file import read_borrowed
+from data.fabrics import read_fabric_table
+from data.frames import read_array, read_exr, read_points
+from data.prior import load_prior
+from data.reading import read_picture
+from data.recordings import read_recording
+from data.scans import read_scan
+from data.shards import Shard, read_manifest, verified_digest
+from data.strip_curves import read_curve
+from drapenet.checkpoint import load_state, read_header
+from drapenet.export import read_material
+from drapenet.refine.scans import read_cloud
+from drapenet.tree import entries_of
+from sim.scene import DISC_RIG
+
+
+def _state(file: Path) -> None:
+    model = torch.nn.Linear(1, 1)
+    load_state(file, model=model, optimizer=torch.optim.Adam(model.parameters()))
+
+
+def _header(file: Path) -> None:
+    file.with_suffix(".safetensors").touch()
+    read_header(file)
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "capture.yaml": lambda file: read_capture(file.parent),
+    "density.txt": lambda file: read_capture(file.parent),
+    "view_0.png": lambda file: read_picture(file, modes={"I;16"}, kind="16-bit grey"),
+    "view_0.npy": read_array,
+    "view_0.exr": read_exr,
+    "view_0.ply": lambda file: read_points(file, None),
+    "depth.bag": read_recording,
+    "scan.npz": lambda file: read_scan(file, DISC_RIG),
+    "scan.obj": lambda file: read_cloud(file, DISC_RIG),
+    "drape.npz": read_borrowed,
+    "fabrics.csv": read_fabric_table,
+    "curve.csv": read_curve,
+    "list.csv": entries_of,
+    "prior.json": load_prior,
+    "dataset.json": lambda file: read_manifest(file.parent),
+    "shard_00000.h5": Shard,
+    "sealed.h5": verified_digest,
+    "net.json": _header,
+    "state.safetensors": _state,
+    "estimate.json": read_material,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, name: str) -> None:
+    def sparse(file: Path) -> None:
+        with file.open("wb") as stream:
+            stream.truncate(1 << 43)
+
+    for make, complaint in ((os.mkfifo, "not a regular file"),
+                            (lambda file: file.symlink_to("/dev/zero"), "not a regular file"),
+                            (sparse, "has 8796093022208 bytes; ")):
+        make(tmp_path / name)
+        with pytest.raises(InputError, match=complaint):
+            READERS[name](tmp_path / name)
+        (tmp_path / name).unlink()
