@@ -174,15 +174,15 @@ def read_bytes(file: Path, largest: int, kind: str) -> bytes:
     try:
         descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            _require(file, os.fstat(descriptor), largest, kind)
+            size = _require(file, os.fstat(descriptor), largest, kind)
             with open(descriptor, "rb", closefd=False) as stream:
-                data = stream.read(largest + 1)
+                data = stream.read(size + 1)  # which allocates as much
         finally:
             os.close(descriptor)
     except (OSError, ValueError) as error:  # ValueError of a name with a null byte
         raise _unreadable(file, error) from None
-    if len(data) > largest:
-        raise InputError(f"{file} grows while it is read; a {kind} has at most {largest} bytes")
+    if len(data) > size:
+        raise InputError(f"{file} grows while it is read; read it again")
     return data
 
 
@@ -202,11 +202,12 @@ def _unreadable(file: Path, error: Exception) -> InputError:
     return InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})")
 
 
-def _require(file: Path, found: os.stat_result, largest: int, kind: str) -> None:
+def _require(file: Path, found: os.stat_result, largest: int, kind: str) -> int:
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{file} is not a regular file; give a {kind}")
     if found.st_size > largest:
         raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {largest}")
+    return found.st_size
 
 
 def shown(value: object) -> str:

@@ -5,10 +5,11 @@ bytes depend on its content only: no times, no machine, no random identifiers. I
 hold the checksum of the rest, so that every damage shows, in whichever bit.
 """
 
+import functools
 import hashlib
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -210,13 +211,28 @@ def some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
+def _of_whole_file(method: Callable) -> Callable:
+    """A method of a shard that makes an InputError of what HDF5 makes of damage."""
+    @functools.wraps(method)
+    def reading(shard: "Shard", *arguments: object) -> Any:
+        try:
+            return method(shard, *arguments)
+        except InputError:
+            raise
+        except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
+            raise InputError(f"{shard.path} is damaged ({one_line(error)}); generate it anew"
+                             ) from None
+    return reading
+
+
 class Shard:
     """An open shard, for reading.
 
     Raises:
-        InputError: the file cannot be read or is of another schema version.
+        InputError: the file cannot be read, is damaged or of another schema version.
     """
 
+    @_of_whole_file
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         require_regular(self.path, LARGEST_SHARD, "shard")
@@ -255,6 +271,7 @@ class Shard:
                 return name
         return ""
 
+    @_of_whole_file
     def require_sound(self) -> None:
         """InputError for values that no drape has."""
         column = {name: self.column(name) for name, field in fields(0).items()
@@ -292,20 +309,24 @@ class Shard:
     def __len__(self) -> int:
         return len(self._file["index"])
 
+    @_of_whole_file
     def attribute(self, name: str) -> str | int | float | None:
         """An attribute of the file; None where there is none."""
         value = self._file.attrs.get(name)
         return value.decode() if isinstance(value, bytes) else value
 
+    @_of_whole_file
     def column(self, name: str) -> np.ndarray:
         """All rows of a field, as stored; text as str."""
         rows = self._file[name][:]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
+    @_of_whole_file
     def storage(self) -> dict[str, int]:
         """Bytes on disk of each field's values, compressed."""
         return {name: rows.id.get_storage_size() for name, rows in self._file.items()}
 
+    @_of_whole_file
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
         vertices = slice(int(self._file["vertices"][row]))

@@ -1,0 +1,486 @@
+"""Every reader of files from outside: a sound input, how it is damaged, and the reading."""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import random
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import fake_drapes
+import h5py
+import numpy as np
+import torch
+import trimesh
+import yaml
+from corruption import (
+    damaged_bytes,
+    damaged_json,
+    damaged_npy,
+    damaged_png,
+    damaged_safetensors,
+    damaged_text,
+    damaged_value,
+    damaged_zip,
+)
+from PIL import Image
+from test_scans import RIG as SCAN_RIG
+from test_scans import scan_arrays
+
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.captures import read_capture
+from data.configs import read_config, read_option
+from data.drape_file import read_borrowed
+from data.fabrics import TABLE_COLUMNS, read_fabric_table
+from data.folder import DatasetFolder
+from data.inspect import figures
+from data.inspect.check import check_dataset
+from data.inspect.pictures import histograms
+from data.prior import load_prior
+from data.recordings import read_recording
+from data.records import DatasetConfig, make_record
+from data.sampling import SamplingConfig
+from data.scans import read_scan
+from data.setups import Setups
+from data.shards import SEAL_SIZE, _seal, json_digest, verified_digest
+from data.strip_curves import read_curve
+from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
+from drapenet.export import TARGETS, read_material
+from drapenet.network import MapNet
+from drapenet.refine.scans import read_cloud
+from drapenet.service.settings import Settings
+from drapenet.service.uploads import RequestError, checked_upload, write_upload
+from drapenet.tree import entries_of
+from sim.scene import Rig
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "captures" / "twill"
+Damage = Callable[[bytes, random.Random], bytes]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader.
+
+    Attributes:
+        make: writes a sound input to a new folder.
+        damage: by file of the folder.
+        read: reads the folder.
+        after: mends digests, so that the damage is not found by them alone.
+    """
+
+    make: Callable[[Path], None]
+    damage: dict[str, Damage]
+    read: Callable[[Path], object]
+    after: Callable[[Path], None] = lambda folder: None
+
+
+def spoil(reader: Reader, folder: Path, rng: random.Random) -> str:
+    """Damage one file of a sound input in ``folder``, or what the file is; its name."""
+    name = rng.choice(sorted(reader.damage))
+    file = folder / name
+    way = rng.random()
+    if way < 0.97:
+        file.write_bytes(reader.damage[name](file.read_bytes(), rng))
+    else:
+        others = [other for other in folder.iterdir() if other != file]
+        file.unlink()
+        _STRANGE[rng.randrange(len(_STRANGE))](file, rng.choice(others) if others else folder)
+    reader.after(folder)
+    return name
+
+
+def _sparse(file: Path, other: Path) -> None:
+    with file.open("wb") as stream:
+        stream.truncate(1 << 40)
+
+
+_STRANGE = (
+    lambda file, other: None, lambda file, other: file.mkdir(), lambda file, other: os.mkfifo(file),
+    lambda file, other: file.symlink_to("/dev/zero"), lambda file, other: file.symlink_to(file),
+    lambda file, other: file.symlink_to(other), lambda file, other: file.touch(), _sparse)
+
+
+def _small(view: np.ndarray, step: int) -> np.ndarray:
+    return np.ascontiguousarray(view[::step, ::step])
+
+
+def _views() -> list[np.ndarray]:
+    return [_small(np.array(Image.open(EXAMPLE / f"view_{k}.png")), 3) for k in range(4)]
+
+
+def _describe(folder: Path, **more: object) -> None:
+    content = yaml.safe_load((EXAMPLE / "capture.yaml").read_text())
+    content["intrinsics"] = {key: value / 3 for key, value in content["intrinsics"].items()}
+    (folder / "capture.yaml").write_text(yaml.safe_dump(content | more))
+
+
+def _capture(folder: Path) -> None:
+    for k, view in enumerate(_views()):
+        Image.fromarray(view).save(folder / f"view_{k}.png")
+    _describe(folder, turns_deg=[0, 90, 180, 270])
+
+
+def _arrays(folder: Path) -> None:
+    for k, view in enumerate(_views()[:2]):
+        np.save(folder / f"view_{k}.npy", (view * 1e-3).astype(np.float32))
+    _describe(folder)
+
+
+def _exr(folder: Path) -> None:
+    import OpenEXR
+
+    for k, view in enumerate(_views()[:2]):
+        channels = {"Z": (view * 1e-3).astype(np.float32)}
+        OpenEXR.File({"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION},
+                     channels).write(str(folder / f"view_{k}.exr"))
+    _describe(folder)
+
+
+def _points(folder: Path) -> None:
+    for k, view in enumerate(_views()[:2]):
+        rows, columns = np.nonzero(view)
+        depth = view[rows, columns] * 1e-3
+        points = np.column_stack([(columns - 39.5) * depth / 101.7, (rows - 29.5) * depth / 101.7,
+                                  depth])
+        data = trimesh.PointCloud(points).export(file_type="ply", encoding=(
+            "ascii" if k else "binary"))
+        (folder / f"view_{k}.ply").write_bytes(data.encode() if isinstance(data, str) else data)
+    _describe(folder, size_px=[80, 60])
+
+
+def _published(folder: Path) -> None:
+    for k in range(4):
+        view = np.array(Image.open(EXAMPLE / f"view_{k}.png"))
+        Image.fromarray((view * (255 / 1000)).astype(np.uint8)).save(folder / f"{k}.png")
+    (folder / "density.txt").write_text("data0 300\n")
+
+
+def _scan(folder: Path) -> None:
+    np.savez(folder / "scan.npz", **scan_arrays())
+
+
+def _raw_scan(folder: Path) -> None:
+    arrays = scan_arrays()
+    mesh = trimesh.Trimesh(arrays["vertices"], arrays["faces"], process=False)
+    for kind in ("ply", "obj"):
+        data = mesh.export(file_type=kind)
+        (folder / f"scan.{kind}").write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def _read_raw_scan(folder: Path) -> None:
+    for kind in ("ply", "obj"):
+        read_cloud(folder / f"scan.{kind}", SCAN_RIG)
+
+
+def _drape(folder: Path) -> None:
+    rest = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 2))
+    np.savez_compressed(folder / "drape.npz", rest=rest,
+                        positions=np.column_stack([rest, -np.ones(40)]))
+
+
+def _fabrics(folder: Path) -> None:
+    rows = np.random.default_rng(0).uniform(5, 90, (9, len(TABLE_COLUMNS)))
+    rows[:, 0] = 0.2
+    with (folder / "fabrics.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([[f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items()],
+                                    *rows.tolist()])
+
+
+def _curve(folder: Path) -> None:
+    x = np.linspace(0, 80, 30)
+    lines = [f"{a:.3f},{-a * a / 150:.3f}" for a in x]
+    (folder / "curve.csv").write_text("x_mm,y_mm\n" + "\n".join(lines) + "\n")
+
+
+def _list(folder: Path) -> None:
+    (folder / "list.csv").write_text("fabric,sample,capture\n" + "\n".join(
+        f"f{k % 3},s{k},c{k}" for k in range(9)) + "\n")
+
+
+def _priors(folder: Path) -> None:
+    for name in ("gaussian", "vae"):
+        shutil.copy(ROOT / "data" / "weights" / f"{name}.json", folder)
+
+
+def _read_priors(folder: Path) -> None:
+    for name in ("gaussian", "vae"):
+        prior = load_prior(folder / f"{name}.json")
+        prior.sample(20, np.random.default_rng(0))
+
+
+MODEL = {"width": 4, "components": 2, "targets": 6, "distance": 0.076, "spread": 0.017}
+
+
+def _checkpoint(folder: Path) -> None:
+    torch.manual_seed(0)
+    mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]
+    save_checkpoint(folder / "net.safetensors", model=MapNet(**MODEL), half=False, description={
+        "rig": "square300_cylinder100", "model": MODEL, "targets": {"mean": mean, "std": std},
+        "fabrics": {"low": mean, "high": mean, "deviation": std}, "validation": {},
+        "dataset": {"sha256": "0" * 64, "generation": {"solver": {"edge_mm": 8.0}}},
+        "config": {"setup": dict(read_option("setup", "real"))}})
+
+
+def _mend_checkpoint(folder: Path) -> None:
+    try:
+        digest = hashlib.sha256((folder / "net.safetensors").read_bytes()).hexdigest()
+        content = json.loads((folder / "net.json").read_text())
+        if digest != content["weights"]["sha256"]:
+            content["weights"]["sha256"] = digest
+            (folder / "net.json").write_text(json.dumps(content))
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+
+
+def _read_checkpoint(folder: Path) -> None:
+    header = read_header(folder / "net")
+    _ = header.setups, header.scale, header.identity
+    header.require_rig("square300_cylinder100")
+    load_model(header)
+
+
+def _training() -> tuple[torch.nn.Module, torch.optim.Optimizer]:
+    torch.manual_seed(0)
+    model = torch.nn.Linear(3, 2)
+    return model, torch.optim.AdamW(model.parameters(), lr=0.1)
+
+
+def _step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
+    optimizer.zero_grad()
+    model(torch.ones(2, 3)).square().sum().backward()
+    optimizer.step()
+
+
+def _state(folder: Path) -> None:
+    model, optimizer = _training()
+    _step(model, optimizer)
+    save_state(folder / "state.safetensors", model=model, optimizer=optimizer, record={
+        "run": {"settings": {"seed": 0}, "dataset": "0" * 64}, "epochs_done": 2, "best_loss": 0.5})
+
+
+def _read_state(folder: Path) -> None:
+    model, optimizer = _training()
+    load_state(folder / "state.safetensors", model=model, optimizer=optimizer)
+    _step(model, optimizer)
+
+
+def _estimate(folder: Path) -> None:
+    def quantity(value: float) -> dict:
+        return {"median": value, "interval_68": [0.9 * value, 1.1 * value],
+                "interval_90": [0.8 * value, 1.2 * value]}
+
+    (folder / "estimate.json").write_text(json.dumps({
+        "schema": "drapenet-estimate", "schema_version": 2, "convention": "warp/weft",
+        "capture": {"source": "twill", "density_g_m2": 210.0}, "warnings": ["holes"],
+        "moduli": {name: {"alpha_uN_m": quantity(a), "beta_nN_m2": quantity(-3 * a),
+                          "beta_over_alpha_mm": quantity(-3.0)}
+                   for name, a in (("warp", 52.0), ("bias", 31.0), ("weft", 22.0))}}))
+
+
+LIGHT = [name for name in TARGETS if name not in ("arcsim", "ppf", "newton")]  # without hinges
+
+
+def _read_estimate(folder: Path) -> None:
+    material = read_material(folder / "estimate.json", curvature=50.0)
+    for name in LIGHT:
+        TARGETS[name].write(material, TARGETS[name].file)
+
+
+def small_config(drapes: int = 8, per_shard: int = 4) -> DatasetConfig:
+    """A dataset on coarse meshes."""
+    return DatasetConfig(drapes=drapes, sampling=SamplingConfig(), prior=load_prior("gaussian"),
+                         rig=Rig(), edge=0.04, drapes_per_shard=per_shard)
+
+
+def _dataset(folder: Path) -> None:
+    config = small_config()
+    made = DatasetFolder(folder, config)
+    made.claim()
+    for shard in range(config.shards):
+        made.write(shard, [make_record(index, config, solver=fake_drapes.cone)
+                           for index in config.rows(shard)])
+    made.finish()
+
+
+def _damaged_shard(data: bytes, rng: random.Random) -> bytes:
+    """Arrays and attributes of a shard, or bytes of it."""
+    if rng.random() < 0.4:
+        return data[:SEAL_SIZE] + damaged_bytes(data[SEAL_SIZE:], rng)
+    memory = io.BytesIO(data)
+    with h5py.File(memory, "r+") as file:
+        for _ in range(rng.choice((1, 1, 3))):
+            name = rng.choice(sorted(file))
+            array, way = file[name], rng.randrange(6)
+            if way <= 2 and array.size:
+                values = array[()]
+                flat = values.reshape(-1)
+                for _ in range(rng.choice((1, 3))):
+                    flat[rng.randrange(flat.size)] = (
+                        rng.choice((b"", b"\xff\xfe", b"x" * 400)) if values.dtype.kind == "S" else
+                        rng.choice((0, -1, 5, 127, np.iinfo(values.dtype).max))
+                        if values.dtype.kind == "i" else rng.choice((0, np.nan, np.inf, 1e300)))
+                array[...] = values
+            elif way == 3:
+                del file[name]
+            elif way == 4:
+                del file[name]
+                shape = rng.choice(((), (2,), (2**31,), (4, 2**20, 3), (4, 3)))
+                file.create_dataset(name, shape, rng.choice(("f8", "i4", "S8", "i8")), chunks=(
+                    None if not shape or rng.random() < 0.5 else (1,) * len(shape)))
+            else:
+                file.attrs[rng.choice(sorted(file.attrs))] = rng.choice((-1, 6, b"x", b"[" * 9999))
+    return memory.getvalue()
+
+
+def _damaged_manifest(data: bytes, rng: random.Random) -> bytes:
+    content = json.loads(data)
+    if rng.random() < 0.5:
+        content["config"] = damaged_value(content["config"], rng)
+    else:
+        content = damaged_value(content, rng)
+    return json.dumps(content).encode("utf-8", "surrogatepass")
+
+
+def _mend_dataset(folder: Path) -> None:
+    """Seals and digests that fit what is there."""
+    try:
+        for path in folder.glob("shard_*.h5"):
+            if path.is_file() and path.stat().st_size < 1 << 30:
+                content = path.read_bytes()[SEAL_SIZE:]
+                path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
+        manifest = json.loads((folder / "dataset.json").read_text())
+        manifest["identity"] = json_digest(manifest["config"])
+        manifest["shards"] = {name: verified_digest(folder / name) for name in manifest["shards"]}
+        manifest["hash"] = json_digest(manifest["shards"])
+        for path in folder.glob("shard_*.h5"):
+            with h5py.File(path, "r+") as file:
+                file.attrs["identity"] = np.bytes_(manifest["identity"].encode())
+            content = path.read_bytes()[SEAL_SIZE:]
+            path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
+        manifest["shards"] = {name: verified_digest(folder / name) for name in manifest["shards"]}
+        manifest["hash"] = json_digest(manifest["shards"])
+        (folder / "dataset.json").write_text(json.dumps(manifest))
+    except Exception:  # damage that cannot be hidden
+        pass
+
+
+def _read_dataset(folder: Path) -> None:
+    figures.PRIOR_SAMPLES = 50
+    manifest = check_dataset(folder)
+    drapes = figures.read_drapes(folder, manifest, intersections=1)
+    prior = figures.prior_samples(manifest)
+    figures.report(manifest, drapes, prior)
+    if manifest["identity"][0] in "01":
+        histograms(drapes, prior[0])
+    DatasetFolder(folder, small_config()).finish()
+
+
+def _setup(folder: Path) -> None:
+    (folder / "setup.json").write_text(json.dumps(dict(read_option("setup", "real"))))
+
+
+def _read_setup(folder: Path) -> None:
+    try:
+        content = json.loads((folder / "setup.json").read_bytes())
+    except (ValueError, OSError):
+        raise InputError("the damage is not of the mapping itself") from None
+    Setups.from_config(content).camera(np.random.default_rng(0), CameraRig.load().intrinsics)
+
+
+def _upload(folder: Path) -> None:
+    files = {"capture.zip": cloths_zip(folder), "fields.json": json.dumps({
+        "density_g_m2": "123,5", "warp_direction_deg": "20", "name": "twill", "refine": "no"}
+        ).encode()}
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+
+
+def cloths_zip(folder: Path) -> bytes:
+    """A zip with a small capture."""
+    inside = folder / "inside"
+    inside.mkdir()
+    _capture(inside)
+    archive = shutil.make_archive(str(folder / "made"), "zip", inside)
+    data = Path(archive).read_bytes()
+    Path(archive).unlink()
+    shutil.rmtree(inside)
+    return data
+
+
+def _damaged_member(data: bytes, rng: random.Random) -> bytes:
+    return damaged_png(data, rng) if data.startswith(b"\x89PNG") else damaged_text(data, rng)
+
+
+def _read_upload(folder: Path) -> None:
+    settings = Settings.of(read_config("serve") | {"results": str(folder / "r"), "megabytes": 4.0})
+    try:
+        data = (folder / "capture.zip").read_bytes() if (
+            (folder / "capture.zip").stat().st_size < 1 << 23) else b""
+        content = json.loads((folder / "fields.json").read_bytes())
+        texts = {str(key): value if isinstance(value, str) else repr(value)
+                 for key, value in content.items()}
+    except (ValueError, AttributeError, OSError):
+        raise InputError("the damage is not of what a request can hold") from None
+    written = folder / f"written_{os.getpid()}"
+    try:
+        write_upload(checked_upload([("capture.zip", data)], texts, settings), written)
+    except RequestError as error:
+        raise InputError(error.sentence) from None
+    read_capture(written)
+
+
+def _each(names: str, count: int, damage: Damage) -> dict[str, Damage]:
+    return {names.format(k): damage for k in range(count)}
+
+
+def _damaged_yaml(data: bytes, rng: random.Random) -> bytes:
+    if rng.random() < 0.5:
+        return damaged_text(data, rng)
+    return yaml.safe_dump(damaged_value(yaml.safe_load(data), rng)).encode("utf-8", "surrogatepass")
+
+
+YAML: dict[str, Damage] = {"capture.yaml": _damaged_yaml}
+
+READERS = {
+    "capture, 16-bit PNG": Reader(_capture, _each("view_{}.png", 4, damaged_png) | YAML,
+                                  read_capture),
+    "capture, 8-bit PNG": Reader(_published, _each("{}.png", 4, damaged_png)
+                                 | {"density.txt": damaged_text}, read_capture),
+    "capture, NumPy": Reader(_arrays, _each("view_{}.npy", 2, damaged_npy) | YAML, read_capture),
+    "capture, EXR": Reader(_exr, _each("view_{}.exr", 2, damaged_bytes), read_capture),
+    "capture, points": Reader(_points, {"view_0.ply": damaged_bytes, "view_1.ply": damaged_text}
+                              | YAML, read_capture),
+    "recording": Reader(lambda folder: shutil.copy(
+        ROOT / "tests" / "data" / "recordings" / "turntable.db3", folder),
+        {"turntable.db3": damaged_bytes}, lambda folder: read_recording(folder / "turntable.db3")),
+    "scan, npz": Reader(_scan, {"scan.npz": damaged_zip},
+                        lambda folder: read_scan(folder / "scan.npz", SCAN_RIG)),
+    "scan, PLY and OBJ": Reader(_raw_scan, {"scan.ply": damaged_bytes, "scan.obj": damaged_text},
+                                _read_raw_scan),
+    "drape": Reader(_drape, {"drape.npz": damaged_zip},
+                    lambda folder: read_borrowed(folder / "drape.npz")),
+    "fabric table": Reader(_fabrics, {"fabrics.csv": damaged_text},
+                           lambda folder: read_fabric_table(folder / "fabrics.csv")),
+    "deflection curve": Reader(_curve, {"curve.csv": damaged_text},
+                               lambda folder: read_curve(folder / "curve.csv")),
+    "list of captures": Reader(_list, {"list.csv": damaged_text},
+                               lambda folder: entries_of(folder / "list.csv")),
+    "prior": Reader(_priors, {"gaussian.json": damaged_json, "vae.json": damaged_json},
+                    _read_priors),
+    "checkpoint": Reader(_checkpoint, {"net.json": damaged_json,
+                                       "net.safetensors": damaged_safetensors},
+                         _read_checkpoint, _mend_checkpoint),
+    "state of a training": Reader(_state, {"state.safetensors": damaged_safetensors}, _read_state),
+    "estimate": Reader(_estimate, {"estimate.json": damaged_json}, _read_estimate),
+    "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, _damaged_shard)
+                      | {"dataset.json": _damaged_manifest}, _read_dataset, _mend_dataset),
+    "set-ups": Reader(_setup, {"setup.json": damaged_json}, _read_setup),
+    "upload": Reader(_upload, {"capture.zip": lambda data, rng: damaged_zip(
+        data, rng, _damaged_member), "fields.json": damaged_json}, _read_upload),
+}
