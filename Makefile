@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow test-slurm test-browser serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu studies example validate clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu studies example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -41,6 +41,9 @@ test-browser: $(STAMP)  ## the page in Chromium, which root gets installed; scre
 	@test -n "$$(command -v chromium)" || test "$$(id -u)" != 0 || { apt-get update -qq && apt-get install -qqy chromium; }
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
+
+campaign: $(STAMP)  ## damaged input, kills, full disks and other accidents, an hour, resumes: docs/validation/campaign.json
+	$(BIN)/python tests/campaign
 
 serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py

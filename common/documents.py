@@ -70,6 +70,12 @@ class Schema(BaseModel):
         return complaint + (f"; {remedy}" if remedy else "")
 
 
+class Excerpt(Schema):
+    """What is read of a document that holds more."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
 _UNKNOWN = "extra_forbidden"
 _WORDS = {
     "outside": "is outside {ge:g}-{le:g}",

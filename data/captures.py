@@ -63,9 +63,12 @@ class _Density(Schema):
         description="weigh the specimen, give its g/m² and check the unit")
 
 
+_Focal = Annotated[float, Field(ge=10, le=1e5)]
+
+
 class _Pixels(Schema):
-    fx: float
-    fy: float
+    fx: _Focal
+    fy: _Focal
     cx: float
     cy: float
 

@@ -35,7 +35,7 @@ RECORDED = "recording"
 DEEP = {"modes": {"I;16", "I"}, "kind": "16-bit grey"}
 MOST_PIXELS = 64_000_000  # of all frames of one view
 MOST_POINTS = LARGEST_PICTURE[0] * LARGEST_PICTURE[1] // 4
-FARTHEST = 100.0  # m, beyond which depth is in another unit
+FARTHEST = 100.0  # m, beyond which depth is in another unit, or of nothing
 KINDS = {
     "view_{}.png": r"view_\d+\.png",
     "view_{}_0.png": r"view_\d+_\d+\.png",
@@ -108,7 +108,8 @@ def read_frames(
                             [readers[kind](file) for file in files])
     background = None
     if BACKGROUND in names:
-        background = (read_picture(folder / BACKGROUND, **DEEP) * counted).astype(np.float32)
+        background = np.minimum(read_picture(folder / BACKGROUND, **DEEP) * counted,
+                                FARTHEST).astype(np.float32)
         if background.shape != frames.shape[1:]:
             raise InputError(f"{folder / BACKGROUND} has {_size(background)} pixels, the views "
                              f"have {_size(frames[0])}; take it with the same camera")
@@ -122,7 +123,7 @@ def read_frames(
             raise InputError(f"{folder}: {len(color)} color pictures of {_size(color[0])} pixels "
                              f"do not fit {len(frames)} views of {_size(frames[0])}; give as many "
                              "of the same pixels (the SDK's color aligned to depth)")
-    return Frames(frames.astype(np.float32), background, intrinsics, color)
+    return Frames(np.minimum(frames, FARTHEST).astype(np.float32), background, intrinsics, color)
 
 
 def _grey(picture: np.ndarray) -> np.ndarray:

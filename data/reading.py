@@ -32,7 +32,7 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
         raise
     except UnidentifiedImageError:
         raise InputError(f"{file} is not a PNG picture; export the view again") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except Exception as error:  # whatever a damaged file makes of the library
         cause = one_line(error)
         raise InputError(f"{file} cannot be read ({cause}); export the view again") from None
 

@@ -16,10 +16,9 @@ from typing import Annotated, Any
 
 import h5py
 import numpy as np
-from pydantic import ConfigDict
 from pydantic import Field as Entry
 
-from common.documents import Schema, read_json, require_regular
+from common.documents import Excerpt, read_json, require_regular
 from common.errors import InputError, one_line
 from common.files import replace_file
 from data.nuisances import NAMES
@@ -341,10 +340,9 @@ ANEW = ("remove it and run the command that made the dataset again, which keeps 
         "whole")
 """What helps against a damaged manifest."""
 
-class _Begun(Schema):
+class _Begun(Excerpt):
     """What a manifest must hold."""
 
-    model_config = ConfigDict(extra="ignore")
     remedy = ANEW
     identity: str
     drapes: int = Entry(ge=1, le=10**9)
@@ -374,8 +372,12 @@ def read_manifest(root: Path) -> dict | None:
         InputError: it cannot be read, is damaged, or belongs to another schema version.
     """
     path = Path(root) / MANIFEST
-    if not path.exists():
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError:
+        pass  # the reader says why
     content = read_json(path, remedy=ANEW)
     if not isinstance(content, dict):
         raise InputError(f"{path} is damaged; {ANEW}")

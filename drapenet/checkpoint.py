@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from common.documents import (
+    Excerpt,
     Schema,
     parse_json,
     read_bytes,
@@ -38,12 +40,9 @@ SCHEMA = "drapenet-checkpoint"
 SCHEMA_VERSION = 2
 
 LARGEST_WEIGHTS = 2 << 30  # bytes
-_Theta = Annotated[list[float], Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))]
+_SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
+_Theta = Annotated[list[float], _SIX]
 _Positive = Annotated[float, Field(gt=0)]
-
-
-class _Part(Schema):
-    model_config = ConfigDict(extra="ignore")
 
 
 class _Model(Schema):
@@ -62,23 +61,23 @@ class _Targets(Schema):
 class _Fabrics(Schema):
     low: _Theta
     high: _Theta
-    deviation: list[_Positive] = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
+    deviation: Annotated[list[_Positive], _SIX]
 
 
-class _Dataset(_Part):
+class _Dataset(Excerpt):
     sha256: str
     generation: dict[str, Any]
 
 
-class _Weights(_Part):
+class _Weights(Excerpt):
     sha256: str
 
 
-class _Config(_Part):
+class _Config(Excerpt):
     setup: dict[str, Any]
 
 
-class Description(_Part):
+class Description(Excerpt):
     """A checkpoint's JSON file, but for what is there for people only."""
 
     remedy = "copy both files again"
@@ -182,7 +181,7 @@ def read_header(path: str | Path) -> Header:
     weights = Path(f"{stem}.safetensors")
     description = weights.with_suffix(".json")
     for file in (weights, description):
-        if not file.exists():
+        if not os.path.exists(file):
             raise InputError(f"no checkpoint file {file}; give checkpoint=NAME.safetensors with "
                              "NAME.json beside it, or train one with 'make train'")
     content = read_json(description, remedy=Description.remedy)

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from common.command import command
-from common.documents import Schema, parse_json, read_bytes, shown
+from common.documents import Excerpt, parse_json, read_bytes, shown
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
 from drapenet.config import ExportConfig
@@ -57,30 +57,26 @@ SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
 GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
 
 
-class _Quantity(Schema):
-    model_config = ConfigDict(extra="ignore")
-    median: float
-
-
-class _Alpha(_Quantity):
+class _Positive(Excerpt):
     median: float = Field(gt=0)
 
 
-class _Direction(Schema):
-    model_config = ConfigDict(extra="ignore")
-    alpha_uN_m: _Alpha  # noqa: N815 (the file's own name)
+class _Quantity(Excerpt):
+    median: float
+
+
+class _Direction(Excerpt):
+    alpha_uN_m: _Positive  # noqa: N815 (the file's own name)
     beta_nN_m2: _Quantity  # noqa: N815
 
 
-class _Capture(Schema):
-    model_config = ConfigDict(extra="ignore")
+class _Capture(Excerpt):
     density_g_m2: float = Field(gt=0)
 
 
-class EstimateFile(Schema):
+class EstimateFile(Excerpt):
     """What is read of an ``estimate.json``."""
 
-    model_config = ConfigDict(extra="ignore")
     remedy = "give the estimate.json that infer.py writes"
     convention: Literal["warp/weft", "stiff/soft"]
     capture: _Capture

@@ -76,7 +76,7 @@ def load_prior(name: str | Path) -> Prior:
         InputError: no such file, or not a prior.
     """
     path = WEIGHTS / f"{name}.json" if name in BUNDLED else Path(name)
-    remedy = f"give the file of a prior; the bundled ones are {", ".join(BUNDLED)}"
+    remedy = f"give the file of a prior; the bundled ones are {', '.join(BUNDLED)}"
     return prior_from_content(read_json(path, remedy=remedy), origin=str(path))
 
 

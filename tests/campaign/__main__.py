@@ -36,8 +36,9 @@ from typing import Any  # noqa: E402
 import accidents  # noqa: E402
 from cases import FINDINGS, Outcome, run_case  # noqa: E402
 from readers import READERS, Reader, spoil  # noqa: E402
+from tables import describe  # noqa: E402
 
-from benchmarks.common import REPORTS, machine, table  # noqa: E402
+from benchmarks.common import REPORTS, machine  # noqa: E402
 from common.cli import parse_overrides, run_command  # noqa: E402
 from common.documents import read_json  # noqa: E402
 from common.files import replace_json  # noqa: E402
@@ -64,23 +65,6 @@ def main(argv: list[str]) -> None:
     if config["out"]:
         replace_json(Path(config["out"]), {"machine": machine(), **content})
     print(describe(content))
-
-
-def describe(content: dict[str, Any]) -> str:
-    """The tables of a report."""
-    rows = [[name, found["cases"], *(found["outcomes"].get(kind, 0)
-                                     for kind in ("accepted", "refused")),
-             sum(found["outcomes"].get(kind, 0) for kind in FINDINGS),
-             f"{found['most_seconds']:.1f}", f"{found['most_megabytes']:.0f}"]
-            for name, found in content["readers"].items()]
-    text = table(["reader", "damaged", "accepted", "refused", "findings", "longest [s]",
-                  "most memory [MB]"], rows)
-    rows = [[name.replace("_", " "), found["kills"], found["runs"], found["same"]]
-            for name, found in content["kills"].items()]
-    text += "\n\n" + table(["SIGKILLs", "number", "runs", "with the bytes of one in peace"], rows)
-    rows = [[name, found["cases"], found["cases"] - sum(found["wrong"].values())]
-            for name, found in content["accidents"].items()]
-    return text + "\n\n" + table(["accident to a dataset", "cases", "right"], rows)
 
 
 def _resumed(file: Path, empty: dict[str, Any]) -> dict[str, Any]:

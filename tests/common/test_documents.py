@@ -5,6 +5,8 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import Field
 
 from common.documents import Schema, parse_json, parse_yaml, read_bytes, read_json, read_yaml, shown
@@ -125,3 +127,32 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
 def test_values_are_shown_in_one_short_line() -> None:
     for value in (10**6000, "x\n" * 1000, [[[[[[[["deep"]]]]]]]], {"a": "b" * 100}):
         assert shown(value).isprintable() and len(shown(value)) <= 60
+
+
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20)
+VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(
+    st.sampled_from(["density", "folds", "names", "a\nb"]) | st.text(max_size=5),
+    inner, max_size=4))
+
+
+@settings(max_examples=300, derandomize=True, deadline=None, database=None)
+@given(VALUES)
+def test_any_value_is_taken_or_refused_in_one_line(value: object) -> None:
+    try:
+        cloth = Cloth.of(value, "x")
+    except InputError as refusal:
+        assert str(refusal).isprintable() and len(str(refusal)) < 450
+    else:
+        assert 10 <= cloth.density <= 1000
+
+
+@settings(max_examples=300, derandomize=True, deadline=None, database=None)
+@given(st.text(max_size=60) | VALUES.map(repr) | st.lists(st.sampled_from(
+    ["a: ", "- ", "? ", "&a ", "*a", "<<: ", "!!int ", "[", "]", "{", "}", "\n", "  ", "'", '"',
+     "|", "1", ":", ",", "#", "%", "@", "---", "..."]), max_size=15).map("".join))
+def test_any_text_is_a_document_or_refused_in_one_line(text: str) -> None:
+    for parse in (parse_yaml, parse_json):
+        try:
+            parse(text, "x")
+        except InputError as refusal:
+            assert str(refusal).isprintable() and len(str(refusal)) < 450

@@ -294,7 +294,8 @@ BAD_METRIC = {
     "half the intrinsics": (
         setting(intrinsics={"fx": 305.0}), "intrinsics.fy is missing; give fx, fy, cx and cy"),
     "NaN focal length": (setting(intrinsics=GOOD | {"fx": float("inf")}), "intrinsics.fx=inf"),
-    "negative focal length": (setting(intrinsics=GOOD | {"fy": -305.0}), "positive focal"),
+    "negative focal length": (
+        setting(intrinsics=GOOD | {"fy": -305.0}), "intrinsics.fy=-305.0 must be at least 10"),
     "negative unit": (setting(depth_unit_m=-0.001), "must be more than 0; 0.001 for"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
     "unknown rig": (setting(rig="disc300"), "unknown rig 'disc300'"),
