@@ -150,7 +150,8 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "old.h5", [random_record(0)],
                 attributes=ATTRIBUTES | {"schema_version": 0})
-    for name, complaint in (("text.h5", "readable"), ("none.h5", "readable"), ("old.h5", "schema")):
+    for name, complaint in (("text.h5", "readable"), ("none.h5", "No such file"),
+                            ("old.h5", "schema")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 

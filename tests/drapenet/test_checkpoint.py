@@ -81,7 +81,7 @@ def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str
 def test_incomplete_json_is_refused(checkpoint: Path) -> None:
     file = checkpoint.with_suffix(".json")
     file.write_text(file.read_text()[:100])
-    with pytest.raises(InputError, match="is no JSON document"):
+    with pytest.raises(InputError, match="no JSON document"):
         read_header(checkpoint)
     file.write_text(json.dumps({"schema": "drapenet-checkpoint", "schema_version": 2}))
     with pytest.raises(InputError, match="rig is missing"):
