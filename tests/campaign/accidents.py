@@ -18,14 +18,13 @@ from typing import Any
 import cloths
 import fake_drapes
 import torch
-from omegaconf import OmegaConf
 from readers import small_config
 
 import data.folder
 import data.workers
 import train
+from common.command import compose_config
 from common.errors import InputError
-from data.configs import compose_config
 from data.generate import generate_dataset
 from drapenet.config import TrainConfig
 from drapenet.training import open_captures
@@ -158,7 +157,7 @@ def training_words(work: Path, out: Path) -> list[str]:
 def run_training(words: list[str]) -> None:
     """Train as ``train.py`` does."""
     torch.set_num_threads(1)
-    train.train(OmegaConf.to_object(compose_config("train", words, schema=TrainConfig)))
+    train.train(compose_config("train", words, schema=TrainConfig))
 
 
 def kill_training(work: Path, rng: random.Random) -> dict:
@@ -167,7 +166,7 @@ def kill_training(work: Path, rng: random.Random) -> dict:
     shutil.rmtree(out, ignore_errors=True)
     if not (work / "training_seconds").exists():
         words = training_words(work, peaceful)
-        open_captures(OmegaConf.to_object(compose_config("train", words, schema=TrainConfig)))
+        open_captures(compose_config("train", words, schema=TrainConfig))
         shutil.rmtree(peaceful, ignore_errors=True)
         begun = time.monotonic()
         if ended(forked(lambda: run_training(words))):

@@ -31,10 +31,10 @@ from PIL import Image
 from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
+from common.configs import read_config, read_option
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import read_capture
-from data.configs import read_config, read_option
 from data.drape_file import read_borrowed
 from data.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.folder import DatasetFolder
@@ -418,7 +418,9 @@ def _damaged_member(data: bytes, rng: random.Random) -> bytes:
 
 
 def _read_upload(folder: Path) -> None:
-    settings = Settings.of(read_config("serve") | {"results": str(folder / "r"), "megabytes": 4.0})
+    config = {**read_config("serve"), "results": str(folder / "r"), "megabytes": 4.0}
+    settings = Settings(**{key: config[key] for key in config
+                           if key in Settings.__dataclass_fields__})
     try:
         data = (folder / "capture.zip").read_bytes() if (
             (folder / "capture.zip").stat().st_size < 1 << 23) else b""
