@@ -110,13 +110,14 @@ def _with_finite_numbers(content: object) -> object:
 
 
 def remove_file(path: Path) -> None:
-    """Remove the file ``path`` if it is there.
+    """Remove the file ``path`` if it is there, and what writers of it have left behind.
 
     Raises:
         InputError: the system refuses.
     """
     try:
         path.unlink(missing_ok=True)
+        remove_partial(path.parent, path.name)
     except OSError as error:
         raise InputError(f"cannot remove {path}: {error.strerror}; do it by hand, it is of an "
                          "earlier run") from None

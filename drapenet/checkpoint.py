@@ -26,7 +26,7 @@ from common.documents import (
     shown,
 )
 from common.errors import InputError, one_line
-from common.files import replace_file
+from common.files import remove_partial, replace_file
 from data.fabrics import THETA_NAMES
 
 if TYPE_CHECKING:
@@ -261,6 +261,7 @@ def save_state(
     for index, moments in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{index}.{name}": value for name, value in moments.items()}
     tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    remove_partial(path.parent, "*.safetensors")  # of trainings that were killed while they wrote
     replace_file(path, save(tensors, metadata={"record": json.dumps(record)}))
 
 

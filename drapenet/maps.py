@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from common.files import replace_file
+from common.files import remove_partial, replace_file
 from common.workers import worker_pool
 from data.cameras import Camera, CameraRig, Intrinsics
 from data.nuisances import NAMES
@@ -122,6 +122,7 @@ def _write_maps(shard: Path, path: Path, **options: Any) -> None:
     maps = maps_of_shard(shard, **options)
     content = io.BytesIO()
     np.savez(content, **{field.name: getattr(maps, field.name) for field in fields(maps)})
+    remove_partial(path.parent, path.name)
     replace_file(path, content.getvalue())
 
 

@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from common.errors import InputError
-from common.files import remove_partial, replace_file
+from common.files import remove_file, remove_partial, replace_file
 
 
 def test_whoever_loses_its_temporary_file_writes_it_again(tmp_path, monkeypatch):
@@ -42,6 +42,13 @@ def test_leftovers_are_those_of_the_pattern(tmp_path):
         (tmp_path / name).touch()
     remove_partial(tmp_path, "shard_*.h5")
     assert {path.name for path in tmp_path.iterdir()} == {"shard_1.h5", "film.part", "shard_1.txt"}
+
+
+def test_a_file_is_removed_with_what_its_writers_left(tmp_path):
+    for name in ("report.png", "report.png.0a1b.part", "report.html.0a1b.part"):
+        (tmp_path / name).touch()
+    remove_file(tmp_path / "report.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html.0a1b.part"]
 
 
 def test_what_the_system_refuses_is_one_line(tmp_path):
