@@ -275,11 +275,11 @@ STUDY = Study(
     "names hysteresis as a main source of errors in simulation, estimation and evaluation, without "
     "a figure. Not comparable.",
     "One step of Coulomb friction (docs/physics.md): from flat for a drape from above, from where "
-    "the cloth hangs under twice its weight for one from below. A real specimen swings, and may "
-    "come to rest short of it or beyond. Friction of the cloth on its support, and in shear, is "
-    "not in it. How the scans' specimens were placed is not documented: if alike each time, "
-    "captures share their history, and their difference says nothing of friction. α by the network is the "
-    "mean over directions, without faults of the set-up; the network was trained with 0 to 200 "
-    "µN·m per metre from flat and assumes the mean where friction is not given. Six denims of α = "
-    "14 to 22 µN·m have 500 to 1000 ([source]"
+    "the cloth hangs under twice its weight for one from below, which may add folds. A real "
+    "specimen swings, and may come to rest short of it or beyond. Friction of the cloth on its "
+    "support, and in shear, is not in it. How the scans' specimens were placed is not documented: "
+    "if alike each time, captures share their history, and their difference says nothing of "
+    "friction. α by the network is the mean over directions, without faults of the set-up; the "
+    "network was trained with 0 to 200 µN·m per metre from flat and assumes the mean where "
+    "friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
     "(physics.md#beside-the-law-natural-curvature-and-friction)).")
