@@ -154,11 +154,11 @@ def _size(values: np.ndarray) -> float:
 def precision(report: Report, rig: str, measure: str) -> float:
     """Standard deviation, µN·m per metre, of friction by one drape from above and one from below.
 
-    That of the measure between starts without friction, over its median slope.
+    That of the measure between starts, at all torques, over its median slope.
     """
     torque, found = np.array(report["settings"]["friction"]), _differences(report, rig, measure)
-    slope = np.nanmedian(found["history"] @ torque) / (torque @ torque)
-    return _size(found["start"][:, 0]) / float(slope)
+    slope = np.nanmedian(found["history"][:, 1:] / torque[1:])
+    return _size(found["start"]) / float(slope)
 
 
 def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:

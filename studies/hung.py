@@ -191,10 +191,13 @@ def _errors(report: Report, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 def answer(report: Report) -> str:
     """In sentences."""
-    found = {name: [rms(column) for column in _errors(report, name)[0].T] for name in FITS}
-    parts = [f"{name}: {', '.join(f'{x:.2f}' for x in values)}" for name, values in found.items()]
-    return ("Errors of warp, weft, shear and Poisson's ratio (root mean square, in units of the "
-            f"spread over fabrics) are, {'; '.join(parts)}.")
+    same, other, free = (", ".join(f"{rms(column):.2f}" for column in _errors(report, name)[0].T)
+                         for name in FITS)
+    return (f"With {report['settings']['noise_mm']:g} mm of noise a point and bending known, the "
+            "errors of warp, weft, shear and Poisson's ratio are (root mean square, in units of "
+            f"the spread over fabrics) {same} where the fit has the captured square's mesh and "
+            f"{other} where it has a coarser one; there, with bending unknown too, {free}. Noise "
+            "would allow all of them; the mesh decides what comes back.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
