@@ -34,7 +34,7 @@ from studies.study import Report, Study, over_fabrics
 _STRIPS = (1.5, 2.5)  # lengths of the tester's strips, in bending lengths
 REPEATS = 2  # starts of each fabric
 HISTORIES = ("above", "below")
-MEASURES = {"coefficient": "drape coefficient, points", "log_alpha": "the network's α, %"}
+MEASURES = ("coefficient", "log_alpha")
 
 
 def measured(
@@ -137,13 +137,11 @@ def _estimates(report: Report, rig: str) -> dict[str, np.ndarray]:
 
 def _differences(report: Report, rig: str, measure: str) -> dict[str, np.ndarray]:
     """Differences (F, torques) of two drapes: from above and below in the same folds, from another
-    start, and both; points of the coefficient, % of alpha.
+    start, and both.
     """
     above, below = (_values(report, rig, history, measure) for history in HISTORIES)
-    scale = 100.0 if measure == "log_alpha" else 1.0
-    return {"history": scale * (above - below).mean(axis=2),
-            "start": scale * (above[..., 0] - above[..., 1]),
-            "both": scale * (above[..., 0] - below[..., 1])}
+    return {"history": (above - below).mean(axis=2), "start": above[..., 0] - above[..., 1],
+            "both": above[..., 0] - below[..., 1]}
 
 
 def _size(values: np.ndarray) -> float:
@@ -166,11 +164,10 @@ def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
     samples: dict[tuple[int, int], list[float]] = {}
     for name, one in report["scans"].items():
         samples.setdefault(fabric_and_sample(name), []).append(one[measure])
-    scale = 100.0 if measure == "log_alpha" else 1.0
     own = [np.diff(values)[0] for values in samples.values() if len(values) == 2]
     other = [np.mean(samples[a]) - np.mean(samples[b])
              for a in samples for b in samples if a < b and a[0] == b[0]]
-    return {"captures": scale * np.array(own), "samples": scale * np.array(other)}
+    return {"captures": np.array(own), "samples": np.array(other)}
 
 
 def answer(report: Report) -> str:
@@ -180,34 +177,34 @@ def answer(report: Report) -> str:
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
              for name, values in _estimates(report, rig).items()}
     by = {name: precision(report, rig, name) for name in MEASURES}
+    by = {name: precision(report, rig, name) for name in MEASURES}
     sentences = [
         f"{torque[last]:g} µN·m per metre change the network's α by "
-        f"{ratio['above, log_alpha'] - 1:+.0%} of a square that is lowered from flat and by "
+        f"{ratio['above, log_alpha'] - 1:+.0%} of a drape that is lowered from flat and by "
         f"{ratio['below, log_alpha'] - 1:+.0%} of one that is raised from below (given the "
-        f"friction {ratio['above, given'] - 1:+.0%} of the first; a cantilever tester's by "
-        f"{ratio['tester'] - 1:+.0%}). One drape of each kind identifies friction to ± "
-        f"{by['coefficient']:.0f} µN·m per metre by the drape coefficient and ± "
-        f"{by['log_alpha']:.0f} by the network's α, because other folds change both as well."]
+        f"friction, by {ratio['above, given'] - 1:+.0%} and {ratio['below, given'] - 1:+.0%}; a "
+        f"cantilever tester's by {ratio['tester'] - 1:+.0%}). One drape of each kind identifies "
+        f"friction to ± {by['log_alpha']:.0f} µN·m per metre by the network's α, and to ± "
+        f"{by['coefficient']:.0f} by the drape coefficient, which other folds change as much."]
     if "scans" in report:
-        disc = DISC_RIG.name
-        own = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
-        simulated = {name: [_size(one[:, k]) for k in (0, last)]
-                     for name in MEASURES for one in [_differences(report, disc, name)["both"]]}
+        scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
+        both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
+        simulated = [f"{_size(both['coefficient'][:, k]):.1f} points and a factor of "
+                     f"{np.exp(_size(both['log_alpha'][:, k])):.2f} with {torque[k]:g} µN·m per "
+                     "metre" for k in (0, last)]
         sentences.append(
-            "Two captures of a scanned sample differ by "
-            f"{own['coefficient']:.1f} points of the drape coefficient and {own['log_alpha']:.0f} %"
-            " of α (root mean square); simulated discs from above and below, in other folds, by "
-            f"{simulated['coefficient'][0]:.1f} and {simulated['log_alpha'][0]:.0f} % without "
-            f"friction and {simulated['coefficient'][1]:.1f} and {simulated['log_alpha'][1]:.0f} % "
-            f"with {torque[last]:g} µN·m per metre.")
+            f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of the "
+            f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
+            "square); a simulated disc from above and one from below, in other folds, by "
+            f"{' and '.join(simulated)}.")
     return " ".join(sentences)
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """By rig and torque; then the scans."""
     head = ["specimen", "friction, µN·m per metre", "α from above, times (given it)",
-            "α from below (given it)", "α by cantilever", "above and below, mm", "points", "α, %",
-            "other start, points", "α, %"]
+            "α from below (given it)", "α by cantilever", "above and below: mm", "points",
+            "α, times", "other start: points", "α, times"]
     lines = []
     for rig in report["rigs"]:
         estimates = _estimates(report, rig)
@@ -221,16 +218,21 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
                 *(f"{times[f'{history}, log_alpha']} ({times[f'{history}, given']})"
                   for history in HISTORIES),
                 times["tester"], f"{np.nanmedian(apart[:, k]):.2f}",
-                *(f"{np.nanmedian(one['history'][:, k]):+.1f}" for one in differences.values()),
-                *(f"{_size(one['start'][:, k]):.1f}" for one in differences.values())])
+                *_written(*(np.nanmedian(one["history"][:, k]) for one in differences.values())),
+                *_written(*(_size(one["start"][:, k]) for one in differences.values()))])
     for name in ("captures", "samples") if "scans" in report else ():
-        found = [rms(scan_differences(report, measure)[name]) for measure in MEASURES]
-        lines.append([f"scans, {name}", *["–"] * 7, *(f"{one:.1f}" for one in found)])
+        found = (rms(scan_differences(report, measure)[name]) for measure in MEASURES)
+        lines.append([f"scans, {name}", *["–"] * 7, *_written(*found)])
     return head, lines
 
 
+def _written(points: float, log_alpha: float) -> tuple[str, str]:
+    """Differences of the coefficient and of log alpha, for the table."""
+    return f"{points:.1f}", f"{np.exp(log_alpha):.2f}"
+
+
 def draw(report: Report) -> Figure:
-    """Alpha over torque; above less below, over torque; how far repeats of discs lie apart."""
+    """Alpha over torque; from above over from below; repeats, simulated and scanned."""
     figure = Figure(figsize=(12, 3.8), layout="constrained")
     first, second, third = figure.subplots(1, 3)
     torque, rig = np.array(report["settings"]["friction"]), report["settings"]["rigs"][0]
@@ -245,26 +247,23 @@ def draw(report: Report) -> Figure:
               title=f"estimates, {rig.partition('_')[0]}")
     tick_short_scales(first.yaxis)
     first.legend(fontsize=8, frameon=False)
-    rig = report["settings"]["rigs"][-1]
-    found = _differences(report, rig, "coefficient")
-    noise = _size(found["start"][:, 0])
-    second.axhspan(-noise, noise, color="0.85", label="another start, no friction (rms)")
-    second.plot(torque, found["history"].T, ".-", lw=0.5, ms=4, color="C0", alpha=0.5)
-    second.plot(torque, np.nanmedian(found["history"], axis=0), "k", lw=2, label="median")
-    second.set(xlabel="friction [µN·m/m]", ylabel="drape coefficient, above − below [points]",
-               title=f"two histories, same folds, {rig.partition('_')[0]}")
-    second.legend(fontsize=8, frameon=False)
-    sets = {f"simulated, {one:g} µN·m/m": found["both"][:, k] for k, one in enumerate(torque)}
+    for axes, rig in zip((second, third), report["rigs"], strict=False):
+        found = {name: np.exp(values) for name, values
+                 in _differences(report, rig, "log_alpha").items()}
+        axes.plot(torque, found["history"].T, ".-", lw=0.5, ms=4, color="C0", alpha=0.5)
+        axes.plot(torque, np.nanmedian(found["history"], axis=0), "k", lw=2, label="same folds")
+        axes.plot(np.repeat(torque[None], len(found["start"]), axis=0) + 4, found["start"], "x",
+                  ms=4, color="C1")
+        axes.plot([], [], "x", color="C1", label="both from above, another start")
+        axes.set(yscale="log", xlabel="friction [µN·m/m]", ylabel="α from above / α from below",
+                 title=f"two histories, {rig.partition('_')[0]}")
     if "scans" in report:
-        sets |= {f"scans, {name}": values for name, values
-                 in scan_differences(report, "coefficient").items()}
-    for name, values in sets.items():
-        values = np.sort(np.abs(values[np.isfinite(values)]))
-        third.step(values, np.arange(1, len(values) + 1) / len(values), where="post", label=name,
-                   ls="-" if name.startswith("sim") else "--")
-    third.set(xlabel="difference of drape coefficients [points]", ylabel="share of pairs",
-              title="pairs of other history and folds; scans", xlim=(0, None))
-    third.legend(fontsize=8, frameon=False)
+        pairs = np.exp(scan_differences(report, "log_alpha")["captures"])
+        third.plot(np.full(len(pairs), -10.0), pairs, "+", ms=5, color="C3",
+                   label="captures of a scanned sample")
+    for axes in (second, third):
+        tick_short_scales(axes.yaxis)
+        axes.legend(fontsize=8, frameon=False, loc="upper left")
     return figure
 
 
@@ -277,9 +276,10 @@ STUDY = Study(
     "One step of Coulomb friction (docs/physics.md): from flat for a drape from above, from where "
     "the cloth hangs under twice its weight for one from below, which may add folds. A real "
     "specimen swings, and may come to rest short of it or beyond. Friction of the cloth on its "
-    "support, and in shear, is not in it. How the scans' specimens were placed is not documented: "
-    "if alike each time, captures share their history, and their difference says nothing of "
-    "friction. α by the network is the mean over directions, without faults of the set-up; the "
-    "network was trained with 0 to 200 µN·m per metre from flat and assumes the mean where "
-    "friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
+    "support, and in shear, is not in it. How much a pair differs by a given friction depends on "
+    "the fabric; the precision is that of the median one. How the scans' specimens were placed is "
+    "not documented: if alike each time, captures share their history, and their difference says "
+    "nothing of friction. α by the network is the mean over directions, without faults of the "
+    "set-up; the network was trained with 0 to 200 µN·m per metre from flat and assumes the mean "
+    "where friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
     "(physics.md#beside-the-law-natural-curvature-and-friction)).")

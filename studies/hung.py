@@ -236,7 +236,8 @@ def draw(report: Report) -> Figure:
             tick_short_scales(axes.xaxis, axes.yaxis)
         unit = " [N/m]" if k < 3 else ""
         axes.set(title=unknown, xlabel=f"true{unit}", ylabel=f"found{unit}")
-    figure.axes[0].legend(fontsize=7)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center",
+                  ncols=len(FITS), fontsize=8, frameon=False)
     return figure
 
 
