@@ -186,7 +186,7 @@ def answer(report: Report) -> str:
         f"cantilever tester's by {ratio['tester'] - 1:+.0%}). One drape of each kind identifies "
         f"friction to ± {by['log_alpha']:.0f} µN·m per metre by the network's α, and to ± "
         f"{by['coefficient']:.0f} by the drape coefficient, which other folds change as much."]
-    if "scans" in report:
+    if "scans" in report and DISC_RIG.name in report["rigs"]:
         scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
         both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
         simulated = [f"{_size(both['coefficient'][:, k]):.1f} points and a factor of "
@@ -233,35 +233,32 @@ def _written(points: float, log_alpha: float) -> tuple[str, str]:
 
 def draw(report: Report) -> Figure:
     """Alpha over torque; from above over from below; repeats, simulated and scanned."""
-    figure = Figure(figsize=(12, 3.8), layout="constrained")
-    first, second, third = figure.subplots(1, 3)
-    torque, rig = np.array(report["settings"]["friction"]), report["settings"]["rigs"][0]
+    torque, rigs = np.array(report["settings"]["friction"]), list(report["rigs"])
+    figure = Figure(figsize=(4 + 4 * len(rigs), 3.8), layout="constrained")
+    first, *others = figure.subplots(1, 1 + len(rigs))
     names = {"above, log_alpha": "from above", "above, given": "from above, friction given",
              "below, log_alpha": "from below", "tester": "cantilever tester"}
     for k, (name, label) in enumerate(names.items()):
-        low, middle, high = np.exp(np.nanpercentile(_estimates(report, rig)[name], [16, 50, 84],
-                                                    axis=0))
+        low, middle, high = np.exp(np.nanpercentile(_estimates(report, rigs[0])[name],
+                                                    [16, 50, 84], axis=0))
         first.plot(torque, middle, "o-", ms=3.5, color=f"C{k}", label=label)
         first.fill_between(torque, low, high, color=f"C{k}", alpha=0.12, lw=0)
-    first.set(yscale="log", xlabel="friction [µN·m/m]", ylabel="α / α without friction",
-              title=f"estimates, {rig.partition('_')[0]}")
-    tick_short_scales(first.yaxis)
-    first.legend(fontsize=8, frameon=False)
-    for axes, rig in zip((second, third), report["rigs"], strict=False):
+    first.set(ylabel="α / α without friction", title=f"estimates, {rigs[0].partition('_')[0]}")
+    for axes, rig in zip(others, rigs, strict=True):
         found = {name: np.exp(values) for name, values
                  in _differences(report, rig, "log_alpha").items()}
         axes.plot(torque, found["history"].T, ".-", lw=0.5, ms=4, color="C0", alpha=0.5)
         axes.plot(torque, np.nanmedian(found["history"], axis=0), "k", lw=2, label="same folds")
-        axes.plot(np.repeat(torque[None], len(found["start"]), axis=0) + 4, found["start"], "x",
-                  ms=4, color="C1")
-        axes.plot([], [], "x", color="C1", label="both from above, another start")
-        axes.set(yscale="log", xlabel="friction [µN·m/m]", ylabel="α from above / α from below",
-                 title=f"two histories, {rig.partition('_')[0]}")
-    if "scans" in report:
-        pairs = np.exp(scan_differences(report, "log_alpha")["captures"])
-        third.plot(np.full(len(pairs), -10.0), pairs, "+", ms=5, color="C3",
-                   label="captures of a scanned sample")
-    for axes in (second, third):
+        places = np.broadcast_to(torque + 4, found["start"].shape)
+        axes.plot(places.ravel(), found["start"].ravel(), "x", ms=4, color="C1",
+                  label="both from above, another start")
+        axes.set(ylabel="α from above / from below", title=f"histories, {rig.partition('_')[0]}")
+        if rig == DISC_RIG.name and "scans" in report:
+            pairs = np.exp(scan_differences(report, "log_alpha")["captures"])
+            axes.plot(np.full(len(pairs), -10.0), pairs, "+", ms=5, color="C3",
+                      label="captures of a scanned sample")
+    for axes in (first, *others):
+        axes.set(yscale="log", xlabel="friction [µN·m/m]")
         tick_short_scales(axes.yaxis)
         axes.legend(fontsize=8, frameon=False, loc="upper left")
     return figure
