@@ -1,6 +1,7 @@
 """An anisotropic membrane from a square that hangs by two corners (004, section 5)."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, tick_short_scales
 from data.fabrics import fabric_from_theta, from_theta
+from data.nuisances import NuisanceConfig
 from drapenet.refine.objective import value
 from drapenet.refine.optimisers import Limits, minimise
 from drapenet.refine.refined import specimen_spread
@@ -31,12 +33,18 @@ _STEP = 1e-4  # of an unknown, in central differences of the forces
 _POISSON = (0.0, 0.4)
 
 
+@cache
+def specimens() -> NuisanceConfig:
+    """How they differ."""
+    return specimen_spread()
+
+
 def prior() -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (4,) of the unknowns over fabrics, as specimens have them.
 
     Warp and weft have independent membranes, and shear is relative to their geometric mean.
     """
-    of = specimen_spread()
+    of = specimens()
     (membrane, shear), (spread, more) = ([of_all[name] for name in ("membrane", "shear")]
                                          for of_all in (of.means, of.deviations))
     poisson = np.mean(_POISSON)
@@ -47,7 +55,7 @@ def prior() -> tuple[np.ndarray, np.ndarray]:
 
 def drawn(rng: np.random.Generator) -> np.ndarray:
     """Unknowns (4,) of one fabric."""
-    of = specimen_spread()
+    of = specimens()
     low, high = np.log(of.shear)
     while True:
         yarns = of.means["membrane"] + of.deviations["membrane"] * rng.standard_normal(2)
