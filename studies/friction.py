@@ -104,10 +104,11 @@ def scanned(*, path: str, seed: int) -> dict[str, float]:
 
 
 def run(config: dict[str, Any]) -> Report:
-    """Both rigs, and scans where there are some."""
-    shared = {key: value for key, value in config.items() if key not in ("rigs", "scans")}
-    report: Report = {"rigs": {rig: over_fabrics(case, shared | {"rig": rig}, sources=ESTIMATOR,
-                                                 inside=rig) for rig in config["rigs"]}}
+    """All rigs, and scans where there are some."""
+    settings = {key: value for key, value in config.items() if key != "rigs"}
+    report: Report = {"rigs": {
+        rig: over_fabrics(case, settings | {"rig": rig, "fabrics": count}, sources=ESTIMATOR,
+                          inside=rig) for rig, count in config["rigs"].items()}}
     if config["scans"]:
         report["scans"] = over_scans(scanned, config)
     return report
@@ -172,7 +173,7 @@ def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
 
 def answer(report: Report) -> str:
     """In sentences."""
-    rig, torque = report["settings"]["rigs"][0], report["settings"]["friction"]
+    rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
     last = torque.index(100.0) if 100.0 in torque else len(torque) - 1
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
              for name, values in _estimates(report, rig).items()}
