@@ -190,14 +190,16 @@ def answer(report: Report) -> str:
     if "scans" in report and DISC_RIG.name in report["rigs"]:
         scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
         both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
-        simulated = [f"{_size(both['coefficient'][:, k]):.1f} points and a factor of "
+        sizes = [_size(column) for column in both["coefficient"].T]
+        simulated = [f"{sizes[k]:.1f} points and a factor of "
                      f"{np.exp(_size(both['log_alpha'][:, k])):.2f} with {torque[k]:g} µN·m per "
                      "metre" for k in (0, last)]
         sentences.append(
             f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of the "
             f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
             "square); a simulated disc from above and one from below, in other folds, by "
-            f"{' and '.join(simulated)}.")
+            f"{' and '.join(simulated)}. Captures of such different histories would scatter as those "
+            f"of the scans do if friction were {np.interp(scans['coefficient'], sizes, torque):.0f} µN·m per metre.")
     return " ".join(sentences)
 
 
