@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, tick_short_scales
 from benchmarks.guides import level_rulings
-from benchmarks.photographs import estimated
 from benchmarks.known import planned
+from benchmarks.photographs import estimated
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
@@ -190,16 +190,17 @@ def answer(report: Report) -> str:
     if "scans" in report and DISC_RIG.name in report["rigs"]:
         scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
         both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
-        sizes = [_size(column) for column in both["coefficient"].T]
-        simulated = [f"{sizes[k]:.1f} points and a factor of "
-                     f"{np.exp(_size(both['log_alpha'][:, k])):.2f} with {torque[k]:g} µN·m per "
-                     "metre" for k in (0, last)]
+        sizes = {name: [_size(column) for column in values.T] for name, values in both.items()}
+        simulated = [f"{sizes['coefficient'][k]:.1f} points and a factor of "
+                     f"{np.exp(sizes['log_alpha'][k]):.2f} with {torque[k]:g} µN·m per metre"
+                     for k in (0, last)]
+        enough = [f"{np.interp(scans[name], sizes[name], torque):.0f}" for name in MEASURES]
         sentences.append(
             f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of the "
             f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
             "square); a simulated disc from above and one from below, in other folds, by "
-            f"{' and '.join(simulated)}. Captures of such different histories would scatter as those "
-            f"of the scans do if friction were {np.interp(scans['coefficient'], sizes, torque):.0f} µN·m per metre.")
+            f"{' and '.join(simulated)}. Had the captures such different histories, friction of "
+            f"{' and '.join(enough)} µN·m per metre would explain how far they scatter.")
     return " ".join(sentences)
 
 
