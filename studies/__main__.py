@@ -18,7 +18,7 @@ from common.files import replace_file, require_file
 from studies.study import PAGE, Report, Study, default_config, page
 
 ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
-         "transfer", "recognition", "optimisers")
+         "transfer", "recognition", "optimisers", "curves", "hung", "friction")
 """Of the sections."""
 
 

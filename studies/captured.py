@@ -1,12 +1,17 @@
 """Known fabrics, draped and captured, and what the bundled network estimates of them."""
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks import known
+from benchmarks.common import ESTIMATOR, run_cases
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.nuisances import Nuisances
@@ -108,6 +113,28 @@ def along_warp(estimate: Estimate, orientation: float) -> np.ndarray:
     """(S, 6) samples of theta along the true warp, which lies at ``orientation``, rad."""
     along = np.cos(2 * (estimate.axis - orientation)) >= 0
     return estimate.samples if along else estimate.samples[:, SWAPPED]
+
+
+def over_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, dict]:
+    """Results of ``case(path=..., seed=...)`` for every scan on the disc rig, by its file's name:
+    ``fabric_F_sample_S`` and perhaps ``_capture_C``, in the folder ``config["scans"]``.
+
+    Raises:
+        InputError: there are none.
+    """
+    files = sorted(Path(config["scans"]).glob("*.npz"))
+    if not files:
+        raise InputError(f"no scans (*.npz) in {config['scans']}; name their folder with scans=, "
+                         "or leave it empty")
+    return run_cases(
+        case, {file.stem: {"path": str(file), "seed": config["seed"]} for file in files},
+        folder=Path(config["cases"]) / "scans", workers=config["workers"], sources=ESTIMATOR)
+
+
+def fabric_and_sample(name: str) -> tuple[int, int]:
+    """Numbers of fabric and sample of a scan, by its name."""
+    fabric, sample = re.match(r"fabric_(\d+)_sample_(\d+)", name).groups()
+    return int(fabric), int(sample)
 
 
 def rms(values: np.ndarray) -> float:

@@ -1,15 +1,13 @@
 """Which descriptions of a drape identify its fabric (000, descriptors; 002, Figure 20)."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, run_cases
+from benchmarks.common import ESTIMATOR
 from benchmarks.photographs import estimated
-from common.errors import InputError
 from data.cameras import CameraRig
 from data.sampling import STARTS
 from data.scans import read_scan
@@ -21,7 +19,7 @@ from drapenet.descriptor import GridSpectrum, RingSpectrum
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
 from sim.scene import DISC_RIG, Rig
-from studies.captured import RIG, draped, ideal, read, seen, specimen
+from studies.captured import RIG, draped, fabric_and_sample, ideal, over_scans, read, seen, specimen
 from studies.study import Report, Study, over_fabrics
 
 DESCRIPTIONS = {
@@ -33,7 +31,6 @@ DESCRIPTIONS = {
 }
 SCALED = ("coefficient", "shape", "network")
 """Descriptions of several quantities, each divided by its standard deviation."""
-_SCAN = re.compile(r"fabric_(\d+)_sample_(\d+)")
 
 
 def described(positions: np.ndarray, mesh: Mesh, rig: Rig) -> dict[str, list]:
@@ -80,17 +77,10 @@ def run(config: dict[str, Any]) -> Report:
     fabric = np.repeat(np.arange(len(found)), config["starts"])
     sets = {"simulated": nearest(drapes, fabric, np.arange(len(drapes)))}
     if config["scans"]:
-        files = sorted(Path(config["scans"]).glob("*.npz"))
-        if not files:
-            raise InputError(f"no scans (*.npz) in {config['scans']}; name their folder with "
-                             "scans=, or leave it empty")
-        scans = run_cases(scanned, {file.stem: {"path": str(file), "seed": config["seed"]}
-                                    for file in files},
-                          folder=Path(config["cases"]) / "scans", workers=config["workers"],
-                          sources=ESTIMATOR)
-        names = np.array([tuple(map(int, _SCAN.match(name).groups())) for name in scans])
+        described_scans = over_scans(scanned, config)
+        names = np.array([fabric_and_sample(name) for name in described_scans])
         sample = names[:, 0] * 1000 + names[:, 1]
-        sets["scans, other sample"] = nearest(list(scans.values()), names[:, 0], sample)
+        sets["scans, other sample"] = nearest(list(described_scans.values()), names[:, 0], sample)
     return {"sets": sets}
 
 

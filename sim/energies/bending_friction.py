@@ -23,7 +23,8 @@ from sim.mesh import Mesh
 
 BUILD_UP = 2.0
 """Change of curvature, 1/m, within which friction builds up."""
-_METRIC = np.array([1.0, 1.0, 2.0])  # of Sxx, Syy, Sxy
+METRIC = np.array([1.0, 1.0, 2.0])
+"""Of Sxx, Syy and Sxy in |S|²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +81,9 @@ class FrictionBending(CurvedBending):
         stress, tangent = super().stress(curvatures)
         change = curvatures - self._origin
         size = self._size(change)[:, None]
-        way = _METRIC * change / size
-        stiffness = (np.diag(_METRIC) - way[:, :, None] * way[:, None, :]) / size[..., None]
+        way = METRIC * change / size
+        stiffness = (np.diag(METRIC) - way[:, :, None] * way[:, None, :]) / size[..., None]
         return stress + self._torque * way, tangent + self._torque * stiffness
 
     def _size(self, change: np.ndarray) -> np.ndarray:
-        return np.sqrt(change**2 @ _METRIC + self._build_up**2)
+        return np.sqrt(change**2 @ METRIC + self._build_up**2)

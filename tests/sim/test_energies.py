@@ -7,6 +7,7 @@ from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import RIM_RADIUS, Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.energies.midedge import MidEdgeBending
+from sim.energies.torque_law import TorqueLaw
 from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
@@ -51,6 +52,9 @@ def case_of(name: str):
         origin = plain.curvatures(crumpled_strip(seed=1)[2])
         law = BendingFriction(3e-4, origin, build_up=20.0)
         return law(mesh, active, fabric=STIFFENING), q, after
+    if name == "torque curve":
+        law = TorqueLaw([0.0, 20.0, 60.0, 200.0], [0.0, 1e-3, 1.5e-3, 4e-3])
+        return law(mesh, active, fabric=STIFFENING), q, after
     if name == "fold limit":
         mesh, active, folded = crumpled_strip(amplitude=8e-3, turn=0.0)
         energy = MidEdgeBending(mesh, active, fabric=STIFFENING)
@@ -70,7 +74,7 @@ def case_of(name: str):
 
 
 ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "friction",
-            "contact", "rim", "fold limit"]
+            "torque curve", "contact", "rim", "fold limit"]
 
 
 def unknowns_of(energy) -> int:

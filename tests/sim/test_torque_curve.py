@@ -7,6 +7,10 @@ from scipy.interpolate import PchipInterpolator
 from common.errors import InputError
 from sim.cantilever.elastica import elastica, strip_shape, tabulated_law
 from sim.cantilever.torque_curve import fit_torque_curve
+from sim.energies.midedge import MidEdgeBending
+from sim.energies.torque_law import TorqueLaw
+from sim.material import Fabric, torque
+from sim.mesh import strip
 
 WEIGHT = 0.3 * 9.81
 
@@ -25,8 +29,8 @@ def strips_of(law, lengths=(0.05, 0.08, 0.11)) -> list[np.ndarray]:
 def test_recovers_a_curve_that_is_no_parabola() -> None:
     found = fit_torque_curve(strips_of(stiffening_then_soft), weight=WEIGHT, knots=5)
     kappa = np.linspace(0.15, 0.9, 20) * found.reached
-    torque = PchipInterpolator(found.curvature, found.torque)(kappa)
-    np.testing.assert_allclose(torque, stiffening_then_soft(kappa), rtol=0.05)
+    moment = PchipInterpolator(found.curvature, found.torque)(kappa)
+    np.testing.assert_allclose(moment, stiffening_then_soft(kappa), rtol=0.05)
     assert found.misfit < 2e-3
     assert (np.diff(found.torque) > 0).all()
 
@@ -34,8 +38,8 @@ def test_recovers_a_curve_that_is_no_parabola() -> None:
 def test_a_straight_law_stays_straight() -> None:
     found = fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT)
     kappa = np.linspace(0.1, 0.95, 20) * found.reached
-    torque = PchipInterpolator(found.curvature, found.torque)(kappa)
-    np.testing.assert_allclose(torque, 30e-6 * kappa, rtol=0.01)
+    moment = PchipInterpolator(found.curvature, found.torque)(kappa)
+    np.testing.assert_allclose(moment, 30e-6 * kappa, rtol=0.01)
 
 
 def test_the_misfit_is_that_of_the_points_and_their_noise() -> None:
@@ -56,3 +60,23 @@ def test_strips_of_a_steep_clamp_are_refused() -> None:
     """No law makes a nearly straight one hang from a level clamp."""
     with pytest.raises(InputError, match="level clamp"):
         fit_torque_curve([0.05 * elastica(1.0, slope=0.8)], weight=WEIGHT)
+
+
+def test_a_parabola_of_torque_is_the_law_of_an_isotropic_fabric() -> None:
+    fabric = Fabric(np.full(3, 30e-6), np.full(3, -90e-9))
+    kappa = np.linspace(0, 300, 601)
+    mesh, held = strip(length=0.04, width=0.03, edge=0.01, clamp=0.01)
+    active = ~held[mesh.faces].all(axis=1)
+    law = TorqueLaw(kappa, torque(kappa, 30e-6, -90e-9))(mesh, active, fabric=fabric)
+    plate = MidEdgeBending(mesh, active, fabric=fabric)
+    bent = np.random.default_rng(0).normal(0, 60, (40, 3))
+    bent[0] = 0.0
+    np.testing.assert_allclose(law.density(bent), plate.density(bent), rtol=1e-5)
+    for one, two in zip(law.stress(bent), plate.stress(bent), strict=True):
+        np.testing.assert_allclose(one, two, rtol=2e-3, atol=2e-3 * np.abs(two).max())
+
+
+@pytest.mark.parametrize("wrong", [[0.0, 2.0, 1.0], [1.0, 2.0, 3.0], [0.0, 1.0, np.nan]])
+def test_a_torque_law_increases_from_0(wrong: list[float]) -> None:
+    with pytest.raises(InputError, match="increasing from 0"):
+        TorqueLaw(np.array([0.0, 10.0, 20.0]), np.array(wrong))

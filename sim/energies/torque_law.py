@@ -1,0 +1,78 @@
+"""Bending by a free curve of torque, the same in all directions.
+
+With |S|² = Sxx² + Syy² + 2 Sxy² and W the work of the torque up to a curvature, the energy per area
+is W(|S|): cloth bent to a cylinder along any direction carries the torque of the curve. Of the
+curve of :func:`sim.material.torque` this is the law of an isotropic fabric
+(:mod:`sim.energies.plate_law`).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from common.errors import InputError
+from sim.energies.bending_friction import METRIC
+from sim.energies.midedge import MidEdgeBending
+from sim.material import Fabric
+from sim.mesh import Mesh
+
+_SMALLEST = 1e-6  # 1/m, below which cloth counts as flat
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLaw:
+    """A bending law (:class:`sim.laws.Law`), such as :mod:`sim.cantilever.torque_curve` finds it.
+
+    The torque is the monotone cubic spline (PCHIP) through the knots; beyond the last it goes on
+    with the slope of the last interval. The moduli of the fabric do not count.
+
+    Attributes:
+        curvature, torque: (K,) 1/m and N per width, of cloth of 300 g/m², at which drapes are
+            simulated; both increasing from 0.
+
+    Raises:
+        InputError: a curve that does not increase from 0.
+    """
+
+    curvature: np.ndarray
+    torque: np.ndarray
+
+    def __post_init__(self) -> None:
+        knots = np.array([self.curvature, self.torque], dtype=np.float64)
+        if not (knots.shape[1] > 2 and np.isfinite(knots).all() and not knots[:, 0].any()
+                and (np.diff(knots) > 0).all()):
+            raise InputError("a torque curve needs three or more curvatures and torques, both "
+                             "increasing from 0")
+
+    @cached_property
+    def spline(self) -> PchipInterpolator:
+        """Torque, N, by curvature, 1/m."""
+        # One more interval like the last, which PCHIP makes straight.
+        return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
+                                   for v in (self.curvature, self.torque)))
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurveBending":
+        return CurveBending(mesh, active, law=self)
+
+
+class CurveBending(MidEdgeBending):
+    """Energy of the free triangles by a :class:`TorqueLaw`."""
+
+    def __init__(self, mesh: Mesh, active: np.ndarray, *, law: TorqueLaw) -> None:
+        self._torque, self._work = law.spline, law.spline.antiderivative()
+        self._stiffness = law.spline.derivative()
+        # For the barrier against folds, and the least stiffness of the convex Hessian.
+        super().__init__(mesh, active, fabric=Fabric(np.full(3, float(self._stiffness(0.0)))))
+
+    def density(self, curvatures: np.ndarray) -> np.ndarray:
+        return self._work(np.sqrt(curvatures**2 @ METRIC))
+
+    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _SMALLEST)
+        way = METRIC * curvatures / size[:, None]
+        torque, across = self._torque(size), (self._torque(size) / size)[:, None, None]
+        along = self._stiffness(size)[:, None, None] - across
+        tangent = across * np.diag(METRIC) + along * way[:, :, None] * way[:, None, :]
+        return torque[:, None] * way, tangent

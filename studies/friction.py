@@ -1,0 +1,286 @@
+"""What friction does to an estimate, and whether repeats identify it (002, section 7.7)."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import ESTIMATOR, tick_short_scales
+from benchmarks.guides import level_rulings
+from benchmarks.known import planned
+from benchmarks.photographs import estimated
+from common.errors import InputError
+from data.cameras import CameraRig
+from data.fabrics import fabric_from_theta
+from data.sampling import STARTS
+from data.scans import read_scan
+from drapenet.checkpoint import bundled, read_header
+from drapenet.comparison import compare
+from drapenet.convention import LINEAR
+from sim.cantilever.fabric import estimate
+from sim.cantilever.tester import bending_length, simulate_strips
+from sim.drape import DrapeResult, drape
+from sim.energies.bending_friction import BendingFriction
+from sim.energies.midedge import MidEdgeBending
+from sim.laws import Laws
+from sim.material import DIRECTIONS, MICRO, Fabric
+from sim.measures import drape_coefficient
+from sim.scene import DISC_RIG, Rig
+from sim.sensitivity import follow
+from studies.captured import fabric_and_sample, ideal, over_scans, rms
+from studies.study import Report, Study, over_fabrics
+
+_STRIPS = (1.5, 2.5)  # lengths of the tester's strips, in bending lengths
+REPEATS = 2  # starts of each fabric
+HISTORIES = ("above", "below")
+MEASURES = ("coefficient", "log_alpha")
+
+
+def measured(
+    positions: np.ndarray, faces: np.ndarray, rig: str, *, seed: list[int], torque: float = 0.0
+) -> dict[str, float]:
+    """Drape coefficient, %, and mean log alpha (N·m) of all directions, of positions (V, 3), m: as
+    the network estimates it, and as it does given the friction ``torque``, N·m per metre.
+    """
+    nominal, header = CameraRig.load(rig).intrinsics, read_header(bundled(rig))
+    seen = ideal().capture(positions, faces, np.random.default_rng(seed), nominal=nominal)
+    found, given = (
+        float(estimated(seen.views, seen.intrinsics, header, friction=friction)
+              .samples[:, LINEAR].mean()) for friction in (None, torque))
+    return {"coefficient": 100 * drape_coefficient(positions, faces, Rig.from_name(rig)),
+            "log_alpha": found, "given": given}
+
+
+def raised(above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: float) -> DrapeResult:
+    """The fabric let go where it hangs under ``overshoot`` times its weight, in the same folds."""
+    heavy = follow(above, Fabric(fabric.alpha / overshoot, fabric.beta / overshoot), laws=Laws())
+    bending = MidEdgeBending(heavy.mesh, heavy.scene.active, fabric=fabric)
+    origin = bending.curvatures(heavy.state.q)
+    return follow(heavy, fabric, laws=Laws(bending=BendingFriction(torque, origin)))
+
+
+def case(
+    *, number: int, rig: str, friction: list[float], overshoot: float, edge_mm: float, seed: int
+) -> dict[str, Any]:
+    """Drapes of one fabric by torque and start, from above and from below; None where one of both
+    did not converge. And log alpha by the cantilever tester; None where no law's strip hangs so.
+    """
+    plan = planned(number, rig=rig, nuisances="none", seed=seed)
+    fabric, result = fabric_from_theta(plan.theta), {"drapes": [], "tester": []}
+    for torque in (MICRO * one for one in friction):
+        laws, repeats = Laws(bending=BendingFriction(torque)), []
+        for k in range(REPEATS):
+            above = drape(fabric, rig=Rig.from_name(rig), edge=1e-3 * edge_mm, start=STARTS[-1 - k],
+                          seed=k, laws=laws)
+            below = raised(above, fabric, torque, overshoot=overshoot)
+            ends = {"above": above, "below": below}
+            repeats.append({"apart_mm": 1e3 * compare(above, below).displacement} | {
+                name: measured(one.positions, one.faces, rig, seed=[seed, number, k], torque=torque)
+                for name, one in ends.items()}
+                if all(one.converged for one in ends.values()) else None)
+        result["drapes"].append(repeats)
+        result["tester"].append(tested(fabric, laws))
+    return result
+
+
+def tested(fabric: Fabric, laws: Laws) -> float | None:
+    """Mean log alpha, N·m, that the virtual cantilever tester reads; None where it refuses."""
+    lengths = {direction: [share * bending_length(alpha, fabric.density) for share in _STRIPS]
+               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
+    try:
+        strips = simulate_strips(fabric, lengths, guide=level_rulings, laws=laws)
+        found = estimate(strips, density=fabric.density, method="regression")
+    except InputError:
+        return None
+    return float(np.mean([np.log(one.alpha) for one in found.values()]))
+
+
+def scanned(*, path: str, seed: int) -> dict[str, float]:
+    """The same measures of one scan."""
+    scan = read_scan(Path(path), DISC_RIG)
+    return measured(scan.positions, scan.faces, DISC_RIG.name,
+                    seed=[seed, *map(ord, scan.name)])
+
+
+def run(config: dict[str, Any]) -> Report:
+    """All rigs, and scans where there are some."""
+    settings = {key: value for key, value in config.items() if key != "rigs"}
+    report: Report = {"rigs": {
+        rig: over_fabrics(case, settings | {"rig": rig, "fabrics": count}, sources=ESTIMATOR,
+                          inside=rig) for rig, count in config["rigs"].items()}}
+    if config["scans"]:
+        report["scans"] = over_scans(scanned, config)
+    return report
+
+
+def _values(report: Report, rig: str, history: str, measure: str) -> np.ndarray:
+    """(F, torques, REPEATS) of a measure, without ``history`` of both drapes; NaN: not there."""
+    return np.array([[[np.nan if one is None else (one[history] if history else one)[measure]
+                       for one in repeats]
+                      for repeats in fabric["drapes"]]
+                     for fabric in report["rigs"][rig].values()], float)
+
+
+def _estimates(report: Report, rig: str) -> dict[str, np.ndarray]:
+    """(F, torques) log alpha of drapes from above and below, as the network estimates it without
+    and with the friction, and by the tester; less that from above without friction.
+    """
+    found = {}
+    for measure in ("log_alpha", "given"):
+        first = _values(report, rig, "above", measure)[:, :1]
+        for history in HISTORIES:
+            values = _values(report, rig, history, measure) - first
+            found[f"{history}, {measure}"] = values.mean(axis=2)
+    tester = np.array([one["tester"] for one in report["rigs"][rig].values()], float)
+    return found | {"tester": tester - tester[:, :1]}
+
+
+def _differences(report: Report, rig: str, measure: str) -> dict[str, np.ndarray]:
+    """Differences (F, torques) of two drapes: from above and below in the same folds, from another
+    start, and both.
+    """
+    above, below = (_values(report, rig, history, measure) for history in HISTORIES)
+    return {"history": (above - below).mean(axis=2), "start": above[..., 0] - above[..., 1],
+            "both": above[..., 0] - below[..., 1]}
+
+
+def _size(values: np.ndarray) -> float:
+    """Root mean square of those that are there."""
+    return rms(values[np.isfinite(values)])
+
+
+def precision(report: Report, rig: str, measure: str) -> float:
+    """Standard deviation, µN·m per metre, of friction by one drape from above and one from below.
+
+    That of the measure between starts, at all torques, over its median slope.
+    """
+    torque, found = np.array(report["settings"]["friction"]), _differences(report, rig, measure)
+    slope = np.nanmedian(found["history"][:, 1:] / torque[1:])
+    return _size(found["start"]) / float(slope)
+
+
+def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
+    """Differences of captures of one sample, and of samples of one fabric, of a measure's mean."""
+    samples: dict[tuple[int, int], list[float]] = {}
+    for name, one in report["scans"].items():
+        samples.setdefault(fabric_and_sample(name), []).append(one[measure])
+    own = [np.diff(values)[0] for values in samples.values() if len(values) == 2]
+    other = [np.mean(samples[a]) - np.mean(samples[b])
+             for a in samples for b in samples if a < b and a[0] == b[0]]
+    return {"captures": np.array(own), "samples": np.array(other)}
+
+
+def answer(report: Report) -> str:
+    """In sentences."""
+    rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
+    last = torque.index(100.0) if 100.0 in torque else len(torque) - 1
+    ratio = {name: np.exp(np.nanmedian(values[:, last]))
+             for name, values in _estimates(report, rig).items()}
+    by = {name: precision(report, rig, name) for name in MEASURES}
+    by = {name: precision(report, rig, name) for name in MEASURES}
+    sentences = [
+        f"{torque[last]:g} µN·m per metre change the network's α by "
+        f"{ratio['above, log_alpha'] - 1:+.0%} of a drape that is lowered from flat and by "
+        f"{ratio['below, log_alpha'] - 1:+.0%} of one that is raised from below (given the "
+        f"friction, by {ratio['above, given'] - 1:+.0%} and {ratio['below, given'] - 1:+.0%}; a "
+        f"cantilever tester's by {ratio['tester'] - 1:+.0%}). One drape of each kind identifies "
+        f"friction to ± {by['log_alpha']:.0f} µN·m per metre by the network's α, and to ± "
+        f"{by['coefficient']:.0f} by the drape coefficient, which other folds change as much."]
+    if "scans" in report and DISC_RIG.name in report["rigs"]:
+        scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
+        both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
+        sizes = {name: [_size(column) for column in values.T] for name, values in both.items()}
+        simulated = [f"{sizes['coefficient'][k]:.1f} points and a factor of "
+                     f"{np.exp(sizes['log_alpha'][k]):.2f} with {torque[k]:g} µN·m per metre"
+                     for k in (0, last)]
+        enough = [f"{np.interp(scans[name], sizes[name], torque):.0f}" for name in MEASURES]
+        sentences.append(
+            f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of the "
+            f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
+            "square); a simulated disc from above and one from below, in other folds, by "
+            f"{' and '.join(simulated)}. Had the captures such different histories, friction of "
+            f"{' and '.join(enough)} µN·m per metre would explain how far they scatter.")
+    return " ".join(sentences)
+
+
+def rows(report: Report) -> tuple[list[str], list[list[object]]]:
+    """By rig and torque; then the scans."""
+    head = ["specimen", "friction, µN·m per metre", "α from above, times (given it)",
+            "α from below (given it)", "α by cantilever", "above and below: mm", "points",
+            "α, times", "other start: points", "α, times"]
+    lines = []
+    for rig in report["rigs"]:
+        estimates = _estimates(report, rig)
+        differences = {measure: _differences(report, rig, measure) for measure in MEASURES}
+        apart = _values(report, rig, "", "apart_mm")
+        for k, torque in enumerate(report["settings"]["friction"]):
+            times = {name: f"{np.exp(np.nanmedian(one[:, k])):.2f}"
+                     for name, one in estimates.items()}
+            lines.append([
+                rig, f"{torque:g}",
+                *(f"{times[f'{history}, log_alpha']} ({times[f'{history}, given']})"
+                  for history in HISTORIES),
+                times["tester"], f"{np.nanmedian(apart[:, k]):.2f}",
+                *_written(*(np.nanmedian(one["history"][:, k]) for one in differences.values())),
+                *_written(*(_size(one["start"][:, k]) for one in differences.values()))])
+    for name in ("captures", "samples") if "scans" in report else ():
+        found = (rms(scan_differences(report, measure)[name]) for measure in MEASURES)
+        lines.append([f"scans, {name}", *["–"] * 7, *_written(*found)])
+    return head, lines
+
+
+def _written(points: float, log_alpha: float) -> tuple[str, str]:
+    """Differences of the coefficient and of log alpha, for the table."""
+    return f"{points:.1f}", f"{np.exp(log_alpha):.2f}"
+
+
+def draw(report: Report) -> Figure:
+    """Alpha over torque; from above over from below; repeats, simulated and scanned."""
+    torque, rigs = np.array(report["settings"]["friction"]), list(report["rigs"])
+    figure = Figure(figsize=(4 + 4 * len(rigs), 3.8), layout="constrained")
+    first, *others = figure.subplots(1, 1 + len(rigs))
+    names = {"above, log_alpha": "from above", "above, given": "from above, friction given",
+             "below, log_alpha": "from below", "tester": "cantilever tester"}
+    for k, (name, label) in enumerate(names.items()):
+        low, middle, high = np.exp(np.nanpercentile(_estimates(report, rigs[0])[name],
+                                                    [16, 50, 84], axis=0))
+        first.plot(torque, middle, "o-", ms=3.5, color=f"C{k}", label=label)
+        first.fill_between(torque, low, high, color=f"C{k}", alpha=0.12, lw=0)
+    first.set(ylabel="α / α without friction", title=f"estimates, {rigs[0].partition('_')[0]}")
+    for axes, rig in zip(others, rigs, strict=True):
+        found = {name: np.exp(values) for name, values
+                 in _differences(report, rig, "log_alpha").items()}
+        axes.plot(torque, found["history"].T, ".-", lw=0.5, ms=4, color="C0", alpha=0.5)
+        axes.plot(torque, np.nanmedian(found["history"], axis=0), "k", lw=2, label="same folds")
+        places = np.broadcast_to(torque + 4, found["start"].shape)
+        axes.plot(places.ravel(), found["start"].ravel(), "x", ms=4, color="C1",
+                  label="both from above, another start")
+        axes.set(ylabel="α from above / from below", title=f"histories, {rig.partition('_')[0]}")
+        if rig == DISC_RIG.name and "scans" in report:
+            pairs = np.exp(scan_differences(report, "log_alpha")["captures"])
+            axes.plot(np.full(len(pairs), -10.0), pairs, "+", ms=5, color="C3",
+                      label="captures of a scanned sample")
+    for axes in (first, *others):
+        axes.set(yscale="log", xlabel="friction [µN·m/m]")
+        tick_short_scales(axes.yaxis)
+        axes.legend(fontsize=8, frameon=False, loc="upper left")
+    return figure
+
+
+STUDY = Study(
+    "friction", "Friction", "002, section 7.7 (hysteresis as a main source of errors)",
+    "What does friction of bending do to an estimate, and do a drape that is lowered and one that "
+    "is raised, or repeats of real drapes, identify it?", run, answer, rows, draw,
+    "names hysteresis as a main source of errors in simulation, estimation and evaluation, without "
+    "a figure. Not comparable.",
+    "One step of Coulomb friction (docs/physics.md): from flat for a drape from above, from where "
+    "the cloth hangs under twice its weight for one from below, which may add folds. A real "
+    "specimen swings, and may come to rest short of it or beyond. Friction of the cloth on its "
+    "support, and in shear, is not in it. How much a pair differs by a given friction depends on "
+    "the fabric; the precision is that of the median one. How the scans' specimens were placed is "
+    "not documented: if alike each time, captures share their history, and their difference says "
+    "nothing of friction. α by the network is the mean over directions, without faults of the "
+    "set-up; the network was trained with 0 to 200 µN·m per metre from flat and assumes the mean "
+    "where friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
+    "(physics.md#beside-the-law-natural-curvature-and-friction)).")
