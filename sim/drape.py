@@ -9,7 +9,7 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.equilibrium import Equilibrium, Minimiser, find_equilibrium, minimise_cloth
+from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.initial import (
     borrowed_positions,
     check_start,
@@ -145,7 +145,6 @@ def drape(
     offset: tuple[float, float] = (0.0, 0.0),
     laws: Laws | None = None,
     options: NewtonOptions | None = None,
-    minimiser: Minimiser = minimise_cloth,
 ) -> DrapeResult:
     """Drape ``fabric`` on ``rig``, coarse mesh first.
 
@@ -165,7 +164,6 @@ def drape(
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
-        minimiser: see :func:`sim.equilibrium.find_equilibrium`.
 
     Returns:
         The drape; look at its ``status``, a numerical failure raises nothing.
@@ -197,7 +195,6 @@ def drape(
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
             self_contact=last,
-            minimiser=minimiser,
         )
         coarse = (specimen.mesh.rest, found.state.positions)
         statuses.append(found.status)

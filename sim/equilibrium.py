@@ -1,10 +1,8 @@
 """Static equilibrium of a cloth in a scene: the one way to find it, whatever acts on the cloth."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from sim.cloth import Cloth
 from sim.energies.base import Energy
@@ -75,14 +73,6 @@ class Equilibrium:
         ))
 
 
-Minimiser = Callable[[Cloth, np.ndarray, NewtonOptions | None], NewtonResult]
-
-
-def minimise_cloth(cloth: Cloth, q: np.ndarray, options: NewtonOptions | None) -> NewtonResult:
-    """A minimum of the cloth's energy near the state ``q`` (3 V + 3 E,)."""
-    return minimise(cloth.potential, q, options)
-
-
 def find_equilibrium(
     scene: Scene,
     fabric: Fabric,
@@ -93,7 +83,6 @@ def find_equilibrium(
     options: NewtonOptions | None = None,
     self_contact: bool = False,
     touching: bool = False,
-    minimiser: Minimiser = minimise_cloth,
 ) -> Equilibrium:
     """Equilibrium of ``fabric`` in ``scene`` next to ``start``; look at its ``status``.
 
@@ -111,20 +100,19 @@ def find_equilibrium(
             SELF_CONTACT: it could not be untangled, or is tangled again.
         touching: with ``self_contact``, whether the cloth touches itself at the start already, so
             that contact acts from the first step.
-        minimiser: minimises the energy of a cloth, as :func:`minimise_cloth` does.
     """
     laws = laws or Laws()
 
     def once(start: State, laws: Laws) -> Equilibrium:
         if self_contact and touching:
             contact = contact_near(scene, start.positions, density=fabric.density)
-            found = _minimised(scene, fabric, start, laws, extra, options, minimiser, contact)
+            found = _minimised(scene, fabric, start, laws, extra, options, contact)
             if found.converged and contact.is_complete(found.state.q):
                 return found
-        found = _minimised(scene, fabric, start, laws, extra, options, minimiser)
+        found = _minimised(scene, fabric, start, laws, extra, options)
         if not (self_contact and found.converged):
             return found
-        return _untouched(found, extra, options, minimiser)
+        return _untouched(found, extra, options)
 
     return settled(once, scene, start, laws)
 
@@ -136,17 +124,15 @@ def _minimised(
     laws: Laws,
     extra: Sequence[Energy],
     options: NewtonOptions | None,
-    minimiser: Minimiser,
     contact: SelfContact | None = None,
 ) -> Equilibrium:
     cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
-    newton = minimiser(cloth, start.q, options)
+    newton = minimise(cloth.potential, start.q, options)
     return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
 
 
 def _untouched(
-    found: Equilibrium, extra: Sequence[Energy], options: NewtonOptions | None,
-    minimiser: Minimiser,
+    found: Equilibrium, extra: Sequence[Energy], options: NewtonOptions | None
 ) -> Equilibrium:
     """The equilibrium that ``found`` is if it does not intersect itself, or one that does not."""
     scene = found.cloth.scene
@@ -157,7 +143,7 @@ def _untouched(
     if positions is None:
         return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
                                                 "not be untangled")
-    freed = _with_contact(found, scene.state(positions), extra, options, minimiser)
+    freed = _with_contact(found, scene.state(positions), extra, options)
     freed = freed.after(found.newton)
     count = len(self_intersections(freed.state.positions, scene.mesh.faces))
     if count:
@@ -167,8 +153,7 @@ def _untouched(
 
 
 def _with_contact(
-    tangled: Equilibrium, state: State, extra: Sequence[Energy], options: NewtonOptions | None,
-    minimiser: Minimiser,
+    tangled: Equilibrium, state: State, extra: Sequence[Energy], options: NewtonOptions | None
 ) -> Equilibrium:
     """Equilibrium with self-contact from a ``state`` without intersections."""
     cloth, options = tangled.cloth, options or NewtonOptions()
@@ -177,7 +162,7 @@ def _with_contact(
         contact = contact_near(cloth.scene, state.positions, density=cloth.fabric.density)
         steps = min(_ROUND, options.max_iterations - iterations)
         part = _minimised(cloth.scene, cloth.fabric, state, cloth.laws, extra,
-                          replace(options, max_iterations=steps), minimiser, contact)
+                          replace(options, max_iterations=steps), contact)
         iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
         found = part if found is None else part.after(found.newton)
         state = found.state

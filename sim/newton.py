@@ -8,7 +8,7 @@ exact Hessian at the end proves a minimum rather than a saddle.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
@@ -35,11 +35,10 @@ class Objective(Protocol):
     """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
 
     A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
-    the step; states need not form a linear space, steps do. ``hessian`` returns what the solver
-    factorises, CSR data in ``pattern``, with ``shift`` times the ``regularisation`` (size,) on the
-    diagonal, where even the convex Hessian is singular.
-    ``energy_scale`` is the size of differences in energy; those below :data:`NOISE` of it are
-    rounding.
+    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
+    ``pattern``, with ``shift`` times the ``regularisation`` (size,) on the diagonal, where even the
+    convex Hessian is singular. ``energy_scale`` is the size of differences in energy; those below
+    :data:`NOISE` of it are rounding.
     """
 
     size: int
@@ -127,18 +126,11 @@ _ENDINGS = {
 
 
 def minimise(
-    objective: Objective,
-    start: np.ndarray,
-    options: NewtonOptions | None = None,
-    *,
-    make_solver: Callable[..., CholeskySolver] = make_solver,
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Never raises for a numerical failure.
-
-    ``make_solver`` makes the solver of the Newton systems as :func:`sim.linear.make_solver` does.
-    """
+    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
     start = np.array(start, dtype=np.float64)
-    run = _Run(objective, start, options or NewtonOptions(), make_solver)
+    run = _Run(objective, start, options or NewtonOptions())
     began = time.thread_time()
     with np.errstate(all="ignore"):
         run.iterate()
@@ -149,14 +141,8 @@ def minimise(
 class _Run:
     """State of one minimisation."""
 
-    def __init__(
-        self,
-        objective: Objective,
-        q: np.ndarray,
-        options: NewtonOptions,
-        make_solver: Callable[..., CholeskySolver],
-    ) -> None:
-        self.objective, self.options, self.make_solver = objective, options, make_solver
+    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
+        self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
         self.rest = False
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
@@ -235,7 +221,7 @@ class _Run:
             data = objective.hessian(self.result.q, convexity, shift)
         if self.solver is None:
             with self._timed("analyse"):
-                self.solver = self.make_solver(objective.pattern, self.options.linear_solver)
+                self.solver = make_solver(objective.pattern, self.options.linear_solver)
         with self._timed("factorise"):
             self.result.factorisations += 1
             return self.solver.factorise(data, rough=not proof)

@@ -1,8 +1,7 @@
 """The energies of the default drape once more, as plain PyTorch: values only, over batches.
 
 The twin of the fast kernels in :mod:`sim.energies`, which tests compare with it; through automatic
-differentiation also the source of derivatives that are not hot, by the rest shape for instance, and
-of the Hessians of drapes made together on a GPU (:mod:`sim.batch`).
+differentiation also the source of derivatives that are not hot, such as those by the rest shape.
 
 B cloths share one triangulation of V vertices, E edges and F triangles, N of them free. Positions x
 are (B, V, 3) m, normals of edges n (B, E, 3) (:mod:`sim.state`), rest points (B, V, 2) m.

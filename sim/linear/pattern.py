@@ -6,8 +6,6 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from common.errors import InputError
-
 
 class SparsePattern:
     """Upper triangle (with diagonal) of the symmetric matrices that given stencils add up to.
@@ -31,24 +29,7 @@ class SparsePattern:
         rows = np.concatenate([rows.ravel() for rows in elements])
         self.indptr, self.indices = _structure(first, rows, size)
         self.diagonal = self.indptr[:-1].copy()
-        self._slots = [self.slots(stencil) for stencil in stencils]
-
-    def slots(self, stencil: np.ndarray) -> np.ndarray:
-        """Where the blocks of elements go in the CSR data.
-
-        Args:
-            stencil: (N, K) int64 rows, -1 for absent or held; all pairs are in the pattern.
-
-        Returns:
-            (N, K(K+1)/2) int32 for the upper triangle of each block, row by row, -1: nowhere.
-
-        Raises:
-            InputError: a pair that the pattern has not.
-        """
-        slots = _slots(stencil, self.indptr, self.indices)
-        if (slots == -2).any():
-            raise InputError("the stencil reaches further than the pattern")
-        return slots
+        self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
     def assemble(self, blocks: Sequence[np.ndarray | None]) -> np.ndarray:
         """Sum of symmetric blocks (N, K, K), one array or None per stencil, as CSR data (nnz,)."""
@@ -131,7 +112,7 @@ def _slots(stencil, indptr, indices):
                         low = middle + 1
                     else:
                         high = middle
-                slots[t, pair] = low if indices[low] == j else -2
+                slots[t, pair] = low
     return slots
 
 

@@ -75,7 +75,7 @@ def equilibria(
             the ``others`` as there for cloth of the reference density. Derivatives by ``rest`` are
             NaN for other laws than "midedge" alone.
         options: of the minimisations.
-        workers: processes that find the equilibria; see :func:`sim.batch.drapes.drape_batch`.
+        workers: processes that find the equilibria; see :func:`sim.batch.drape_batch`.
 
     Raises:
         InputError: shapes that do not fit, or values that no cloth has.
