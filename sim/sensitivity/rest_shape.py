@@ -106,16 +106,14 @@ def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
     if not reference.covers(cloth):
         return np.full_like(mesh.rest, np.nan)
     with torch.enable_grad():  # which is off where this is part of a backward pass
-        cloths = reference.cloths_of([cloth])
-        rest = cloths.rest.requires_grad_()
-        x, n = torch.from_numpy(tangent.q.reshape(1, -1, 3)).split(
-            [len(mesh.rest), len(mesh.edges)], dim=1)
+        twin = reference.Twin(cloth)
+        x, n = torch.from_numpy(tangent.q.reshape(-1, 3)).split([len(mesh.rest), len(mesh.edges)])
+        rest = torch.tensor(mesh.rest, requires_grad=True)
         move = torch.zeros_like(x, requires_grad=True)
-        turn = torch.zeros(1, len(mesh.edges), dtype=x.dtype, requires_grad=True)
-        there = reference.moved(cloths.topology, x, n, move, turn)
-        total = reference.energy(cloths, x + move, there)
-        gradients = torch.autograd.grad(total.sum(), (move, turn), create_graph=True)
+        turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
+        total = twin.energy(x + move, reference.moved(twin.edges, x, n, move, turn), rest)
+        gradients = torch.autograd.grad(total, (move, turn), create_graph=True)
         along, around = np.split(weights, [tangent.coordinates])
         pull = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
                 + (gradients[1] * torch.from_numpy(around)).sum())
-        return torch.autograd.grad(pull, rest)[0][0].numpy()
+        return torch.autograd.grad(pull, rest)[0].numpy()
