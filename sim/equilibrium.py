@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from sim.cloth import Cloth
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
-from sim.lagged import settled
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.newton import NewtonOptions, NewtonResult, Status, minimise
@@ -27,15 +26,12 @@ class Equilibrium:
         state: positions and edge normals.
         newton: the last minimisation, with the work of all.
         contact: of the cloth with itself, where it acts.
-        rounds, change: of a law that follows the direction of bending, see :mod:`sim.lagged`.
     """
 
     cloth: Cloth
     state: State
     newton: NewtonResult
     contact: SelfContact | None = None
-    rounds: int = 1
-    change: float = 0.0
 
     @staticmethod
     def at(cloth: Cloth, state: State) -> "Equilibrium":
@@ -89,8 +85,7 @@ def find_equilibrium(
     Held vertices stay where they are in ``start``. A numerical failure raises nothing.
 
     Args:
-        laws: of bending and membrane. Where bending follows the direction of curvature, equilibria
-            are found until the directions settle (:func:`sim.lagged.settled`).
+        laws: of bending and membrane.
         extra: energies beside those of the cloth, its weight and the scene's obstacles.
         options: of the minimisation.
         self_contact: whether the cloth may not intersect itself. First the equilibrium without
@@ -102,19 +97,15 @@ def find_equilibrium(
             that contact acts from the first step.
     """
     laws = laws or Laws()
-
-    def once(start: State, laws: Laws) -> Equilibrium:
-        if self_contact and touching:
-            contact = contact_near(scene, start.positions, density=fabric.density)
-            found = _minimised(scene, fabric, start, laws, extra, options, contact)
-            if found.converged and contact.is_complete(found.state.q):
-                return found
-        found = _minimised(scene, fabric, start, laws, extra, options)
-        if not (self_contact and found.converged):
+    if self_contact and touching:
+        contact = contact_near(scene, start.positions, density=fabric.density)
+        found = _minimised(scene, fabric, start, laws, extra, options, contact)
+        if found.converged and contact.is_complete(found.state.q):
             return found
-        return _untouched(found, extra, options)
-
-    return settled(once, scene, start, laws)
+    found = _minimised(scene, fabric, start, laws, extra, options)
+    if not (self_contact and found.converged):
+        return found
+    return _untouched(found, extra, options)
 
 
 def _minimised(

@@ -56,7 +56,7 @@ def sensitivities(
             with the membrane of its laws: the in-plane stiffness is that of cloth of that density.
 
     Raises:
-        InputError: unknown parameter, or a law that has no derivative.
+        InputError: unknown parameter.
     """
     return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 

@@ -2,13 +2,10 @@
 
 import numpy as np
 
-from common.errors import InputError
 from sim.cloth import Cloth
 from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import Equilibrium
-from sim.lagged import follows_curvature
-from sim.laws import Laws
 from sim.linear import CholeskySolver, make_solver
 from sim.self_contact import contact_near
 from sim.sensitivity.parameters import force_derivatives, hessian_product
@@ -40,13 +37,9 @@ class Tangent:
         message: how it ended.
         softest: about the stiffness of the softest motion, see :data:`SOFTEST`; 0 where there is no
             factor.
-
-    Raises:
-        InputError: a law that is not the derivative of an energy.
     """
 
     def __init__(self, found: Equilibrium) -> None:
-        _require_energy(found.cloth.laws)
         self.cloth, self.q = found.cloth, found.state.q
         self.softest = 0.0
         self._factor: CholeskySolver | None = found.newton.factor
@@ -64,7 +57,6 @@ class Tangent:
     @classmethod
     def near(cls, result: DrapeResult) -> "Tangent":
         """The tangent of the equilibrium next to a drape, whether this converged or not."""
-        _require_energy(result.laws)
         return cls(result.equilibrium or rebuilt(result))
 
     @property
@@ -152,9 +144,3 @@ def possible_contact(result: DrapeResult) -> SelfContact:
     """The contact of a drape with itself, as its search would add it; zero for most drapes."""
     simulated = result.simulated
     return contact_near(result.scene, result.positions, density=simulated.density)
-
-
-def _require_energy(laws: Laws) -> None:
-    if follows_curvature(laws):
-        raise InputError("hinge laws that follow the direction of bending are not the derivative "
-                         "of an energy; choose midedge or hinge")
