@@ -9,7 +9,7 @@ from sim.energies.contact import Obstacle, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.potential import Potential, Terms
+from sim.potential import Potential
 from sim.scene import GRAVITY, Scene
 
 STEP_UNIT = 1e-3  # m: steps are reported in mm
@@ -52,31 +52,30 @@ class Cloth:
         pressure = scene.contact_pressure * fabric.density * scene.gravity
         self.obstacles = [energy for obstacle in scene.obstacles
                           for energy in _contact(scene, obstacle, pressure)]
-        self.potential = Potential(self._terms())
+        self.potential = self._sum()
 
     @property
     def outer(self) -> list[Energy]:
         """Energies that are not the cloth's own: its weight, ``extra``, the obstacles."""
         return [self.weight, *self.extra, *self.obstacles]
 
-    def _terms(self) -> Terms:
+    def _sum(self) -> Potential:
         mesh = self.scene.mesh
-        rest = [self.bending, *self.others, *self.outer]
+        others = [self.bending, *self.others, *self.outer]
         coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
         used = np.zeros(coordinates + edges + 1, dtype=bool)  # one more, for dofs of -1
-        for energy in (self.membrane, *rest):
+        for energy in (self.membrane, *others):
             used[energy.dofs] = True
         used[:coordinates] &= np.repeat(~self.scene.held, 3)
         used[coordinates:-1] &= ~self.scene.held_edges
-        ends = mesh.rest[mesh.edges]
-        edge_length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()
+        edge_length = mesh.edge_lengths.mean()
         per_area = self.fabric.density * GRAVITY
         weight = per_area * mesh.vertex_areas.mean()
         # A convex membrane alone nearly always makes the whole Hessian positive definite.
-        return Terms(
-            stages=[[self.membrane], rest],
-            edges=mesh.edges,
-            free=used[:-1],
+        return Potential(
+            [[self.membrane], others],
+            mesh.edges,
+            used[:-1],
             force_scale=np.repeat([weight, weight * edge_length], [coordinates, edges]),
             length_scale=np.repeat([STEP_UNIT, STEP_UNIT / edge_length], [coordinates, edges]),
             energy_scale=per_area * mesh.areas.sum() * float(np.ptp(mesh.rest, axis=0).max()),

@@ -1,7 +1,7 @@
 """Static equilibrium of a cloth in a scene: the one way to find it, whatever acts on the cloth."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from sim.cloth import Cloth
@@ -96,37 +96,23 @@ def find_equilibrium(
         touching: with ``self_contact``, whether the cloth touches itself at the start already, so
             that contact acts from the first step.
     """
-    laws = laws or Laws()
+    laws, options = laws or Laws(), options or NewtonOptions()
+
+    def minimised(
+        state: State, contact: SelfContact | None = None, options: NewtonOptions = options
+    ) -> Equilibrium:
+        cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
+        newton = minimise(cloth.potential, state.q, options)
+        return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
+
     if self_contact and touching:
         contact = contact_near(scene, start.positions, density=fabric.density)
-        found = _minimised(scene, fabric, start, laws, extra, options, contact)
+        found = minimised(start, contact)
         if found.converged and contact.is_complete(found.state.q):
             return found
-    found = _minimised(scene, fabric, start, laws, extra, options)
+    found = minimised(start)
     if not (self_contact and found.converged):
         return found
-    return _untouched(found, extra, options)
-
-
-def _minimised(
-    scene: Scene,
-    fabric: Fabric,
-    start: State,
-    laws: Laws,
-    extra: Sequence[Energy],
-    options: NewtonOptions | None,
-    contact: SelfContact | None = None,
-) -> Equilibrium:
-    cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
-    newton = minimise(cloth.potential, start.q, options)
-    return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
-
-
-def _untouched(
-    found: Equilibrium, extra: Sequence[Energy], options: NewtonOptions | None
-) -> Equilibrium:
-    """The equilibrium that ``found`` is if it does not intersect itself, or one that does not."""
-    scene = found.cloth.scene
     count = len(self_intersections(found.state.positions, scene.mesh.faces))
     if count == 0:
         return found
@@ -134,7 +120,7 @@ def _untouched(
     if positions is None:
         return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
                                                 "not be untangled")
-    freed = _with_contact(found, scene.state(positions), extra, options)
+    freed = _with_contact(minimised, scene, scene.state(positions), fabric.density, options)
     freed = freed.after(found.newton)
     count = len(self_intersections(freed.state.positions, scene.mesh.faces))
     if count:
@@ -144,16 +130,15 @@ def _untouched(
 
 
 def _with_contact(
-    tangled: Equilibrium, state: State, extra: Sequence[Energy], options: NewtonOptions | None
+    minimised: Callable[[State, SelfContact, NewtonOptions], Equilibrium], scene: Scene,
+    state: State, density: float, options: NewtonOptions,
 ) -> Equilibrium:
     """Equilibrium with self-contact from a ``state`` without intersections."""
-    cloth, options = tangled.cloth, options or NewtonOptions()
     iterations, found = 0, None
     while True:
-        contact = contact_near(cloth.scene, state.positions, density=cloth.fabric.density)
+        contact = contact_near(scene, state.positions, density=density)
         steps = min(_ROUND, options.max_iterations - iterations)
-        part = _minimised(cloth.scene, cloth.fabric, state, cloth.laws, extra,
-                          replace(options, max_iterations=steps), contact)
+        part = minimised(state, contact, replace(options, max_iterations=steps))
         iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
         found = part if found is None else part.after(found.newton)
         state = found.state

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from sim.energies.base import Energy
-from sim.energies.remember import Remembered
+from sim.energies.cache import StateCache
 
 RIM_RADIUS = 5e-4
 """m, to which the rim of the plate is rounded. On a sharp rim the nearest surface would change from
@@ -115,7 +115,7 @@ class ObstacleContact(Energy):
         self.share = 1.0 / vertices.shape[1]
         self.scale = areas * pressure / depth**2
         self.obstacle = obstacle
-        self._touching = Remembered()
+        self._touching = StateCache()
 
     def value(self, q: np.ndarray) -> float:
         touching, _, depth = self._contacts(q)

@@ -25,9 +25,9 @@ import numpy as np
 
 from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
+from sim.energies.cache import StateCache
 from sim.energies.clamp import bending_areas
 from sim.energies.convex import raise_eigenvalues
-from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
 
@@ -68,9 +68,8 @@ class MidEdgeBending(Energy):
         self.maps = curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
         self._pole = np.where(boundary, np.inf, pole)
-        lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1)[edges]
-        self._slenderness = lengths**2 / (2 * mesh.areas[active])[:, None]  # e/h
-        self._angles = Remembered()
+        self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
+        self._angles = StateCache()
         self._take(fabric)
 
     def _take(self, fabric: Fabric) -> None:

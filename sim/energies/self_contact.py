@@ -14,6 +14,7 @@ from scipy import sparse
 
 from common.errors import InputError, one_line
 from sim.energies.base import Energy
+from sim.energies.cache import StateCache
 from sim.mesh import Mesh
 
 _HALF_WAY = 3.0 * np.log(4.0) + 4.5
@@ -79,7 +80,7 @@ class SelfContact(Energy):
         self._barrier = self._ipctk.BarrierPotential(
             distance, pressure / _HALF_WAY, use_physical_barrier=True
         )
-        self._latest = self._hessians = None
+        self._touching, self._blocks = StateCache(), StateCache()
         couples = self._near(positions, reach)
         self._keys = couples @ [self._vertices, 1]
         vertex = 3 * np.arange(self._vertices)[:, None] + np.arange(3)
@@ -120,33 +121,31 @@ class SelfContact(Energy):
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
     def _pairs(self, q: np.ndarray) -> tuple:
-        """The pairs in contact (of the toolkit) and the positions (V, 3); kept for the next call.
+        """The pairs in contact (of the toolkit) and the positions (V, 3)."""
+        return self._touching.at(q, self._find_pairs)
 
-        Newton asks for value, gradient and several Hessians at the same place.
-        """
+    def _find_pairs(self, q: np.ndarray) -> tuple:
         x = self._positions(q)
-        if self._latest is None or not np.array_equal(x, self._latest[1]):
-            pairs = self._ipctk.NormalCollisions()
-            pairs.use_area_weighting = True
-            pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
-            pairs.build(self._mesh, x, self._distance)
-            self._latest, self._hessians = (pairs, x), None
-        return self._latest
+        pairs = self._ipctk.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
+        pairs.build(self._mesh, x, self._distance)
+        return pairs, x
 
     def _both_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
         """Exact and convex blocks (N, 6, 6), and whether the pattern holds all of them."""
-        pairs, x = self._pairs(q)
-        if self._hessians is None:
-            blocks, complete = [], True
-            for projection in ("NONE", "CLAMP"):
-                result = np.zeros((*self.dofs.shape, 6))
-                if not pairs.empty():
-                    method = getattr(self._ipctk.PSDProjectionMethod, projection)
-                    whole = self._barrier.hessian(pairs, self._mesh, x, method)
-                    complete = self._fill(result, whole) and complete
-                blocks.append(result)
-            self._hessians = (*blocks, complete)
-        return self._hessians
+        return self._blocks.at(q, self._find_hessians)
+
+    def _find_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+        (pairs, x), blocks, complete = self._pairs(q), [], True
+        for projection in ("NONE", "CLAMP"):
+            result = np.zeros((*self.dofs.shape, 6))
+            if not pairs.empty():
+                method = getattr(self._ipctk.PSDProjectionMethod, projection)
+                whole = self._barrier.hessian(pairs, self._mesh, x, method)
+                complete = self._fill(result, whole) and complete
+            blocks.append(result)
+        return *blocks, complete
 
     def _fill(self, result: np.ndarray, whole: sparse.spmatrix) -> bool:
         """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if blocks are left."""

@@ -61,6 +61,12 @@ class Mesh:
         """(E, 2) vertex pairs, smaller index first."""
         return self._edge_tables[0]
 
+    @cached_property
+    def edge_lengths(self) -> np.ndarray:
+        """(E,) at rest, m."""
+        ends = self.rest[self.edges]
+        return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
     @property
     def face_edges(self) -> np.ndarray:
         """(F, 3) the edge opposite each corner."""

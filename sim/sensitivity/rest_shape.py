@@ -81,9 +81,7 @@ def _of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 def _step(tangent: Tangent, move: np.ndarray) -> float:
     """By how much of a ``move`` of the rest points forces are compared."""
-    mesh = tangent.cloth.scene.mesh
-    edge = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1).mean()
-    return _STEP * edge / np.abs(move).max()
+    return _STEP * tangent.cloth.scene.mesh.edge_lengths.mean() / np.abs(move).max()
 
 
 def _forces_at(tangent: Tangent, move: np.ndarray, rig: Rig | None = None) -> np.ndarray:
