@@ -17,16 +17,10 @@ from sim.scene import Rig
 
 
 def drape_batch(
-    fabrics: Sequence[Fabric],
-    *,
-    rig: Rig | None = None,
-    edge: float | Sequence[float] | None = None,
-    starts: str | Sequence[str] = "sine",
-    seeds: Sequence[int] | None = None,
-    offsets: Sequence[tuple[float, float]] | None = None,
-    laws: Laws | None = None,
-    options: NewtonOptions | None = None,
-    workers: int | None = None,
+    fabrics: Sequence[Fabric], *, rig: Rig | None = None,
+    edge: float | Sequence[float] | None = None, starts: str | Sequence[str] = "sine",
+    seeds: Sequence[int] | None = None, offsets: Sequence[tuple[float, float]] | None = None,
+    laws: Laws | None = None, options: NewtonOptions | None = None, workers: int | None = None
 ) -> list[DrapeResult]:
     """Drape every fabric on ``rig``, as :func:`sim.drape.drape` does.
 

@@ -35,12 +35,8 @@ class Cloth:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        fabric: Fabric,
-        *,
-        laws: Laws | None = None,
-        extra: Sequence[Energy] = (),
+        self, scene: Scene, fabric: Fabric, *, laws: Laws | None = None,
+        extra: Sequence[Energy] = ()
     ) -> None:
         self.scene, self.fabric, self.laws = scene, fabric, laws or Laws()
         self.extra = tuple(extra)

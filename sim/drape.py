@@ -135,16 +135,10 @@ class DrapeResult:
 
 
 def drape(
-    fabric: Fabric,
-    *,
-    rig: Rig | None = None,
-    edge: float | None = None,
-    start: str = "sine",
-    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
-    seed: int = 0,
-    offset: tuple[float, float] = (0.0, 0.0),
-    laws: Laws | None = None,
-    options: NewtonOptions | None = None,
+    fabric: Fabric, *, rig: Rig | None = None, edge: float | None = None, start: str = "sine",
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None, seed: int = 0,
+    offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
+    options: NewtonOptions | None = None
 ) -> DrapeResult:
     """Drape ``fabric`` on ``rig``, coarse mesh first.
 
@@ -244,13 +238,8 @@ def check_seed(seed: int) -> None:
 
 
 def start_positions(
-    specimen: Specimen,
-    rig: Rig,
-    *,
-    coarse: tuple[np.ndarray, np.ndarray] | None,
-    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
-    start: str,
-    seed: int,
+    specimen: Specimen, rig: Rig, *, coarse: tuple[np.ndarray, np.ndarray] | None,
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None, start: str, seed: int
 ) -> np.ndarray:
     """Positions (V, 3), m, at which the minimisation on one mesh begins.
 
@@ -281,18 +270,9 @@ def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
 
 
 def drape_result(
-    fabric: Fabric,
-    rig: Rig,
-    laws: Laws,
-    found: Equilibrium,
-    *,
-    edge: float,
-    extra: Sequence[Energy] = (),
-    iterations: int,
-    seconds: float,
-    time_spent: dict[str, float],
-    coarse: tuple[Status, ...] = (),
-    keep: bool = False,
+    fabric: Fabric, rig: Rig, laws: Laws, found: Equilibrium, *, edge: float,
+    extra: Sequence[Energy] = (), iterations: int, seconds: float, time_spent: dict[str, float],
+    coarse: tuple[Status, ...] = (), keep: bool = False
 ) -> DrapeResult:
     """The drape whose last minimisation ended with ``found``; ``keep``: with its factor."""
     scene, newton = found.cloth.scene, found.newton

@@ -70,15 +70,9 @@ class Equilibrium:
 
 
 def find_equilibrium(
-    scene: Scene,
-    fabric: Fabric,
-    start: State,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    options: NewtonOptions | None = None,
-    self_contact: bool = False,
-    touching: bool = False,
+    scene: Scene, fabric: Fabric, start: State, *, laws: Laws | None = None,
+    extra: Sequence[Energy] = (), options: NewtonOptions | None = None, self_contact: bool = False,
+    touching: bool = False
 ) -> Equilibrium:
     """Equilibrium of ``fabric`` in ``scene`` next to ``start``; look at its ``status``.
 

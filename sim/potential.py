@@ -31,14 +31,8 @@ class Potential:
     """
 
     def __init__(
-        self,
-        stages: Sequence[Sequence[Energy]],
-        edges: np.ndarray,
-        free: np.ndarray,
-        *,
-        force_scale: np.ndarray,
-        length_scale: np.ndarray,
-        energy_scale: float,
+        self, stages: Sequence[Sequence[Energy]], edges: np.ndarray, free: np.ndarray, *,
+        force_scale: np.ndarray, length_scale: np.ndarray, energy_scale: float
     ) -> None:
         self.energies = [energy for stage in stages for energy in stage]
         self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
@@ -82,9 +76,7 @@ class Potential:
         """Of the Hessian."""
         return SparsePattern(self._stencils, self.size)
 
-    def hessian(
-        self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0
-    ) -> np.ndarray:
+    def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
         """CSR data (nnz,) of the Hessian in :attr:`pattern`.
 
         Args:

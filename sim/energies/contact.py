@@ -103,13 +103,8 @@ class ObstacleContact(Energy):
     """
 
     def __init__(
-        self,
-        vertices: np.ndarray,
-        areas: np.ndarray,
-        *,
-        obstacle: Obstacle,
-        pressure: float,
-        depth: float = 1e-4,
+        self, vertices: np.ndarray, areas: np.ndarray, *, obstacle: Obstacle, pressure: float,
+        depth: float = 1e-4
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
         self.share = 1.0 / vertices.shape[1]

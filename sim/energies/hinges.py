@@ -68,9 +68,7 @@ class DihedralBending(Energy):
         stop: modulus of the barrier, N·m.
     """
 
-    def __init__(
-        self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float
-    ) -> None:
+    def __init__(self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float) -> None:
         self.dofs = hinges.dofs
         self._alpha, self._beta = alpha, beta
         self._areas, self._lengths = hinges.bent_areas, hinges.lengths

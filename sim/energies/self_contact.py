@@ -64,13 +64,7 @@ class SelfContact(Energy):
     """
 
     def __init__(
-        self,
-        mesh: Mesh,
-        positions: np.ndarray,
-        *,
-        distance: float,
-        pressure: float,
-        reach: float,
+        self, mesh: Mesh, positions: np.ndarray, *, distance: float, pressure: float, reach: float
     ) -> None:
         self._ipctk = import_ipctk()
         self._vertices = len(mesh.rest)

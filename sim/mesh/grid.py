@@ -52,14 +52,8 @@ def grid_points(
 
 
 def strip(
-    *,
-    length: float,
-    width: float,
-    edge: float,
-    clamp: float,
-    diagonals: str = "alternating",
-    jitter: float = 0.0,
-    seed: int = 0,
+    *, length: float, width: float, edge: float, clamp: float, diagonals: str = "alternating",
+    jitter: float = 0.0, seed: int = 0
 ) -> tuple[Mesh, np.ndarray]:
     """A strip along +x that starts with a clamped piece of length ``clamp`` at x < 0.
 

@@ -48,12 +48,8 @@ class Specimen:
 
 
 def make_specimen(
-    rig: Rig,
-    *,
-    edge: float,
-    topology: int = 0,
-    offset: tuple[float, float] = (0.0, 0.0),
-    grading: float = GRADING,
+    rig: Rig, *, edge: float, topology: int = 0, offset: tuple[float, float] = (0.0, 0.0),
+    grading: float = GRADING
 ) -> Specimen:
     """Mesh the specimen of ``rig``.
 

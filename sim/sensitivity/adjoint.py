@@ -42,18 +42,11 @@ class Equilibria:
 
 
 def equilibria(
-    starts: Sequence[DrapeResult],
-    *,
-    alpha: Tensor,
-    beta: Tensor,
-    density: Tensor | float = REFERENCE_DENSITY,
-    membrane: Tensor | float | None = None,
-    held: Sequence[Tensor] | None = None,
-    rest: Sequence[Tensor] | None = None,
-    bending: str | Law = "midedge",
-    others: tuple[Law, ...] = (),
-    options: NewtonOptions | None = None,
-    workers: int = 1,
+    starts: Sequence[DrapeResult], *, alpha: Tensor, beta: Tensor,
+    density: Tensor | float = REFERENCE_DENSITY, membrane: Tensor | float | None = None,
+    held: Sequence[Tensor] | None = None, rest: Sequence[Tensor] | None = None,
+    bending: str | Law = "midedge", others: tuple[Law, ...] = (),
+    options: NewtonOptions | None = None, workers: int = 1
 ) -> Equilibria:
     """Equilibria next to those of ``starts``, on their meshes, of other cloth.
 
@@ -119,14 +112,8 @@ def equilibria(
 
 
 def _task(
-    start: DrapeResult,
-    alpha: np.ndarray,
-    beta: np.ndarray,
-    density: np.ndarray,
-    membrane: np.ndarray,
-    held: np.ndarray,
-    rest: np.ndarray,
-    laws: Laws,
+    start: DrapeResult, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray,
+    membrane: np.ndarray, held: np.ndarray, rest: np.ndarray, laws: Laws
 ) -> tuple[DrapeResult, Fabric, Laws]:
     """Start, fabric and laws of one sample, from the ``laws`` of all but their membrane."""
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
@@ -167,13 +154,8 @@ class _Equilibrium(torch.autograd.Function):
 
 
 def pulled_back(
-    tangent: Tangent,
-    fabric: Fabric,
-    by_positions: np.ndarray,
-    *,
-    membrane: float,
-    by_held: bool = True,
-    by_rest: bool = True,
+    tangent: Tangent, fabric: Fabric, by_positions: np.ndarray, *, membrane: float,
+    by_held: bool = True, by_rest: bool = True
 ) -> tuple[np.ndarray | None, ...]:
     """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3).
 

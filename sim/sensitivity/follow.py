@@ -17,14 +17,9 @@ from sim.state import State
 
 
 def follow(
-    result: DrapeResult,
-    fabric: Fabric,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    options: NewtonOptions | None = None,
-    sensitivities: Sensitivities | None = None,
-    keep: bool = False,
+    result: DrapeResult, fabric: Fabric, *, laws: Laws | None = None, extra: Sequence[Energy] = (),
+    options: NewtonOptions | None = None, sensitivities: Sensitivities | None = None,
+    keep: bool = False
 ) -> DrapeResult:
     """The drape of ``fabric`` next to ``result``, on its mesh: a warm start in place of a new one.
 
