@@ -37,9 +37,6 @@ class Potential:
         self.energies = [energy for stage in stages for energy in stage]
         self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
         self._edges, self._free = edges, np.flatnonzero(free)
-        row = np.full(len(free) + 1, -1)  # one more, for dofs of -1
-        row[self._free] = np.arange(len(self._free))
-        self._stencils = [row[energy.dofs] for energy in self.energies]
         self.unknowns, self.size = len(free), len(self._free)
         self._force_scale, self._length_scale = force_scale[self._free], length_scale[self._free]
         self.regularisation = self._force_scale / self._length_scale
@@ -66,15 +63,14 @@ class Potential:
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """(n,) derivative of the energy by a step."""
-        total = np.zeros(self.size)
-        for energy, stencil in zip(self.energies, self._stencils, strict=True):
-            _add_elements(total, stencil, energy.gradient(q))
-        return total
+        return self.free_unknowns(forces(self.energies, q, self.unknowns))
 
     @cached_property
     def pattern(self) -> SparsePattern:
         """Of the Hessian."""
-        return SparsePattern(self._stencils, self.size)
+        row = np.full(self.unknowns + 1, -1)  # one more, for dofs of -1
+        row[self._free] = np.arange(self.size)
+        return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
     def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
         """CSR data (nnz,) of the Hessian in :attr:`pattern`.
@@ -120,10 +116,29 @@ class Potential:
         return float(np.abs(step / self._length_scale).max())
 
 
+def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
+    """(U,) derivatives of a sum of energies by all unknowns, of which there are ``size``."""
+    total = np.zeros(size)
+    for energy in energies:
+        _add_elements(total, energy.dofs, energy.gradient(q))
+    return total
+
+
+def hessian_product(energies: Sequence[Energy], q: np.ndarray, move: np.ndarray) -> np.ndarray:
+    """(U,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (U,)."""
+    total = np.zeros(len(move))
+    for energy in energies:
+        blocks = energy.hessian(q)
+        if blocks is not None:
+            local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
+            _add_elements(total, energy.dofs, np.einsum("nij,nj->ni", blocks, local))
+    return total
+
+
 @numba.njit(cache=True)
-def _add_elements(total, stencil, parts):
-    """Add element gradients (N, K) to total (n,); stencil (N, K) as for the pattern."""
-    for t in range(len(stencil)):
-        for k in range(stencil.shape[1]):
-            if stencil[t, k] >= 0:
-                total[stencil[t, k]] += parts[t, k]
+def _add_elements(total, dofs, parts):
+    """Add what elements have for their unknowns (N, K) to total (U,)."""
+    for t in range(len(dofs)):
+        for k in range(dofs.shape[1]):
+            if dofs[t, k] >= 0:
+                total[dofs[t, k]] += parts[t, k]

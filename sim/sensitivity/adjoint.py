@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from common.errors import InputError
-from common.workers import worker_pool
 from sim.drape import DrapeResult
 from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -18,7 +17,7 @@ from sim.membranes import Corotational
 from sim.newton import NewtonOptions
 from sim.scene import Scene
 from sim.sensitivity.follow import follow
-from sim.sensitivity.parameters import combinations
+from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.rest_shape import pull_on_rest
 from sim.sensitivity.tangent import Tangent
 
@@ -46,7 +45,7 @@ def equilibria(
     density: Tensor | float = REFERENCE_DENSITY, membrane: Tensor | float | None = None,
     held: Sequence[Tensor] | None = None, rest: Sequence[Tensor] | None = None,
     bending: str | Law = "midedge", others: tuple[Law, ...] = (),
-    options: NewtonOptions | None = None, workers: int = 1
+    options: NewtonOptions | None = None
 ) -> Equilibria:
     """Equilibria next to those of ``starts``, on their meshes, of other cloth.
 
@@ -68,7 +67,6 @@ def equilibria(
             the ``others`` as there for cloth of the reference density. Derivatives by ``rest`` are
             NaN for other laws than "midedge" alone.
         options: of the minimisations.
-        workers: processes that find the equilibria; see :func:`sim.batch.drape_batch`.
 
     Raises:
         InputError: shapes that do not fit, or values that no cloth has.
@@ -79,32 +77,24 @@ def equilibria(
         membrane = Corotational().stiffness / REFERENCE_DENSITY * density
     density, membrane = (torch.as_tensor(v, dtype=torch.float64).expand(count)
                          for v in (density, membrane))
-    given = {"alpha": alpha, "beta": beta, "held": held, "rest": rest}
+    if held is None:
+        held = [torch.from_numpy(start.positions[start.held]) for start in starts]
+    rest = [torch.from_numpy(start.rest) for start in starts] if rest is None else rest
+    given = {"alpha": alpha, "beta": beta, "density": density, "membrane": membrane, "held": held,
+             "rest": rest}
     for name, values in given.items():
-        if values is not None and len(values) != count:
+        if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} cloths")
-    tasks, inputs = [], []
-    made = Laws(bending=bending, others=others)
-    for k, start in enumerate(starts):
-        here = start.positions[start.held] if held is None else held[k]
-        flat = start.rest if rest is None else rest[k]
-        inputs.append([alpha[k], beta[k], density[k], membrane[k],
-                       torch.as_tensor(here), torch.as_tensor(flat)])
-        tasks.append(_task(start, *(_array(v) for v in inputs[-1]), made))
-    if workers > 1 and count > 1:
-        with worker_pool(min(workers, count)) as pool:
-            futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
-                       for start, fabric, laws in tasks]
-            results = [future.result() for future in futures]
-    else:
-        results = [follow(start, fabric, laws=laws, options=options, keep=True)
-                   for start, fabric, laws in tasks]
+    inputs = list(zip(*given.values(), strict=True))
+    laws = Laws(bending=bending, others=others)
+    tasks = [_task(start, laws, *map(_array, values))
+             for start, values in zip(starts, inputs, strict=True)]
+    results = [follow(start, fabric, laws=laws, options=options, keep=True)
+               for start, fabric, laws in tasks]
     tangents = [Tangent.of(result) for result in results]
     return Equilibria(
-        positions=[
-            _Equilibrium.apply(tangent, result.fabric, *values)
-            for tangent, result, values in zip(tangents, results, inputs, strict=True)
-        ],
+        positions=[_Equilibrium.apply(tangent, result.fabric, *values)
+                   for tangent, result, values in zip(tangents, results, inputs, strict=True)],
         results=[replace(result, equilibrium=None) for result in results],
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
@@ -112,8 +102,8 @@ def equilibria(
 
 
 def _task(
-    start: DrapeResult, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray,
-    membrane: np.ndarray, held: np.ndarray, rest: np.ndarray, laws: Laws
+    start: DrapeResult, laws: Laws, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray,
+    membrane: np.ndarray, held: np.ndarray, rest: np.ndarray
 ) -> tuple[DrapeResult, Fabric, Laws]:
     """Start, fabric and laws of one sample, from the ``laws`` of all but their membrane."""
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
@@ -121,14 +111,13 @@ def _task(
                          f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
     fabric = Fabric(alpha, beta, float(density))
     stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
-    laws = replace(laws, membrane=Corotational(stiffness=stiffness))
     if not np.array_equal(rest, start.rest):
         start = replace(start, mesh=start.mesh.with_rest(rest))
     if not np.array_equal(held, start.positions[start.held]):
         positions = start.positions.copy()
         positions[start.held] = held
         start = start.at(positions)
-    return start, fabric, laws
+    return start, fabric, replace(laws, membrane=Corotational(stiffness=stiffness))
 
 
 class _Equilibrium(torch.autograd.Function):
@@ -176,7 +165,7 @@ def pulled_back(
     along[: tangent.coordinates] = by_positions.ravel()
     weights = tangent.response(along)
     _, rows = combinations(("alpha", "beta", "density", "membrane"), fabric)
-    by_fabric = -rows @ (tangent.force_derivatives() @ weights)
+    by_fabric = -rows @ (force_derivatives(tangent.cloth, tangent.q) @ weights)
     held = rest = None
     if by_held:
         push = tangent.force_of(weights)

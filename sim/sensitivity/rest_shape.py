@@ -12,8 +12,8 @@ import torch
 from sim import reference
 from sim.cloth import Cloth
 from sim.mesh.specimens import share_of_offset
+from sim.potential import forces
 from sim.scene import Rig
-from sim.sensitivity.parameters import forces
 from sim.sensitivity.tangent import Tangent
 
 _STEP = 1e-5  # of the mean edge, in central differences

@@ -7,8 +7,8 @@ from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import Equilibrium
 from sim.linear import CholeskySolver, make_solver
+from sim.potential import hessian_product
 from sim.self_contact import contact_near
-from sim.sensitivity.parameters import force_derivatives, hessian_product
 
 STEP, RESIDUAL = 1e-5, 1e-6
 """mm and weights of a vertex: Newton's next step and largest force at the state that is
@@ -82,10 +82,6 @@ class Tangent:
     def force_of(self, move: np.ndarray) -> np.ndarray:
         """(U,) change of the energy's gradient when the unknowns move by ``move`` (U,)."""
         return hessian_product(self.cloth.potential.energies, self.q, move)
-
-    def force_derivatives(self) -> np.ndarray:
-        """See :func:`sim.sensitivity.parameters.force_derivatives`."""
-        return force_derivatives(self.cloth, self.q)
 
     def _checked(self, result: DrapeResult) -> "Tangent":
         contact = [e for e in self.cloth.extra if isinstance(e, SelfContact)]
