@@ -42,7 +42,9 @@ class PardisoSolver:
             return False
         rough = rough and self._single_serves
         self._data = data
-        self._refined = rough and self._factorise_single(data)
+        if rough and self._single is None:
+            self._single = _Factor(self._pattern, order=self._double.order, single=True)
+        self._refined = rough and self._single.factorise(data)
         if self._refined:
             return True
         if rough and self._checks == 0:
@@ -55,11 +57,6 @@ class PardisoSolver:
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
-
-    def _factorise_single(self, data: np.ndarray) -> bool:
-        if self._single is None:
-            self._single = _Factor(self._pattern, order=self._double.order, single=True)
-        return self._single.factorise(data)
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
         """Conjugate gradients; stops early rather than follow a direction of no curvature.
@@ -101,7 +98,7 @@ class _Factor:
 
     _positive_definite = 2  # PARDISO's matrix type
     _analyse, _factorise, _solve, _release = 11, 22, 33, -1  # PARDISO's phases
-    _no_memory, _not_definite = -2, -4  # PARDISO's errors: -4 where a pivot was not positive
+    _no_memory, _not_definite = -2, -4  # PARDISO's errors
 
     def __init__(
         self, pattern: SparsePattern, *, order: np.ndarray | None = None, single: bool = False
@@ -152,11 +149,10 @@ class _Factor:
         )
         return error.value
 
-    @classmethod
-    def _require(cls, error: int) -> None:
+    def _require(self, error: int) -> None:
         """LinAlgError, of a matrix that cannot be solved, or MemoryError unless ``error`` is 0."""
         if error:
-            kind = MemoryError if error == cls._no_memory else np.linalg.LinAlgError
+            kind = MemoryError if error == self._no_memory else np.linalg.LinAlgError
             raise kind(f"PARDISO ended with error {error}")
 
     def __del__(self) -> None:
@@ -184,7 +180,6 @@ def find_mkl() -> ctypes.CDLL:
         for file in files:
             if "mkl_rt" in file.name and not file.name.endswith(".lib"):
                 os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
-                break
     from pypardiso import PyPardisoSolver
 
     library = PyPardisoSolver().libmkl

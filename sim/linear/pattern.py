@@ -24,8 +24,8 @@ class SparsePattern:
         self.size = size
         alone = np.arange(size)[:, None]  # every diagonal entry is there
         elements = [alone, *stencils]
-        first = np.concatenate([np.full(len(rows), rows.shape[1]) for rows in elements])
-        first = np.concatenate([[0], np.cumsum(first)])
+        first = np.cumsum(np.concatenate(
+            [[0], *(np.full(len(rows), rows.shape[1]) for rows in elements)]))
         rows = np.concatenate([rows.ravel() for rows in elements])
         self.indptr, self.indices = _structure(first, rows, size)
         self.diagonal = self.indptr[:-1].copy()
@@ -39,13 +39,9 @@ class SparsePattern:
                 _scatter(data, slots, block)
         return data
 
-    def upper(self, data: np.ndarray) -> sparse.csr_matrix:
-        """The upper triangle as a SciPy matrix."""
-        return sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
-
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
         """The whole matrix as a SciPy matrix."""
-        upper = self.upper(data)
+        upper = sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
         return (upper + sparse.triu(upper, 1).T).tocsr()
 
 
