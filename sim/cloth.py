@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.energies.base import Energy
-from sim.energies.contact import Obstacle, ObstacleContact
+from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
@@ -78,7 +78,7 @@ class Cloth:
         )
 
 
-def _contact(scene: Scene, obstacle: Obstacle, pressure: float) -> list[ObstacleContact]:
+def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[ObstacleContact]:
     """Contact at the free vertices and at the middles of the edges.
 
     Edges between touching vertices cut through a convex obstacle; with points twice as dense,

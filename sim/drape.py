@@ -10,12 +10,7 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.initial import (
-    borrowed_positions,
-    check_start,
-    initial_positions,
-    interpolate_positions,
-)
+from sim.initial import borrowed_positions, check_start, initial_positions, interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
@@ -160,10 +155,7 @@ def drape(
         options: of the final minimisation.
 
     Returns:
-        The drape; look at its ``status``, a numerical failure raises nothing.
-
-    Raises:
-        InputError: parameters that make no sense.
+        The drape; look at its ``status``. Only parameters that make no sense raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
     check_setting(rig, laws)
@@ -178,27 +170,20 @@ def drape(
     coarsest = COARSEST if borrowed is None else BORROWED_COARSEST
     for specimen, level in specimens(rig, edge, seed=seed, offset=offset, coarsest=coarsest):
         last = level == edge
-        positions = start_positions(
-            specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
-        )
+        positions = start_positions(specimen, rig, coarse=coarse, borrowed=borrowed, start=start,
+                                    seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
         found = find_equilibrium(
-            scene,
-            simulated,
-            scene.state(positions),
+            scene, simulated, scene.state(positions), self_contact=last,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
-            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
-            self_contact=last,
-        )
+            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS)
         coarse = (specimen.mesh.rest, found.state.positions)
         statuses.append(found.status)
         iterations += found.newton.iterations
         seconds.update(found.newton.seconds)
-    return drape_result(
-        fabric, rig, laws, found, edge=edge, iterations=iterations,
-        seconds=time.perf_counter() - began, time_spent=dict(seconds),
-        coarse=tuple(statuses[:-1]),
-    )
+    return drape_result(fabric, rig, laws, found, edge=edge, iterations=iterations,
+                        seconds=time.perf_counter() - began, time_spent=dict(seconds),
+                        coarse=tuple(statuses[:-1]))
 
 
 def specimens(
@@ -208,17 +193,16 @@ def specimens(
 
     An overhang may be too narrow for a coarse mesh alone, which is then left out.
     """
-    made = [(_specimen(rig, edge, seed, offset), edge)]  # refuses what makes no mesh
-    for level in reversed(coarse_to_fine(edge, coarsest)[:-1]):
+    made = []
+    for level in reversed(coarse_to_fine(edge, coarsest)):
         try:
-            made.insert(0, (_specimen(rig, level, seed, offset), level))
+            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
         except InputError:
+            if not made:
+                raise
             break
+        made.insert(0, (specimen, level))
     return made
-
-
-def _specimen(rig: Rig, edge: float, seed: int, offset: tuple[float, float]) -> Specimen:
-    return make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset)
 
 
 def check_setting(rig: object, laws: object) -> None:
@@ -261,12 +245,8 @@ def start_positions(
 
 def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
     """A specimen on ``rig``; with ``soft`` obstacles, as on the coarser meshes."""
-    return Scene(
-        mesh=specimen.mesh,
-        held=specimen.held,
-        obstacles=rig.obstacles,
-        contact_pressure=CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0),
-    )
+    pressure = CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0)
+    return Scene(specimen.mesh, specimen.held, rig.obstacles, contact_pressure=pressure)
 
 
 def drape_result(
@@ -277,24 +257,11 @@ def drape_result(
     """The drape whose last minimisation ended with ``found``; ``keep``: with its factor."""
     scene, newton = found.cloth.scene, found.newton
     return DrapeResult(
-        fabric=fabric,
-        rig=rig,
-        mesh=scene.mesh,
-        held=scene.held,
-        state=found.state,
-        laws=laws,
-        extra=tuple(extra),
-        touches=found.contact is not None,
-        edge=edge,
-        status=found.status,
-        message=found.message,
-        residual=newton.residual,
-        step=newton.step,
+        fabric=fabric, rig=rig, mesh=scene.mesh, held=scene.held, state=found.state, laws=laws,
+        extra=tuple(extra), touches=found.contact is not None, edge=edge, status=found.status,
+        message=found.message, residual=newton.residual, step=newton.step,
         positive_definite=newton.positive_definite,
         self_intersections=len(self_intersections(found.state.positions, scene.mesh.faces)),
-        iterations=iterations,
-        seconds=seconds,
-        time_spent=time_spent,
-        coarse=coarse,
+        iterations=iterations, seconds=seconds, time_spent=time_spent, coarse=coarse,
         equilibrium=found if keep else None,
     )

@@ -20,10 +20,7 @@ def initial_positions(
     rest: np.ndarray, *, rig: Rig, start: str, rng: np.random.Generator
 ) -> np.ndarray:
     """Positions (V, 3), m, of rest points (V, 2); flat on the plate, see :data:`STARTS`.
-
-    Raises:
-        InputError: unknown start, or one that the rig has not.
-    """
+    InputError for an unknown start, or one that the rig has not."""
     check_start(start)
     if start == "sine" and not rig.has_plate:
         return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
@@ -110,11 +107,8 @@ def borrowed_positions(
 
     Args:
         rest: points of this specimen, its border among them.
-        rig: of both drapes.
+        rig: of both drapes; InputError where the other's specimen is not such a one.
         borrowed: rest points (W, 2) and positions (W, 3) of the other drape, m.
-
-    Raises:
-        InputError: the other drape is not of such a specimen.
     """
     other_rest, other_positions = (np.asarray(array, np.float64) for array in borrowed)
     if (other_rest.ndim != 2 or other_rest.shape[1:] != (2,)
@@ -126,15 +120,12 @@ def borrowed_positions(
     except (QhullError, ValueError):
         area = 0.0
     if abs(area / rig.specimen_area - 1) > 0.03:
-        raise InputError(
-            f"the borrowed drape's specimen measures {1e4 * area:.0f} cm², that of {rig.name} "
-            f"{1e4 * rig.specimen_area:.0f} cm²"
-        )
+        raise InputError(f"the borrowed drape's specimen measures {1e4 * area:.0f} cm², that of "
+                         f"{rig.name} {1e4 * rig.specimen_area:.0f} cm²")
     centre, other_centre = (0.5 * (r.min(0) + r.max(0)) for r in (rest, other_rest))
     share = share_of_offset(rest, rig, centre)
-    return interpolate_positions(
-        other_rest, other_positions, rest + share[:, None] * (other_centre - centre)
-    )
+    return interpolate_positions(other_rest, other_positions,
+                                 rest + share[:, None] * (other_centre - centre))
 
 
 @one_blas_thread

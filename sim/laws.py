@@ -40,9 +40,6 @@ class Laws:
         bending: a key of :data:`BENDING`, or a law itself.
         membrane: in-plane law.
         others: laws of energies beside those, such as a foundation or a load.
-
-    Raises:
-        InputError: unknown bending law, no membrane, or ``others`` that are no tuple of laws.
     """
 
     bending: str | Law = "midedge"
@@ -51,9 +48,8 @@ class Laws:
 
     def __post_init__(self) -> None:
         if isinstance(self.bending, str) and self.bending not in BENDING:
-            raise InputError(
-                f"unknown bending law '{self.bending}'; choose from {', '.join(BENDING)}"
-            )
+            raise InputError(f"unknown bending law '{self.bending}'; choose from "
+                             f"{', '.join(BENDING)}")
         if not (isinstance(self.bending, str) or callable(self.bending)):
             raise InputError(f"bending={self.bending!r}: give a name or a law, called with a mesh")
         if isinstance(self.membrane, type) or not hasattr(self.membrane, "scaled"):

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from common.threads import one_blas_thread
-from sim.energies.contact import Obstacle
+from sim.energies.contact import Cylinder
 from sim.membranes import Corotational
 from sim.mesh import Mesh
 from sim.scene import Rig
@@ -71,20 +71,16 @@ def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
 def maximum_stretch(
     positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, held: np.ndarray
 ) -> float:
-    """Largest strain in any triangle that is not held, 0.01 for 1 %.
-
-    positions (V, 3) m, rest (V, 2) m, faces (F, 3), held (V,) bool.
-    """
+    """Largest strain in any triangle that is not held, 0.01 for 1 %: positions (V, 3) m, rest
+    (V, 2) m, faces (F, 3), held (V,) bool."""
     mesh = Mesh(rest=rest, faces=faces)
     membrane = Corotational().energy(mesh, ~held[faces].all(axis=1))
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
 
 
 def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """How deep the cloth enters the rig's obstacles anywhere, between its vertices too, m.
-
-    positions (V, 3) m, faces (F, 3). Exact to a micrometre; 0 where nothing enters.
-    """
+    """How deep cloth (V, 3) m of faces (F, 3) enters the rig's obstacles anywhere, between its
+    vertices too, m. Exact to a micrometre; 0 where nothing enters."""
     corners = positions[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     deepest = 0.0
@@ -96,7 +92,7 @@ def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
     return deepest
 
 
-def _largest_depths(obstacle: Obstacle, triangles: np.ndarray) -> np.ndarray:
+def _largest_depths(obstacle: Cylinder, triangles: np.ndarray) -> np.ndarray:
     """(N,) largest depths on triangles (N, 3, 3), m.
 
     Depth is concave, so it has one maximum along any line, and so has that maximum as the line
@@ -106,9 +102,8 @@ def _largest_depths(obstacle: Obstacle, triangles: np.ndarray) -> np.ndarray:
 
     def along_line(share: np.ndarray) -> np.ndarray:
         start, end = a + share[:, None] * (b - a), a + share[:, None] * (c - a)
-        return _largest(
-            lambda t: obstacle.depths(start + t[:, None] * (end - start)), len(triangles)
-        )
+        return _largest(lambda t: obstacle.depths(start + t[:, None] * (end - start)),
+                        len(triangles))
 
     return _largest(along_line, len(triangles))
 

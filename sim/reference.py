@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
-from sim.energies.clamp import FIRST
-from sim.energies.contact import RIM_RADIUS, Cylinder
+from sim.energies.contact import RIM_RADIUS
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.midedge import MidEdgeBending
+from sim.energies.midedge import CLAMP, MidEdgeBending
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
 from sim.membranes import Corotational
@@ -25,8 +24,7 @@ def covers(cloth: Cloth) -> bool:
     """Whether a cloth's energies are those of the default laws; its self-contact is left out."""
     return (type(cloth.bending) is MidEdgeBending
             and type(cloth.laws.membrane) is Corotational and not cloth.others
-            and all(isinstance(energy, SelfContact) for energy in cloth.extra)
-            and all(isinstance(o, Cylinder) for o in cloth.scene.obstacles))
+            and all(isinstance(energy, SelfContact) for energy in cloth.extra))
 
 
 def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
@@ -135,13 +133,13 @@ class Twin:
         return torch.where(bent, barrier, 0.0)
 
     def _bending_areas(self, areas: Tensor) -> Tensor:
-        """Areas (N,) with the weights of :mod:`sim.energies.clamp`."""
+        """Areas (N,) with the weights of :func:`sim.energies.midedge.bending_areas`."""
         if not (self._first.any() and self._second.any()):
             return areas
         near, behind = ((areas * row).sum() for row in (self._first, self._second))
-        moved_area = (1 - 1 / FIRST) * near / behind
-        areas = torch.where(self._first, FIRST * areas, areas)
-        return torch.where(self._second, areas / (1 + moved_area), areas)
+        shifted = (1 - 1 / CLAMP) * near / behind
+        areas = torch.where(self._first, CLAMP * areas, areas)
+        return torch.where(self._second, areas / (1 + shifted), areas)
 
 
 def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:

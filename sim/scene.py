@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.contact import Cylinder, Obstacle
+from sim.energies.contact import Cylinder
 from sim.mesh import Mesh
 from sim.state import State
 
@@ -30,9 +30,6 @@ class Rig:
         corners_apart: distance between the two corners that hold a specimen without plate, m.
         cut: angle from the warp to a side of the square, counter-clockwise, rad: 0 for one that is
             cut along its yarns. Only with a plate.
-
-    Raises:
-        InputError: a specimen that such a rig cannot hold.
     """
 
     specimen_size: float = 0.300
@@ -96,7 +93,7 @@ class Rig:
         return np.pi / 4 * square if self.specimen == "disc" else square
 
     @property
-    def obstacles(self) -> tuple[Obstacle, ...]:
+    def obstacles(self) -> tuple[Cylinder, ...]:
         """What the cloth may touch."""
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
@@ -113,11 +110,7 @@ class Rig:
 
     @staticmethod
     def from_name(name: str) -> "Rig":
-        """Return the rig called ``name``.
-
-        Raises:
-            InputError: no such rig.
-        """
+        """The rig called ``name``; InputError if there is none."""
         if name not in RIGS:
             raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}")
         return RIGS[name]
@@ -146,7 +139,7 @@ class Scene:
 
     mesh: Mesh
     held: np.ndarray
-    obstacles: tuple[Obstacle, ...] = ()
+    obstacles: tuple[Cylinder, ...] = ()
     gravity: float = GRAVITY
     contact_pressure: float = CONTACT_PRESSURE
 

@@ -67,13 +67,11 @@ def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tup
 
     Each point's parameter is moved to the nearest point of the fitted curve, and the fit
     repeated. ``degree`` 0 stands for the one in :data:`DEGREES` with the least Bayesian
-    information criterion, so that noise is not fitted.
+    information criterion, so that noise is not fitted. InputError for a degree below 2, or fewer
+    points than it needs.
 
     Returns:
         The curve and the root mean square distance of the points from it, m.
-
-    Raises:
-        InputError: a degree below 2, or fewer points than the degree needs.
     """
     count = len(curve)
     degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]

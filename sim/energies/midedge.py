@@ -26,12 +26,13 @@ import numpy as np
 from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
 from sim.energies.cache import StateCache
-from sim.energies.clamp import bending_areas
 from sim.energies.convex import raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
 
 CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+CLAMP = 6 / 5
+"""Stiffness of the row of triangles that hang on clamped edges, relative to their area's."""
 
 
 class MidEdgeBending(Energy):
@@ -132,6 +133,32 @@ class MidEdgeBending(Energy):
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
         value, slope, bend = fold_barrier.barrier(self.angles(q), self._pole)
         return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
+
+
+def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.ndarray:
+    """Areas (N,), m², with which the active triangles count in the bending energy.
+
+    Clamped cloth turns at its edges: half a hinge at the clamp, whole ones behind it, so that the
+    slope far out is the trapezoidal rule's integral of the curvature. The error of that rule is
+    h²/12 times the curvature's slope at its ends, which vanishes at a free end but not at a clamp.
+    Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a curvature are
+    compliances: triangles on clamped edges get 5/6 of theirs, the next, which touch the clamp with
+    a corner, as much more as leaves the sum unchanged.
+
+    Args:
+        active: (F,) bool, triangles that store energy.
+        clamped: (N, 3) bool, which of their edges adjoin held triangles.
+    """
+    areas = mesh.areas[active].copy()
+    first = clamped.any(axis=1)
+    rim = np.zeros(len(mesh.rest), dtype=bool)
+    rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
+    second = rim[mesh.faces[active]].any(axis=1) & ~first
+    if first.any() and second.any():
+        shifted = (1 - 1 / CLAMP) * areas[first].sum() / areas[second].sum()
+        areas[first] *= CLAMP
+        areas[second] /= 1 + shifted
+    return areas
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:

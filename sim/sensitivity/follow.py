@@ -44,15 +44,12 @@ def follow(
     if sensitivities is not None and sensitivities.ok:
         cloth = Cloth(scene, simulated, laws=laws, extra=extra)
         start = _better(cloth, result, sensitivities)
-    found = find_equilibrium(
-        scene, simulated, start, laws=laws, extra=extra, options=options or FINE_OPTIONS,
-        self_contact=True, touching=result.touches,
-    )
-    return drape_result(
-        fabric, result.rig, laws, found, edge=result.edge, extra=extra,
-        iterations=found.newton.iterations, seconds=time.perf_counter() - began,
-        time_spent=found.newton.seconds, keep=keep,
-    )
+    found = find_equilibrium(scene, simulated, start, laws=laws, extra=extra,
+                             options=options or FINE_OPTIONS, self_contact=True,
+                             touching=result.touches)
+    return drape_result(fabric, result.rig, laws, found, edge=result.edge, extra=extra,
+                        iterations=found.newton.iterations, time_spent=found.newton.seconds,
+                        seconds=time.perf_counter() - began, keep=keep)
 
 
 def _better(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) -> State:
