@@ -39,9 +39,7 @@ def drape_batch(
 
     Returns:
         The drapes in the order of ``fabrics``; a numerical failure is in a drape's ``status``.
-
-    Raises:
-        InputError: parameters that make no sense; a worker process that was ended from outside.
+        InputError for parameters that make no sense, or a worker process ended from outside.
     """
     rig, laws, count = rig or Rig(), laws or Laws(), len(fabrics)
     check_setting(rig, laws)

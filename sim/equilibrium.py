@@ -62,11 +62,8 @@ class Equilibrium:
         newton = self.newton
         seconds = dict(Counter(earlier.seconds) + Counter(newton.seconds))
         return replace(self, newton=replace(
-            newton,
-            iterations=earlier.iterations + newton.iterations,
-            factorisations=earlier.factorisations + newton.factorisations,
-            seconds=seconds,
-        ))
+            newton, iterations=earlier.iterations + newton.iterations, seconds=seconds,
+            factorisations=earlier.factorisations + newton.factorisations))
 
 
 def find_equilibrium(
@@ -79,9 +76,7 @@ def find_equilibrium(
     Held vertices stay where they are in ``start``. A numerical failure raises nothing.
 
     Args:
-        laws: of bending and membrane.
         extra: energies beside those of the cloth, its weight and the scene's obstacles.
-        options: of the minimisation.
         self_contact: whether the cloth may not intersect itself. First the equilibrium without
             contact between its parts is found, which is all for most drapes. Where it intersects
             itself, it is untangled and found again with contact

@@ -95,8 +95,8 @@ def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
 def _largest_depths(obstacle: Cylinder, triangles: np.ndarray) -> np.ndarray:
     """(N,) largest depths on triangles (N, 3, 3), m.
 
-    Depth is concave, so it has one maximum along any line, and so has that maximum as the line
-    moves across the triangle: two nested searches find it.
+    Depth is concave: it has one maximum along any line, and so has that maximum as the line moves
+    across the triangle. Two nested searches find it.
     """
     a, b, c = triangles.transpose(1, 0, 2)
 

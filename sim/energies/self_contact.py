@@ -32,9 +32,8 @@ def import_ipctk() -> ModuleType:
     try:
         import ipctk
     except (ImportError, OSError) as error:
-        raise InputError(
-            f"ipctk cannot be imported ({one_line(error)}); install it with: pip install ipctk"
-        ) from None
+        raise InputError(f"ipctk cannot be imported ({one_line(error)}); install it with: "
+                         "pip install ipctk") from None
     ipctk.set_num_threads(1)  # as all of the simulator: one process a core, one thread each
     return ipctk
 
@@ -56,7 +55,6 @@ class SelfContact(Energy):
     Hessian is semi-definite as a sum, not element by element.
 
     Args:
-        mesh: the specimen.
         positions: (V, 3) m, around which the pattern is built.
         distance: d̂, m, below the smallest height of a triangle.
         pressure: N/m² between two sheets of cloth d̂/2 apart.
@@ -71,9 +69,8 @@ class SelfContact(Energy):
         self._distance = distance
         rest = np.column_stack([mesh.rest, np.zeros(self._vertices)])  # gives the areas
         self._mesh = self._ipctk.CollisionMesh(rest, mesh.edges, mesh.faces)
-        self._barrier = self._ipctk.BarrierPotential(
-            distance, pressure / _HALF_WAY, use_physical_barrier=True
-        )
+        self._barrier = self._ipctk.BarrierPotential(distance, pressure / _HALF_WAY,
+                                                     use_physical_barrier=True)
         self._touching, self._blocks = StateCache(), StateCache()
         couples = self._near(positions, reach)
         self._keys = couples @ [self._vertices, 1]
@@ -103,9 +100,8 @@ class SelfContact(Energy):
         :func:`sim.energies.fold_barrier.leaves_room`.
         """
         before, after = self._positions(old), self._positions(new)
-        return self._ipctk.is_step_collision_free(
-            self._mesh, before, before + _OVERSHOOT * (after - before)
-        )
+        return self._ipctk.is_step_collision_free(self._mesh, before,
+                                                  before + _OVERSHOOT * (after - before))
 
     def is_complete(self, q: np.ndarray) -> bool:
         """Whether the pattern holds all pairs in contact at ``q``."""

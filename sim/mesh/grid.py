@@ -58,14 +58,12 @@ def strip(
     """A strip along +x that starts with a clamped piece of length ``clamp`` at x < 0.
 
     Args:
-        length, width, edge, clamp: m; the spacing is ``edge`` along and across.
+        length, width, edge, clamp: m; the spacing is ``edge`` along and across, of which the clamp
+            is a multiple.
         jitter: as in :func:`grid_points`; the column x = 0 stays in place.
 
     Returns:
         The mesh and the mask (V,) bool of the clamped vertices, x <= 0.
-
-    Raises:
-        InputError: a clamp that is no multiple of ``edge``.
     """
     rng = np.random.default_rng(seed)
     held_columns, columns = round(clamp / edge), round(length / edge)

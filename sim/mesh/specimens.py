@@ -64,9 +64,6 @@ def make_specimen(
         offset: specimen's centre from the plate's axis, m.
         grading: edges at the hem over ``edge``, at least 1; they grow by 10 % per edge until
             then, or to :data:`LONGEST`. Edges on the plate grow faster, they store no energy.
-
-    Raises:
-        InputError: arguments that make no mesh.
     """
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2

@@ -52,12 +52,24 @@ class Tangent:
         Like the drape it is that of the fabric at the reference density, the membrane's stiffness
         that of the laws there.
         """
-        return cls.near(result)._checked(result)
+        tangent, reason = cls.near(result), ""
+        contact = [e for e in tangent.cloth.extra if isinstance(e, SelfContact)]
+        if not result.converged:
+            reason = f"the drape is no equilibrium: {result.message}"
+        elif not all(energy.is_complete(tangent.q) for energy in contact):
+            reason = "self-contact reaches further than the Hessian's pattern"
+        if reason:
+            tangent.ok, tangent.message, tangent.softest = False, reason, 0.0
+        return tangent
 
     @classmethod
     def near(cls, result: DrapeResult) -> "Tangent":
         """The tangent of the equilibrium next to a drape, whether this converged or not."""
-        return cls(result.equilibrium or rebuilt(result))
+        if result.equilibrium:
+            return cls(result.equilibrium)
+        extra = [*result.extra, *([possible_contact(result)] if result.touches else [])]
+        cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
+        return cls(Equilibrium.at(cloth, result.state))
 
     @property
     def positions(self) -> np.ndarray:
@@ -82,14 +94,6 @@ class Tangent:
     def force_of(self, move: np.ndarray) -> np.ndarray:
         """(U,) change of the energy's gradient when the unknowns move by ``move`` (U,)."""
         return hessian_product(self.cloth.potential.energies, self.q, move)
-
-    def _checked(self, result: DrapeResult) -> "Tangent":
-        contact = [e for e in self.cloth.extra if isinstance(e, SelfContact)]
-        if not result.converged:
-            self._fail(f"the drape is no equilibrium: {result.message}")
-        elif not all(energy.is_complete(self.q) for energy in contact):
-            self._fail("self-contact reaches further than the Hessian's pattern")
-        return self
 
     def _approach(self) -> tuple[bool, str]:
         """Take the last Newton steps and factorise; ``ok`` and ``message``."""
@@ -123,20 +127,7 @@ class Tangent:
             before, motion = motion, self._factor.solve(scale * motion)
         return float(1.0 / (before @ (scale * motion)))
 
-    def _fail(self, message: str) -> None:
-        self.ok, self.message, self.softest = False, message, 0.0
-
-
-def rebuilt(result: DrapeResult) -> Equilibrium:
-    """A drape's energies and state, without the factor of its minimisation."""
-    extra = list(result.extra)
-    if result.touches:
-        extra.append(possible_contact(result))
-    cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
-    return Equilibrium.at(cloth, result.state)
-
 
 def possible_contact(result: DrapeResult) -> SelfContact:
     """The contact of a drape with itself, as its search would add it; zero for most drapes."""
-    simulated = result.simulated
-    return contact_near(result.scene, result.positions, density=simulated.density)
+    return contact_near(result.scene, result.positions, density=result.simulated.density)
