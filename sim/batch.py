@@ -7,8 +7,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.workers import worker_pool
-from sim.drape import DrapeResult, check_seed, check_setting, drape
-from sim.initial import check_start
+from sim.drape import DrapeResult, check_arguments, drape
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import default_edge
@@ -42,12 +41,9 @@ def drape_batch(
         InputError for parameters that make no sense, or a worker process ended from outside.
     """
     rig, laws, count = rig or Rig(), laws or Laws(), len(fabrics)
-    check_setting(rig, laws)
     workers = (os.cpu_count() or 1) if workers is None else workers
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")
-    if edge is None:
-        edge = [default_edge(fabric, rig) for fabric in fabrics]
     each = {
         "edge": [edge] * count if np.ndim(edge) == 0 else edge,
         "start": [starts] * count if isinstance(starts, str) else starts,
@@ -57,11 +53,8 @@ def drape_batch(
     for name, values in each.items():
         if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} fabrics")
-    for start, seed in zip(each["start"], each["seed"], strict=True):
-        check_start(start)
-        check_seed(seed)
-    if not np.isfinite(np.asarray(each["offset"], dtype=float)).all():
-        raise InputError("offsets must be finite numbers, in metres")
+    for start, seed, offset in zip(each["start"], each["seed"], each["offset"], strict=True):
+        check_arguments(rig, laws, start, seed, offset)
     shared = {"rig": rig, "laws": laws, "options": options}
     tasks = [{"fabric": fabric, **dict(zip(each, values, strict=True)), **shared}
              for fabric, *values in zip(fabrics, *each.values(), strict=True)]
@@ -72,7 +65,7 @@ def drape_batch(
     def expected_work(k: int) -> float:
         """Only to be compared: fine meshes take long, and so do soft fabrics."""
         softest = fabrics[k].at_density(1.0).alpha.min()
-        return each["edge"][k] ** -2 / softest**0.5
+        return (each["edge"][k] or default_edge(fabrics[k], rig)) ** -2 / softest**0.5
 
     longest = sorted(range(count), key=expected_work, reverse=True)
     with worker_pool(workers) as pool:

@@ -16,16 +16,11 @@ STEP_UNIT = 1e-3  # m: steps are reported in mm
 
 
 class Cloth:
-    """A fabric in a scene.
+    """A fabric in a scene, with ``extra`` energies beside its own, its weight and the obstacles'.
 
     Unknowns are the coordinates of the free vertices and the rotations that an energy depends on.
     Residuals are in units of the mean weight of a vertex under standard gravity (for rotations:
     times the mean edge length), steps in mm (for rotations: mm per mean edge length).
-
-    Args:
-        scene, fabric: what is simulated.
-        laws: of bending and membrane.
-        extra: energies beside those of the cloth, its weight and the scene's obstacles.
 
     Attributes:
         scene, fabric, laws, extra: as given.

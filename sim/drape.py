@@ -158,12 +158,8 @@ def drape(
         The drape; look at its ``status``. Only parameters that make no sense raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
-    check_setting(rig, laws)
+    check_arguments(rig, laws, start, seed, offset)
     edge = default_edge(fabric, rig) if edge is None else edge
-    check_start(start)
-    if not np.isfinite(offset).all():
-        raise InputError("offset must be two finite numbers, in metres")
-    check_seed(seed)
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     coarse, statuses, iterations, seconds = None, [], 0, Counter()
@@ -189,10 +185,8 @@ def drape(
 def specimens(
     rig: Rig, edge: float, *, seed: int, offset: tuple[float, float], coarsest: float
 ) -> list[tuple[Specimen, float]]:
-    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m.
-
-    An overhang may be too narrow for a coarse mesh alone, which is then left out.
-    """
+    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m. Coarse
+    ones for which an overhang is too narrow are left out."""
     made = []
     for level in reversed(coarse_to_fine(edge, coarsest)):
         try:
@@ -205,18 +199,19 @@ def specimens(
     return made
 
 
-def check_setting(rig: object, laws: object) -> None:
-    """InputError for what is no rig or no laws, such as the name of one."""
+def check_arguments(
+    rig: object, laws: object, start: str, seed: int, offset: tuple[float, float]
+) -> None:
+    """InputError for arguments of :func:`drape` that make no sense, such as the name of a rig."""
     if not isinstance(rig, Rig):
         raise InputError(f"rig={rig!r}: give a sim.scene.Rig, such as "
                          f"Rig.from_name('{Rig().name}')")
     if not isinstance(laws, Laws):
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
-
-
-def check_seed(seed: int) -> None:
-    """InputError for what seeds no random numbers."""
+    check_start(start)
+    if not np.isfinite(offset).all():
+        raise InputError("offset must be two finite numbers, in metres")
     if seed < 0:
         raise InputError(f"seed={seed} must not be negative")
 
@@ -225,12 +220,8 @@ def start_positions(
     specimen: Specimen, rig: Rig, *, coarse: tuple[np.ndarray, np.ndarray] | None,
     borrowed: tuple[np.ndarray, np.ndarray] | None = None, start: str, seed: int
 ) -> np.ndarray:
-    """Positions (V, 3), m, at which the minimisation on one mesh begins.
-
-    Args:
-        coarse: rest points and positions of the coarser drape, None on the first mesh.
-        borrowed, start, seed: as for :func:`drape`, for the first mesh.
-    """
+    """Positions (V, 3), m, at which the minimisation on one mesh begins: those of the ``coarse``
+    drape (rest points and positions), on the first mesh of the start."""
     rest, held = specimen.mesh.rest, specimen.held
     if coarse is not None:
         positions = interpolate_positions(*coarse, rest)

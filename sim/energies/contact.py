@@ -67,9 +67,8 @@ class Cylinder:
 class ObstacleContact(Energy):
     """Penalty A p d³/(3 s²) on the depth d inside an obstacle of some of the cloth's points.
 
-    Pressure p at depth s supports the cloth, so that depths stay of the order of s; the cube
-    keeps the Hessian continuous at first touch. Each point is the mean of its vertices: one for
-    the vertices themselves, two for the middles of edges.
+    Pressure p at depth s supports the cloth; the cube keeps the Hessian continuous at first touch.
+    Each point is the mean of its vertices: one, or the two ends of an edge.
 
     Args:
         vertices: (N, k) int64, vertices of each point.
@@ -114,10 +113,10 @@ class ObstacleContact(Energy):
         return result
 
     def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
         return self._touching.at(q, self._find_contacts)
 
     def _find_contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Elements that touch the obstacle, where they are (M, 3) and how deep (M,)."""
         corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
         points = self._share * sum(corners[:, k] for k in range(self._count))
         depth = self._obstacle.depths(points)

@@ -1,10 +1,8 @@
 """Energies of hinges: every edge stores an energy of the angle between its two triangles.
 
-They stand beside the default law for comparison and for export to simulators that use them. Their
-moduli are not physical: the stiffness of a strip of hinges depends on its triangulation and does
-not converge under refinement (docs/physics.md, :mod:`sim.cantilever.equivalent`).
-
-An edge between held and free cloth clamps its free triangle. As in the default law it counts on
+For comparison, and for export to simulators that use them. Their moduli are not physical: the
+stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
+(docs/physics.md, :mod:`sim.cantilever.equivalent`). An edge between held and free cloth counts on
 the free side alone: H is then the height of the free triangle, not the sum of two heights.
 """
 

@@ -68,8 +68,7 @@ def equilibria(
             NaN for other laws than "midedge" alone.
         options: of the minimisations.
 
-    Raises:
-        InputError: shapes that do not fit, or values that no cloth has.
+    InputError for shapes that do not fit, or values that no cloth has.
     """
     count = len(starts)
     density = torch.as_tensor(density, dtype=torch.float64)
@@ -146,12 +145,8 @@ def pulled_back(
     tangent: Tangent, fabric: Fabric, by_positions: np.ndarray, *, membrane: float,
     by_held: bool = True, by_rest: bool = True
 ) -> tuple[np.ndarray | None, ...]:
-    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3).
-
-    Args:
-        fabric: whose own moduli and density are meant.
-        membrane: N/m, in-plane stiffness that is meant.
-        by_held, by_rest: whether these two are wanted.
+    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3),
+    of ``fabric``'s own moduli and density and an in-plane stiffness ``membrane``, N/m.
 
     Returns:
         By alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and rest points

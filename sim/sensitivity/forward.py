@@ -33,11 +33,8 @@ class Sensitivities:
 
     Attributes:
         names: (P,) parameters, such as "log_alpha_warp".
-        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter.
-        vertices: V.
-        ok: whether the derivatives exist.
-        message: why not, in a sentence.
-        softest: see :class:`sim.sensitivity.tangent.Tangent`.
+        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter; vertices: V.
+        ok, message, softest: see :class:`sim.sensitivity.tangent.Tangent`.
     """
 
     names: tuple[str, ...]
@@ -70,9 +67,6 @@ def sensitivities(
 
             Moduli and density are the fabric's own. A drape is simulated at the reference density
             with the membrane of its laws: the in-plane stiffness is that of cloth of that density.
-
-    Raises:
-        InputError: unknown parameter.
     """
     return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 
@@ -80,11 +74,8 @@ def sensitivities(
 def tangent_sensitivities(
     tangent: Tangent, fabric: Fabric, parameters: Sequence[str]
 ) -> Sensitivities:
-    """Derivatives of the equilibrium of ``tangent``; arguments as for :func:`sensitivities`.
-
-    ``fabric`` has the moduli and density that the derivatives refer to, those of the tangent but
-    for a common factor.
-    """
+    """The same of the equilibrium of ``tangent``. ``fabric`` has the moduli and density that the
+    derivatives refer to, those of the tangent but for a common factor."""
     names, rows = combinations(parameters, fabric)
     moves = np.full((len(names), tangent.cloth.potential.unknowns), np.nan)
     if tangent.ok:
@@ -118,9 +109,8 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
     (weight, contact) to the density: these derivatives are the forces themselves. The energies of
     ``laws.others`` are those of cloth of the reference density, so for cloth of another they are
     proportional to the density too, and made of the moduli over the density. By the moduli,
-    central differences of the forces, without another equilibrium: the laws are smooth in
-    them but for creases, such as the one at isotropic moduli, where this is the mean of both sides.
-    The error is below 1e-9 of the bending forces.
+    central differences of the forces (error below 1e-9): the laws are smooth in them but for
+    creases, such as the one at isotropic moduli, where this is the mean of both sides.
     """
     scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 

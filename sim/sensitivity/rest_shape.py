@@ -44,10 +44,8 @@ def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
 
 
 def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad.
-
-    Those of the ``rig`` on which it lies; the mesh moves as for :func:`moves_with_offset`.
-    """
+    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad; the
+    mesh moves as for :func:`moves_with_offset`."""
     share, from_centre = _of_border(tangent, rig)
     turned = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
     return moves_with_rest(
@@ -55,10 +53,8 @@ def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
 
 
 def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m.
-
-    The vertices on the plate move with it, and so do the others less and less towards the border.
-    """
+    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m. The vertices on
+    the plate move with it, and the others less and less towards the border."""
     scene = tangent.cloth.scene
     move = (1 - _of_border(tangent, rig)[0])[:, None] * scene.mesh.rest / rig.plate_diameter
     step = _step(tangent, move)
@@ -95,11 +91,8 @@ def _forces_at(tangent: Tangent, move: np.ndarray, rig: Rig | None = None) -> np
 
 
 def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
-    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,).
-
-    By automatic differentiation of :mod:`sim.reference`. NaN where there is an energy without a
-    twin there, that is, for other laws than the default.
-    """
+    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,), by
+    automatic differentiation of :mod:`sim.reference`; NaN for laws that have no twin there."""
     cloth, mesh = tangent.cloth, tangent.cloth.scene.mesh
     if not reference.covers(cloth):
         return np.full_like(mesh.rest, np.nan)
