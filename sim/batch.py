@@ -44,12 +44,10 @@ def drape_batch(
     workers = (os.cpu_count() or 1) if workers is None else workers
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")
-    each = {
-        "edge": [edge] * count if np.ndim(edge) == 0 else edge,
-        "start": [starts] * count if isinstance(starts, str) else starts,
-        "seed": range(count) if seeds is None else seeds,
-        "offset": [(0.0, 0.0)] * count if offsets is None else offsets,
-    }
+    each = {"edge": [edge] * count if np.ndim(edge) == 0 else edge,
+            "start": [starts] * count if isinstance(starts, str) else starts,
+            "seed": range(count) if seeds is None else seeds,
+            "offset": [(0.0, 0.0)] * count if offsets is None else offsets}
     for name, values in each.items():
         if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} fabrics")

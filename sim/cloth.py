@@ -81,13 +81,10 @@ def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[Obstacle
     """
     mesh = scene.mesh
     free = ~scene.held
-    around = np.bincount(
-        mesh.face_edges.ravel(), np.repeat(mesh.areas, 3), minlength=len(mesh.edges)
-    )
-    points = [
-        (np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
-        (mesh.edges, around, free[mesh.edges].any(axis=1)),
-    ]
+    around = np.bincount(mesh.face_edges.ravel(), np.repeat(mesh.areas, 3),
+                         minlength=len(mesh.edges))
+    points = [(np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
+              (mesh.edges, around, free[mesh.edges].any(axis=1))]
     return [
         ObstacleContact(vertices[moves], areas[moves] / 4, obstacle=obstacle, pressure=pressure)
         for vertices, areas, moves in points

@@ -130,11 +130,9 @@ def softening_shape(u, limit):
     over = np.maximum(u, limit)
     beyond = over - limit
     share = beyond / over
-    return (
-        1.0 - 2.0 / 3.0 * (u - share * share * beyond),
-        -2.0 / 3.0 * (1.0 - share * share * (3.0 - 2.0 * share)),
-        4.0 * share * (1.0 - share) ** 2 / over,
-    )
+    return (1.0 - 2.0 / 3.0 * (u - share * share * beyond),
+            -2.0 / 3.0 * (1.0 - share * share * (3.0 - 2.0 * share)),
+            4.0 * share * (1.0 - share) ** 2 / over)
 
 
 def bending_work(
@@ -148,11 +146,8 @@ def bending_work(
     kappa = np.asarray(curvature, dtype=np.float64)
     u = -beta / alpha * kappa
     shape, slope, bend = softening_shape(u, SOFTENING_LIMIT)
-    return (
-        0.5 * alpha * kappa**2 * shape,
-        alpha * kappa * (shape + 0.5 * u * slope),
-        alpha * (shape + 2.0 * u * slope + 0.5 * u**2 * bend),
-    )
+    return (0.5 * alpha * kappa**2 * shape, alpha * kappa * (shape + 0.5 * u * slope),
+            alpha * (shape + 2.0 * u * slope + 0.5 * u**2 * bend))
 
 
 def torque(

@@ -140,13 +140,12 @@ class _Factor:
         """PARDISO's error code."""
         number = ctypes.c_int32
         error = number(0)
-        find_mkl().pardiso(
-            _pointer(self._memory, ctypes.c_int64), number(1), number(1),
-            number(self._positive_definite), number(phase), number(self._size),
-            _pointer(self._data, None), _pointer(self._indptr), _pointer(self._indices),
-            _pointer(self.order), number(1), _pointer(self._settings), number(0),
-            _pointer(rhs, None), _pointer(solution, None), error,
-        )
+        find_mkl().pardiso(_pointer(self._memory, ctypes.c_int64), number(1), number(1),
+                           number(self._positive_definite), number(phase), number(self._size),
+                           _pointer(self._data, None), _pointer(self._indptr),
+                           _pointer(self._indices), _pointer(self.order), number(1),
+                           _pointer(self._settings), number(0), _pointer(rhs, None),
+                           _pointer(solution, None), error)
         return error.value
 
     def _require(self, error: int) -> None:
