@@ -58,8 +58,7 @@ class DrapeResult:
         self_intersections: places where an edge passes through a triangle; 0 when converged.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
-        time_spent: seconds of all minimisations by activity (see
-            :class:`sim.newton.NewtonResult`).
+        time_spent: seconds of all minimisations by activity.
         coarse: statuses of the minimisations on coarser meshes, coarsest first.
         equilibrium: the last minimisation with its energies and factor, where it was asked for;
             it does not travel between processes.

@@ -62,13 +62,11 @@ class NewtonOptions:
         residual: largest residual of a converged state.
         step: largest last step of a converged state.
         max_iterations: per minimisation.
-        linear_solver: name for :func:`sim.linear.make_solver`, None for the fastest.
     """
 
     residual: float = 1e-5
     step: float = 1e-5
     max_iterations: int = 500
-    linear_solver: str | None = None
 
 
 @dataclass
@@ -213,7 +211,7 @@ class _Minimisation:
             data = objective.hessian(self.result.q, convexity, shift)
         if self.solver is None:
             with self.timed("analyse"):
-                self.solver = make_solver(objective.pattern, self.options.linear_solver)
+                self.solver = make_solver(objective.pattern)
         with self.timed("factorise"):
             self.result.factorisations += 1
             return self.solver.factorise(data, rough=not proof)

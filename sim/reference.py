@@ -7,14 +7,13 @@ Positions x are (V, 3) m, normals of edges n (E, 3) (:mod:`sim.state`), rest poi
 the triangles are free.
 """
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
 from sim.energies.contact import RIM_RADIUS
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.midedge import CLAMP, MidEdgeBending
+from sim.energies.midedge import CLAMP, MidEdgeBending, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants
 from sim.energies.self_contact import SelfContact
 from sim.membranes import Corotational
@@ -45,8 +44,7 @@ class Twin:
         law: constants of the plate law.
         softest: N·m, least alpha.
         mu, lam: () N/m, Lamé's constants of the corotational membrane.
-        weight: () N/m², of the cloth.
-        pressure: () N/m² of the obstacle on cloth 0.1 mm deep in it.
+        weight, pressure: () N/m², of the cloth; of the obstacle on cloth 0.1 mm deep in it.
         plate_radius: m; 0 without a plate.
     """
 
@@ -54,10 +52,7 @@ class Twin:
         scene, mesh, membrane = cloth.scene, cloth.scene.mesh, cloth.laws.membrane
         active = scene.active
         clamped = scene.held_edges[mesh.face_edges[active]]
-        first = clamped.any(axis=1)
-        rim = np.zeros(len(mesh.rest), dtype=bool)
-        rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
-        second = rim[mesh.faces[active]].any(axis=1) & ~first
+        first, second = rows_at_clamp(mesh, active, clamped)
         boundary = mesh.edge_faces[mesh.face_edges[active], 1] < 0
         self._faces, self._face_edges, self._all_faces, self._all_face_edges, self.edges = map(
             torch.from_numpy, (mesh.faces[active], mesh.face_edges[active], mesh.faces,

@@ -28,9 +28,8 @@ def angle(x):
 def add_side_gradient(x, corner, sign, g):
     """Add to g (4, 3) how one triangle turns about the edge when x0, x1 and its ``corner`` move.
 
-    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. The turn is counted against a frame
-    that parallel transport carries along with the edge; those of both triangles add up to the
-    change of the angle.
+    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. Turns are counted against a frame
+    carried along with the edge; those of both triangles add up to the change of the angle.
     """
     ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
     ee = ex * ex + ey * ey + ez * ez

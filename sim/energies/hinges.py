@@ -25,9 +25,8 @@ class Hinges:
     Attributes:
         edge: (N,) which of the mesh's edges they are.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
-            then the corners opposite it. The first triangle can move.
-        dofs: (N, 12) their coordinates, as :class:`sim.energies.base.Energy` asks for.
-        rest: (N, 4, 2) m, the corners at rest.
+            then the corners opposite it, of the triangle that can move first; at rest ``rest``
+            (N, 4, 2) m; dofs: (N, 12) their coordinates.
         lengths, normals: (N,) m, the edges' rest lengths, and (N, 2) unit vectors across them.
         areas, bent_areas: (N,) m², of both triangles at rest, and of those that can move.
     """

@@ -21,14 +21,9 @@ class StrainLaw(Protocol):
     the principal stretches.
     """
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        """(N,) J/m²."""
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        """(N, K) derivative of the density, N/m."""
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        """(N, K, K) second derivative of the density, N/m, symmetric."""
+    def density(self, strain: np.ndarray) -> np.ndarray: ...  # (N,) J/m²
+    def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) its derivative, N/m
+    def tangent(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K, K) its second one, N/m
 
 
 class StrainMembrane(Energy):
@@ -42,9 +37,6 @@ class StrainMembrane(Energy):
         mesh: the specimen, warp along x and weft along y.
         active: (F,) bool, triangles that store energy.
         law: of the Green strain.
-
-    Attributes:
-        areas: (N,) m², rest areas.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, law: StrainLaw) -> None:

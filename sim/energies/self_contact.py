@@ -43,16 +43,13 @@ class SelfContact(Energy):
 
     A pair is a vertex and a triangle, or two edges (faded out where they are parallel), without
     a vertex in common; w is the rest area it stands for. The barrier is twice continuously
-    differentiable, zero from d̂ on and infinite at contact; the distance is once, its second
-    derivative jumps where the nearest point passes from a triangle to its edge.
+    differentiable, zero from d̂ on and infinite at contact; second derivatives of the distance
+    jump where the nearest point passes from a triangle to its edge.
 
-    Pairs come and go during a minimisation, the pattern of the Hessian does not. It couples the
-    vertices of all pairs that are nearer than ``reach`` at first. A block of the Hessian outside
-    the pattern is replaced by an upper bound on the diagonal, so that the convex Hessian stays
-    semi-definite; it is exact only where :meth:`is_complete`.
-
-    An element is a vertex or a couple of vertices; gradients stand with the vertices. The convex
-    Hessian is semi-definite as a sum, not element by element.
+    Pairs come and go during a minimisation, the pattern of the Hessian does not: it couples the
+    vertices of all pairs nearer than ``reach`` at first. A block outside it is replaced by an upper
+    bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An element is a
+    vertex or a couple; the convex Hessian is semi-definite as a sum, not element by element.
 
     Args:
         positions: (V, 3) m, around which the pattern is built.

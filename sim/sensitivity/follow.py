@@ -24,18 +24,14 @@ def follow(
     """The drape of ``fabric`` next to ``result``, on its mesh: a warm start in place of a new one.
 
     A large change of moduli may end in other folds; the way there is a minimisation, not a path
-    of equilibria.
+    of equilibria. Iterations and seconds of the drape are those of this search.
 
     Args:
-        laws: of bending and membrane; None for those of ``result``.
+        laws, options: None for those of ``result``, and of a drape.
         extra: more energies, such as springs that hold the cloth.
-        options: of the minimisation; None for those of a drape.
         sensitivities: of ``result``, by "log_alpha" and "ratio" among others: the search starts at
             the linear prediction where its energy is lower than that of ``result``'s shape.
         keep: whether the drape keeps its energies and factor, for derivatives.
-
-    Returns:
-        The drape; look at its ``status``. Iterations and seconds are those of this search.
     """
     began = time.perf_counter()
     laws = laws or result.laws
