@@ -113,10 +113,6 @@ class Convention:
     name: str
     curvature: float
 
-    def from_here(self, alpha: float, beta: float = 0.0) -> tuple[float, float]:
-        """Moduli a (N·m) and b (N·m²) of the convention for alpha (N·m) and beta (N·m²) here."""
-        return alpha / self.curvature, beta / self.curvature**2
-
 
 ARCSIM = Convention("ARCSim", 1 / 4)
 DISCRETE_SHELLS = Convention("discrete shells", 3.0)

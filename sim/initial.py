@@ -55,11 +55,8 @@ def _waves(
 
 
 def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
-    """The specimen bent down on both sides of the plate, along a random direction.
-
-    Isometric: beyond the plate, the cloth follows a circular arc of up to a quarter turn and
-    hangs straight from there, so that it starts without stretch and without self-intersection.
-    """
+    """The specimen bent down on both sides of the plate, along a random direction: beyond the plate
+    a circular arc of up to a quarter turn, then straight, without stretch and intersection."""
     angle = rng.uniform(0, np.pi)
     bend = 0.02 * rng.uniform(0.7, 1.5)  # m, radius of the arc
     turn = rng.uniform(0.5, 0.95) * np.pi / 2
@@ -72,8 +69,7 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     reach = np.minimum(np.abs(s), rig.plate_radius) + bend * np.sin(theta)
     reach += straight * np.cos(turn)
     drop = bend * (1 - np.cos(theta)) + straight * np.sin(turn)
-    plane = (np.sign(s) * reach)[:, None] * across + t[:, None] * along
-    return np.column_stack([plane, -drop])
+    return np.column_stack([(np.sign(s) * reach)[:, None] * across + t[:, None] * along, -drop])
 
 
 def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
@@ -132,10 +128,8 @@ def borrowed_positions(
 def interpolate_positions(
     coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Positions (V, 3) at rest points (V, 2) of a smooth surface through coarser vertices.
-
-    ``coarse_rest`` (W, 2) and ``coarse_positions`` (W, 3) cover the same specimen.
-    """
+    """Positions (V, 3) at rest points (V, 2) of a smooth surface through coarser vertices (W, 2)
+    at (W, 3), which cover the same specimen."""
     surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull
@@ -149,10 +143,8 @@ def interpolate_positions(
 def _beyond_border(
     surface: CloughTocher2DInterpolator, rest: np.ndarray, centre: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``.
-
-    The border of a disc is a polygon with more corners on a finer mesh, which lie outside.
-    """
+    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``:
+    the border of a disc has more corners on a finer mesh, which lie outside."""
     equations = ConvexHull(rest).equations
     ray = points - centre
     rise = ray @ equations[:, :2].T

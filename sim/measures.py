@@ -20,10 +20,10 @@ _OUTLINE = 720  # points of an outline
 
 
 def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """Share of the overhanging cloth that is seen from above (BS 5058, ISO 9073-9).
+    """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9).
 
-    (projected area - plate area) / (specimen area - plate area), of positions (V, 3) m and
-    faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight down. Good to 0.3 %.
+    Of positions (V, 3) m and faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight
+    down. Good to 0.3 %.
     """
     plate = np.pi * rig.plate_radius**2
     return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
@@ -51,11 +51,8 @@ def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarra
 
 
 def fold_angles(outline: np.ndarray) -> np.ndarray:
-    """Where the folds are: angles (n,) on the material circle, radians, ascending.
-
-    A fold is a peak of the distance from the axis along ``outline`` (:func:`fold_outline`) that
-    stands out by 3 mm.
-    """
+    """Where the folds are: angles (n,) on the material circle, radians, ascending. A fold is a peak
+    of the distance from the axis along ``outline`` (:func:`fold_outline`) of at least 3 mm."""
     radius = gaussian_filter1d(np.linalg.norm(outline, axis=1), 6.0, mode="wrap")
     seam = int(radius.argmin())
     radius = np.roll(radius, -seam)  # no peak at the seam

@@ -19,9 +19,9 @@ CONTACT_PRESSURE = 120.0
 class Rig:
     """A specimen and what holds it.
 
-    Either a round plate holds the middle of the specimen (paper, section 3.1): the world's origin
-    is then the centre of the plate's top face, z points up. Or two neighbouring corners of a
-    square hang at the height z = 0, at the same distance from the origin (section 7.4.2).
+    Either a round plate holds its middle (paper, section 3.1): the origin is then the centre of the
+    plate's top face, z points up. Or two neighbouring corners of a square hang at the height z = 0,
+    at the same distance from the origin (section 7.4.2).
 
     Attributes:
         specimen_size: side of a square specimen or diameter of a disc, m.
@@ -58,11 +58,9 @@ class Rig:
     @property
     def name(self) -> str:
         """Identifier in datasets and checkpoints: the specimen and what holds it, in mm."""
+        holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
         if not self.has_plate:
             holder, size = "corners", self.corners_apart
-        else:
-            holder = "support" if self.specimen == "disc" else "cylinder"
-            size = self.plate_diameter
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
         return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
 

@@ -123,9 +123,8 @@ def curvature_of_torque(torque, law):
 def _from_tip(law, weight, length, tip, target, every, shape):
     """Fill ``shape`` (points, 2) from the tip to the clamp by Runge-Kutta steps, fourth order.
 
-    There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical is
-    used, because at the tip of a limp strip it is too small to show in theta. Returns d
-    at the clamp, or where it passes ``target``.
+    There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical, at the
+    tip of a limp strip too small to show in theta, is returned at the clamp or past ``target``.
     """
     steps = (len(shape) - 1) * every
     h = length / steps

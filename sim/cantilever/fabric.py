@@ -60,8 +60,7 @@ def correct(
 
     Each round simulates the strips and estimates from them alike. What is missing moves the
     moduli, by Broyden's method, because each direction's strip feels the other moduli too. The
-    table is the steadier reading: of a bias strip's beta, the regression's varies with the
-    triangulation by a quarter.
+    regression's reading of a bias strip's beta varies with the triangulation by a quarter.
 
     Args:
         strips, estimates: of all three directions, see :func:`estimate`.

@@ -61,11 +61,8 @@ class Outline:
 
 
 def rim_radius(outline: Outline) -> tuple[float, int]:
-    """Radius, m, of the polygon that stands for the rim, and the number of its corners.
-
-    A little outside the plate's rim, so that the polygon has the plate's area: with corners on
-    the rim it would hold too little cloth and lie inside the cylinder.
-    """
+    """Radius, m, of the polygon that stands for the rim, and the number of its corners. It has the
+    plate's area: with corners on the rim it would hold too little cloth."""
     corners = max(8, round(2 * np.pi * outline.plate_radius / outline.edge))
     turn = 2 * np.pi / corners
     return outline.plate_radius * np.sqrt(turn / np.sin(turn)), corners

@@ -84,10 +84,8 @@ def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2) of triangles (F, 3), smaller index first, and how many triangles each has (E,).
-
-    For any triangles; those of a specimen are :class:`Mesh`'s.
-    """
+    """Edges (E, 2) of any triangles (F, 3), smaller index first, and how many triangles each has
+    (E,); those of a specimen are :class:`Mesh`'s."""
     return np.unique(_sides(faces), axis=0, return_counts=True)
 
 
