@@ -51,9 +51,6 @@ class HingeLaw:
         direction: ``mean``: every hinge has the mean modulus over all directions; ``edge``: the
             modulus across its rest edge (Wang et al. 2011). That along the curvature of an earlier
             solution (section 4.4) is left out: it is not the derivative of an energy.
-
-    Raises:
-        InputError: unknown form or direction.
     """
 
     form: str = "hinge"

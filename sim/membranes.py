@@ -53,11 +53,8 @@ class _Linear:
 
     @staticmethod
     def band(low: float, high: float) -> np.ndarray:
-        """The material's own strains between stretches low and high: limits (2, K).
-
-        For components the Green strains of both, and the shear that both together make when they
-        are at 45° to the yarns.
-        """
+        """The material's own strains between stretches low and high: limits (2, K). For components
+        the Green strains of both, and the shear that both make together at 45° to the yarns."""
         below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
         return np.array([[below, below, below - above], [above, above, above - below]])
 

@@ -76,8 +76,8 @@ class NewtonResult:
     Attributes:
         q: last state; use it only if ``status`` is CONVERGED.
         residual, step: scaled figures of the last iteration.
-        positive_definite: whether the exact Hessian at ``q`` has a Cholesky factor.
-        factor: the solver that holds this factor; None without one.
+        positive_definite, factor: whether the exact Hessian at ``q`` has a Cholesky factor, and the
+            solver that holds it.
         factorisations: all of them, also those that failed.
         seconds: CPU time by activity: analyse, assemble, factorise, search, total.
     """

@@ -25,8 +25,7 @@ class Potential:
         energy_scale: J, about as much as the energy changes when the cloth falls.
 
     Attributes:
-        size: n; unknowns: U.
-        energies: all of them.
+        size, unknowns, energies: n, U, and all energies.
         regularisation: (n,) forces that count as 1 over moves that do.
     """
 
@@ -73,12 +72,9 @@ class Potential:
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
     def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
-        """CSR data (nnz,) of the Hessian in :attr:`pattern`.
-
-        Args:
-            convexity: from 0 (exact) to 1 (all stages convex); in between, stages become convex
-                one after the other, each by the mean of its two forms.
-            shift: multiple of :attr:`regularisation` on the diagonal.
+        """CSR data (nnz,) of the Hessian in :attr:`pattern`, plus ``shift`` times
+        :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1 (all stages
+        convex), stages become convex one after the other, each by the mean of its two forms.
         """
         total = np.zeros(len(self.pattern.indices))
         stages = self._stage[-1] + 1

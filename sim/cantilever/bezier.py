@@ -40,10 +40,8 @@ class Bezier:
         return float(self._lengths[1][-1])
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (count, 2), m, at equal arc lengths, and curvatures (count,), 1/m, there.
-
-        Ends included; the curvature is positive where the strip bends down.
-        """
+        """Points (count, 2), m, at equal arc lengths, ends included, and curvatures (count,), 1/m,
+        there, positive where the strip bends down."""
         t, s = self._lengths
         t = np.interp(np.linspace(0.0, s[-1], count), s, t)
         (x, y), (xx, yy) = self.at(t, 1).T, self.at(t, 2).T
@@ -102,11 +100,8 @@ def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, f
 
 
 def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezier:
-    """Linear least squares for fixed parameters t (N,).
-
-    Unknowns: the distance of the second control point from the first, which is 0, along the
-    clamp's direction, and the other control points.
-    """
+    """Linear least squares for fixed parameters t (N,): the distance of the second control point
+    from the first, which is 0, along the clamp's direction, and the other control points."""
     basis = bernstein(t, degree)
     along = np.array([np.cos(slope), np.sin(slope)])
     matrix = np.hstack([np.kron(basis[:, 1:2], along[:, None]), np.kron(basis[:, 2:], np.eye(2))])

@@ -2,9 +2,8 @@
 
 A hinge has four corners x0..x3: the shared edge x0-x1 and the opposite corners, with triangles
 (x0, x1, x2) and (x1, x0, x3). The angle is 0 when flat and positive when the normals diverge
-around the edge x0 -> x1. Derivatives are closed forms: with e the edge and N the unnormalised
-normal of a triangle, the gradient at its opposite corner is -|e| N/|N|², and the gradients at
-x0, x1 follow from rigid motions leaving the angle unchanged.
+around the edge x0 -> x1. With e the edge and N the unnormalised normal of a triangle, the gradient
+at its opposite corner is -|e| N/|N|², and those at x0, x1 follow from rigid motions.
 """
 
 import numba

@@ -29,9 +29,7 @@ class Equilibria:
     Attributes:
         positions: (V, 3) m each, with their derivatives; those of a failure are where it ended,
             their derivatives NaN.
-        results: the drapes, each with its status.
-        ok: (B,) whether the equilibrium and its derivatives exist.
-        messages: (B,) why not.
+        results, ok, messages: the drapes, whether each and its derivatives exist, and why not.
     """
 
     positions: list[Tensor]
@@ -173,11 +171,8 @@ def pulled_back(
 
 
 def clamp_levers(scene: Scene, positions: np.ndarray) -> sparse.csr_matrix:
-    """(E, 3 V) turns of the normals of held triangles' edges, rad, by moves of their corners, m.
-
-    Against a frame carried along by the edge, a triangle's normal turns by the opposite corner's
-    move along it over the height there, less the same of the height's foot on the edge.
-    """
+    """(E, 3 V) turns of the normals of held triangles' edges, rad, by corners' moves, m: the
+    opposite corner's move along the normal over the height, less that of the height's foot."""
     mesh = scene.mesh
     face, side = np.nonzero(scene.held_edges[mesh.face_edges] & ~scene.active[:, None])
     start, end, corner = (mesh.faces[face, (side + k) % 3] for k in (1, 2, 0))

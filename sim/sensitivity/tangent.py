@@ -25,18 +25,14 @@ _POWERS = 2  # inverse iterations: the softest motion of a regular Hessian is on
 class Tangent:
     """The equilibrium of a cloth at a state, and the linear response to forces on it.
 
-    The state is first moved by a few exact Newton steps, until :data:`STEP` is kept.
-
-    Args:
-        found: an equilibrium, or a state next to one.
+    The state of ``found``, an equilibrium or next to one, is first moved by a few exact Newton
+    steps, until :data:`STEP` is kept.
 
     Attributes:
-        cloth: its energies.
-        q: (3 V + 3 E,) the state at the equilibrium.
-        ok: whether it is a minimum with a regular Hessian; without, there is no response.
-        message: how it ended.
-        softest: about the stiffness of the softest motion, see :data:`SOFTEST`; 0 where there is no
-            factor.
+        cloth, q: its energies, and the state (3 V + 3 E,) at the equilibrium.
+        ok, message: whether it is a minimum with a regular Hessian, without which there is no
+            response; why not.
+        softest: about the stiffness of the softest motion, see :data:`SOFTEST`; 0 without a factor.
     """
 
     def __init__(self, found: Equilibrium) -> None:
@@ -47,11 +43,8 @@ class Tangent:
 
     @classmethod
     def of(cls, result: DrapeResult) -> "Tangent":
-        """The tangent of a drape; not ok where it did not converge.
-
-        Like the drape it is that of the fabric at the reference density, the membrane's stiffness
-        that of the laws there.
-        """
+        """The tangent of a drape, of the fabric at the reference density; not ok where it did not
+        converge."""
         tangent, reason = cls.near(result), ""
         contact = [e for e in tangent.cloth.extra if isinstance(e, SelfContact)]
         if not result.converged:
@@ -82,10 +75,8 @@ class Tangent:
         return 3 * len(self.cloth.scene.mesh.rest)
 
     def response(self, force: np.ndarray) -> np.ndarray:
-        """(U,) moves H⁻¹ f under a force (U,), zero where the cloth is held.
-
-        What acts on held unknowns has no effect. NaN where the tangent is not ok.
-        """
+        """(U,) moves H⁻¹ f under a force (U,), zero where the cloth is held; what acts there has no
+        effect. NaN where the tangent is not ok."""
         if not self.ok:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential
