@@ -38,7 +38,7 @@ from sim.material import BIAS, WARP, WEFT, Fabric
 from sim.mesh import Mesh
 
 FORMS = ("hinge", "hinge_linear", "quadratic")
-DIRECTIONS = ("mean", "edge")
+WEIGHTINGS = ("mean", "edge")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class HingeLaw:
 
     def __post_init__(self) -> None:
         for name, value, known in (("hinge law", self.form, FORMS),
-                                   ("direction", self.direction, DIRECTIONS)):
+                                   ("direction", self.direction, WEIGHTINGS)):
             if value not in known:
                 raise InputError(f"unknown {name} '{value}'; choose from {', '.join(known)}")
 
@@ -78,7 +78,7 @@ class HingeLaw:
 HINGE_LAWS = {
     form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
     for form in FORMS
-    for direction in DIRECTIONS
+    for direction in WEIGHTINGS
 }
 """hinge, hinge_edge, hinge_linear, ..., quadratic_edge."""
 

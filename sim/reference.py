@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
-from sim.energies.contact import RIM_RADIUS
+from sim.energies.contact import DEPTH, RIM_RADIUS
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, MidEdgeBending, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants
@@ -100,7 +100,7 @@ class Twin:
         free = self._free[self.edges].any(1)
         for points, shares in ((x, at_vertices * self._free), (x[self.edges].mean(1),
                                                                at_edges * free)):
-            scale = self.pressure / (3 * 1e-4**2) / 4 * shares
+            scale = self.pressure / (3 * DEPTH**2) / 4 * shares
             total = total + (scale * _depths(points, self.plate_radius) ** 3).sum()
         return total
 

@@ -10,6 +10,8 @@ from sim.energies.cache import StateCache
 RIM_RADIUS = 5e-4
 """m, to which the rim of the plate is rounded. On a sharp rim the nearest surface would change from
 top to side at a touch; cloth presses in by less than this."""
+DEPTH = 1e-4
+"""m, at which an obstacle presses with its pressure."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +76,15 @@ class ObstacleContact(Energy):
         vertices: (N, k) int64, vertices of each point.
         areas: (N,) area each point stands for, m².
         obstacle: what is not entered.
-        pressure: p, N/m², a few times the weight of the cloth per area.
-        depth: s, m.
+        pressure: p, N/m², a few times the weight of the cloth per area, at the depth s.
     """
 
     def __init__(
-        self, vertices: np.ndarray, areas: np.ndarray, *, obstacle: Cylinder, pressure: float,
-        depth: float = 1e-4
+        self, vertices: np.ndarray, areas: np.ndarray, *, obstacle: Cylinder, pressure: float
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
         self._count, self._share = vertices.shape[1], 1.0 / vertices.shape[1]
-        self._scale = areas * pressure / depth**2  # (N,) N/m²
+        self._scale = areas * pressure / DEPTH**2  # (N,) N/m²
         self._obstacle = obstacle
         self._touching = StateCache()
 

@@ -19,7 +19,7 @@ from sim.energies.hinges import (
     QuadraticBending,
     hinge_angles,
 )
-from sim.hinge_laws import DIRECTIONS, HINGE_LAWS, HingeLaw, mean_modulus, modulus_along
+from sim.hinge_laws import HINGE_LAWS, WEIGHTINGS, HingeLaw, mean_modulus, modulus_along
 from sim.laws import BENDING, Laws
 from sim.material import Fabric, torque
 from sim.mesh import Mesh, strip
@@ -213,7 +213,7 @@ def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
                     for g in (1e-5, 3e-5))
     assert thrice == pytest.approx(3 * once)
     values = [HingeLaw("hinge", direction)(mesh, active, fabric=ISOTROPIC).value(q)
-              for direction in DIRECTIONS]
+              for direction in WEIGHTINGS]
     assert values == pytest.approx([values[0]] * 2, rel=1e-12)
     by_hand = DihedralBending(hinges, alpha=np.full(count, 20e-6), beta=np.full(count, -60e-9),
                               stop=20e-6)
