@@ -116,10 +116,8 @@ class DrapeResult:
         return scene_on(Specimen(self.mesh, self.held), self.rig)
 
     def at(self, positions: np.ndarray, mesh: Mesh | None = None) -> "DrapeResult":
-        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``.
-
-        Where it is held follows the positions.
-        """
+        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``. Where it
+        is held follows the positions."""
         there = replace(self, mesh=mesh or self.mesh, equilibrium=None,
                         status=Status.MAX_ITERATIONS, message="not settled")
         return replace(there, state=there.scene.state(positions))

@@ -26,9 +26,7 @@ Guide = Callable[[Mesh, int, float], Sequence[Energy]]
 @dataclass(frozen=True)
 class HungStrip:
     """Deflection curve (N, 2), m, the mean across a strip, and slope of its free end across, rad.
-
-    The shape counts only if the result's status is CONVERGED.
-    """
+    The shape counts only if the result's status is CONVERGED."""
 
     curve: np.ndarray
     twist: float

@@ -16,19 +16,15 @@ DEPTH = 1e-4
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards.
-
-    Its rim is rounded to ``rim`` (m).
-    """
+    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards. Its rim
+    is rounded to ``rim`` (m)."""
 
     radius: float
     rim: float = RIM_RADIUS
 
     def depths(self, points: np.ndarray) -> np.ndarray:
-        """(N,) depth of points (N, 3) below the nearest surface, m; negative outside.
-
-        A concave function that changes by at most the distance moved.
-        """
+        """(N,) depth of points (N, 3) below the nearest surface, m; negative outside. A concave
+        function that changes by at most the distance moved."""
         _, outwards, upwards = self._from_rim(points)
         corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
         return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)

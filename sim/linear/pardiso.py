@@ -59,10 +59,8 @@ class PardisoSolver:
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
-        """Conjugate gradients; stops early rather than follow a direction of no curvature.
-
-        A ``rough`` solution is that of the first step if the matrix says it has the right length.
-        """
+        """Conjugate gradients; stops early rather than follow a direction of no curvature. A
+        ``rough`` solution is that of the first step if the matrix says it has the right length."""
         x, residual = np.zeros(len(rhs)), np.array(rhs, dtype=np.float64)
         step = self._single.solve(residual)
         error = residual @ step

@@ -47,10 +47,8 @@ class SparsePattern:
 
 @numba.njit(cache=True)
 def _structure(first, rows, size):
-    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows.
-
-    Element t has the rows (-1: none) from first[t] to first[t + 1].
-    """
+    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows. Element t
+    has the rows (-1: none) from first[t] to first[t + 1]."""
     # The elements of each row, one row after the other.
     begin = np.zeros(size + 1, dtype=np.int64)
     for i in rows:

@@ -38,10 +38,8 @@ def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator
 def grid_points(
     shape: tuple[int, int], size: tuple[float, float], jitter: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random.
-
-    Each coordinate moves by at most ``jitter`` times the spacing; points on a side stay on it.
-    """
+    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random. Each coordinate
+    moves by at most ``jitter`` times the spacing; points on a side stay on it."""
     axes = [np.linspace(0.0, size[k], shape[k]) for k in range(2)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     moves = rng.uniform(-jitter, jitter, points.shape)

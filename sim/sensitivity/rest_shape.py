@@ -20,10 +20,8 @@ _STEP = 1e-5  # of the mean edge, in central differences
 
 
 def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
-    """(K, V, 3) how the equilibrium moves while its rest points move by ``moves`` (K, V, 2).
-
-    Held vertices stay in place. By central differences of the forces, for any laws.
-    """
+    """(K, V, 3) how the equilibrium moves while its rest points move by ``moves`` (K, V, 2). Held
+    vertices stay in place. By central differences of the forces, for any laws."""
     result = np.zeros((len(moves), *tangent.positions.shape))
     for k, move in enumerate(moves):
         step = _step(tangent, move)
