@@ -80,13 +80,11 @@ bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m benchmarks.speed
 
 bench: $(STAMP)  ## all timings on this machine, one JSON: docs/validation/bench.json
-	for name in speed linear render batched report; do \
+	for name in speed render throughput report; do \
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
-bench-gpu: $(STAMP)  ## drapes and views on the GPU against the CPU, into the same JSON
-	$(BIN)/python -m benchmarks.batched device=cuda drapes=0 edges_mm=0,2 batches=1,16,64,256 \
-	  out=docs/validation/batched_gpu.json
-	$(BIN)/python -m benchmarks.render out=docs/validation/render_gpu.json
+bench-gpu: $(STAMP)  ## views rendered on the GPU against the CPU, into the same JSON
+	$(BIN)/python -m benchmarks.render device=cuda out=docs/validation/render_gpu.json
 	$(BIN)/python -m benchmarks.report
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted

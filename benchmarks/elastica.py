@@ -26,7 +26,7 @@ from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.equivalent import equivalent_modulus, free_end
 from sim.cantilever.tester import TIGHT
 from sim.equilibrium import find_equilibrium
-from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
+from sim.hinge_laws import ARCSIM, DISCRETE_SHELLS
 from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.membranes import Corotational

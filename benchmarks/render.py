@@ -11,7 +11,8 @@ Keys (``key=value``):
     batch       views made at once
     threads     of each renderer
     repeats     timings of each
-    gpu_batch   views made at once on a GPU, where there is one
+    device      cpu, or cuda: time the rasteriser on a GPU, too
+    gpu_batch   views made at once there
     out         the report, JSON
 """
 
@@ -40,6 +41,7 @@ DEFAULTS = {
     "batch": 64,
     "threads": 2,
     "repeats": 15,
+    "device": "cpu",
     "gpu_batch": 2048,
     "out": str(REPORTS / "render.json"),
 }
@@ -141,7 +143,7 @@ def speed(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, fl
     with torch_threads(config["threads"]):
         rates = {name: len(part.positions) * VIEWS / value
                  for name, value in shortest(work, config["repeats"]).items()}
-    if torch.cuda.is_available():
+    if config["device"] == "cuda":
         many = drapes.first(config["gpu_batch"] // VIEWS).settings(width, height, "cuda")
 
         def on_gpu() -> None:
@@ -160,6 +162,10 @@ def main(argv: list[str]) -> None:
                        ("gpu_batch", VIEWS)):
         if config[key] < least:
             raise InputError(f"{key}={config[key]} must be at least {least}")
+    if config["device"] not in ("cpu", "cuda"):
+        raise InputError(f"device={config['device']}: choose cpu or cuda")
+    if config["device"] == "cuda" and not torch.cuda.is_available():
+        raise InputError("device=cuda: PyTorch finds no GPU here; time the CPU with device=cpu")
     drapes = make_drapes(config["drapes"], 1e-3 * config["edge_mm"])
     rates = {f"{w}x{h}": speed(drapes, w, h, config) for w, h in SIZES}
     first = next(iter(rates.values()))

@@ -14,7 +14,7 @@ from common.cli import run_command
 from common.errors import InputError
 from common.files import replace_file
 
-NAMES = ("speed", "linear", "render", "batched", "render_gpu", "batched_gpu")
+NAMES = ("speed", "render", "throughput", "render_gpu")
 DEFAULTS = {"folder": str(REPORTS), "out": str(REPORTS / "bench.json")}
 
 

@@ -33,8 +33,7 @@ from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
 from drapenet.table import csv_number, interval_columns
 from sim.cantilever.equivalent import equivalent_modulus
-from sim.hinge_laws import mean_modulus
-from sim.hinge_units import ARCSIM
+from sim.hinge_laws import ARCSIM, mean_modulus
 from sim.material import BIAS, MICRO, NANO, WARP, WEFT, torque
 from sim.mesh import strip
 from sim.scene import GRAVITY

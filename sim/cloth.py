@@ -5,27 +5,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.energies.base import Energy
-from sim.energies.contact import Obstacle, ObstacleContact
+from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.potential import Potential, Terms
+from sim.potential import Potential
 from sim.scene import GRAVITY, Scene
 
 STEP_UNIT = 1e-3  # m: steps are reported in mm
 
 
 class Cloth:
-    """A fabric in a scene.
+    """A fabric in a scene, with ``extra`` energies beside its own, its weight and the obstacles'.
 
     Unknowns are the coordinates of the free vertices and the rotations that an energy depends on.
     Residuals are in units of the mean weight of a vertex under standard gravity (for rotations:
     times the mean edge length), steps in mm (for rotations: mm per mean edge length).
-
-    Args:
-        scene, fabric: what is simulated.
-        laws: of bending and membrane.
-        extra: energies beside those of the cloth, its weight and the scene's obstacles.
 
     Attributes:
         scene, fabric, laws, extra: as given.
@@ -35,12 +30,8 @@ class Cloth:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        fabric: Fabric,
-        *,
-        laws: Laws | None = None,
-        extra: Sequence[Energy] = (),
+        self, scene: Scene, fabric: Fabric, *, laws: Laws | None = None,
+        extra: Sequence[Energy] = ()
     ) -> None:
         self.scene, self.fabric, self.laws = scene, fabric, laws or Laws()
         self.extra = tuple(extra)
@@ -52,38 +43,37 @@ class Cloth:
         pressure = scene.contact_pressure * fabric.density * scene.gravity
         self.obstacles = [energy for obstacle in scene.obstacles
                           for energy in _contact(scene, obstacle, pressure)]
-        self.potential = Potential(self._terms())
+        self.potential = self._sum()
 
     @property
     def outer(self) -> list[Energy]:
         """Energies that are not the cloth's own: its weight, ``extra``, the obstacles."""
         return [self.weight, *self.extra, *self.obstacles]
 
-    def _terms(self) -> Terms:
+    def _sum(self) -> Potential:
         mesh = self.scene.mesh
-        rest = [self.bending, *self.others, *self.outer]
+        others = [self.bending, *self.others, *self.outer]
         coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
         used = np.zeros(coordinates + edges + 1, dtype=bool)  # one more, for dofs of -1
-        for energy in (self.membrane, *rest):
+        for energy in (self.membrane, *others):
             used[energy.dofs] = True
         used[:coordinates] &= np.repeat(~self.scene.held, 3)
         used[coordinates:-1] &= ~self.scene.held_edges
-        ends = mesh.rest[mesh.edges]
-        edge_length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()
+        edge_length = mesh.edge_lengths.mean()
         per_area = self.fabric.density * GRAVITY
         weight = per_area * mesh.vertex_areas.mean()
         # A convex membrane alone nearly always makes the whole Hessian positive definite.
-        return Terms(
-            stages=[[self.membrane], rest],
-            edges=mesh.edges,
-            free=used[:-1],
+        return Potential(
+            [[self.membrane], others],
+            mesh.edges,
+            used[:-1],
             force_scale=np.repeat([weight, weight * edge_length], [coordinates, edges]),
             length_scale=np.repeat([STEP_UNIT, STEP_UNIT / edge_length], [coordinates, edges]),
             energy_scale=per_area * mesh.areas.sum() * float(np.ptp(mesh.rest, axis=0).max()),
         )
 
 
-def _contact(scene: Scene, obstacle: Obstacle, pressure: float) -> list[ObstacleContact]:
+def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[ObstacleContact]:
     """Contact at the free vertices and at the middles of the edges.
 
     Edges between touching vertices cut through a convex obstacle; with points twice as dense,
@@ -91,13 +81,10 @@ def _contact(scene: Scene, obstacle: Obstacle, pressure: float) -> list[Obstacle
     """
     mesh = scene.mesh
     free = ~scene.held
-    around = np.bincount(
-        mesh.face_edges.ravel(), np.repeat(mesh.areas, 3), minlength=len(mesh.edges)
-    )
-    points = [
-        (np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
-        (mesh.edges, around, free[mesh.edges].any(axis=1)),
-    ]
+    around = np.bincount(mesh.face_edges.ravel(), np.repeat(mesh.areas, 3),
+                         minlength=len(mesh.edges))
+    points = [(np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
+              (mesh.edges, around, free[mesh.edges].any(axis=1))]
     return [
         ObstacleContact(vertices[moves], areas[moves] / 4, obstacle=obstacle, pressure=pressure)
         for vertices, areas, moves in points

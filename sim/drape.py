@@ -9,13 +9,8 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.equilibrium import Equilibrium, Minimiser, find_equilibrium, minimise_cloth
-from sim.initial import (
-    borrowed_positions,
-    check_start,
-    initial_positions,
-    interpolate_positions,
-)
+from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.initial import borrowed_positions, check_start, initial_positions, interpolate_positions
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
@@ -63,8 +58,7 @@ class DrapeResult:
         self_intersections: places where an edge passes through a triangle; 0 when converged.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
-        time_spent: seconds of all minimisations by activity (see
-            :class:`sim.newton.NewtonResult`).
+        time_spent: seconds of all minimisations by activity.
         coarse: statuses of the minimisations on coarser meshes, coarsest first.
         equilibrium: the last minimisation with its energies and factor, where it was asked for;
             it does not travel between processes.
@@ -122,10 +116,8 @@ class DrapeResult:
         return scene_on(Specimen(self.mesh, self.held), self.rig)
 
     def at(self, positions: np.ndarray, mesh: Mesh | None = None) -> "DrapeResult":
-        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``.
-
-        Where it is held follows the positions.
-        """
+        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``. Where it
+        is held follows the positions."""
         there = replace(self, mesh=mesh or self.mesh, equilibrium=None,
                         status=Status.MAX_ITERATIONS, message="not settled")
         return replace(there, state=there.scene.state(positions))
@@ -135,17 +127,10 @@ class DrapeResult:
 
 
 def drape(
-    fabric: Fabric,
-    *,
-    rig: Rig | None = None,
-    edge: float | None = None,
-    start: str = "sine",
-    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
-    seed: int = 0,
-    offset: tuple[float, float] = (0.0, 0.0),
-    laws: Laws | None = None,
-    options: NewtonOptions | None = None,
-    minimiser: Minimiser = minimise_cloth,
+    fabric: Fabric, *, rig: Rig | None = None, edge: float | None = None, start: str = "sine",
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None, seed: int = 0,
+    offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
+    options: NewtonOptions | None = None
 ) -> DrapeResult:
     """Drape ``fabric`` on ``rig``, coarse mesh first.
 
@@ -165,102 +150,75 @@ def drape(
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: of bending, membrane and energies of your own; made anew on every mesh.
         options: of the final minimisation.
-        minimiser: see :func:`sim.equilibrium.find_equilibrium`.
 
     Returns:
-        The drape; look at its ``status``, a numerical failure raises nothing.
-
-    Raises:
-        InputError: parameters that make no sense.
+        The drape; look at its ``status``. Only parameters that make no sense raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
-    check_setting(rig, laws)
+    check_arguments(rig, laws, start, seed, offset)
     edge = default_edge(fabric, rig) if edge is None else edge
-    check_start(start)
-    if not np.isfinite(offset).all():
-        raise InputError("offset must be two finite numbers, in metres")
-    check_seed(seed)
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     coarse, statuses, iterations, seconds = None, [], 0, Counter()
     coarsest = COARSEST if borrowed is None else BORROWED_COARSEST
     for specimen, level in specimens(rig, edge, seed=seed, offset=offset, coarsest=coarsest):
         last = level == edge
-        positions = start_positions(
-            specimen, rig, coarse=coarse, borrowed=borrowed, start=start, seed=seed
-        )
+        positions = start_positions(specimen, rig, coarse=coarse, borrowed=borrowed, start=start,
+                                    seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
         found = find_equilibrium(
-            scene,
-            simulated,
-            scene.state(positions),
+            scene, simulated, scene.state(positions), self_contact=last,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
-            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS,
-            self_contact=last,
-            minimiser=minimiser,
-        )
+            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS)
         coarse = (specimen.mesh.rest, found.state.positions)
         statuses.append(found.status)
         iterations += found.newton.iterations
         seconds.update(found.newton.seconds)
-    return drape_result(
-        fabric, rig, laws, found, edge=edge, iterations=iterations,
-        seconds=time.perf_counter() - began, time_spent=dict(seconds),
-        coarse=tuple(statuses[:-1]),
-    )
+    return drape_result(fabric, rig, laws, found, edge=edge, iterations=iterations,
+                        seconds=time.perf_counter() - began, time_spent=dict(seconds),
+                        coarse=tuple(statuses[:-1]))
 
 
 def specimens(
     rig: Rig, edge: float, *, seed: int, offset: tuple[float, float], coarsest: float
 ) -> list[tuple[Specimen, float]]:
-    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m.
-
-    An overhang may be too narrow for a coarse mesh alone, which is then left out.
-    """
-    made = [(_specimen(rig, edge, seed, offset), edge)]  # refuses what makes no mesh
-    for level in reversed(coarse_to_fine(edge, coarsest)[:-1]):
+    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m. Coarse
+    ones for which an overhang is too narrow are left out."""
+    made = []
+    for level in reversed(coarse_to_fine(edge, coarsest)):
         try:
-            made.insert(0, (_specimen(rig, level, seed, offset), level))
+            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
         except InputError:
+            if not made:
+                raise
             break
+        made.insert(0, (specimen, level))
     return made
 
 
-def _specimen(rig: Rig, edge: float, seed: int, offset: tuple[float, float]) -> Specimen:
-    return make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset)
-
-
-def check_setting(rig: object, laws: object) -> None:
-    """InputError for what is no rig or no laws, such as the name of one."""
+def check_arguments(
+    rig: object, laws: object, start: str, seed: int, offset: tuple[float, float]
+) -> None:
+    """InputError for arguments of :func:`drape` that make no sense, such as the name of a rig."""
     if not isinstance(rig, Rig):
         raise InputError(f"rig={rig!r}: give a sim.scene.Rig, such as "
                          f"Rig.from_name('{Rig().name}')")
     if not isinstance(laws, Laws):
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
-
-
-def check_seed(seed: int) -> None:
-    """InputError for what seeds no random numbers."""
+    check_start(start)
+    if not np.isfinite(offset).all():
+        raise InputError("offset must be two finite numbers, in metres")
     if seed < 0:
         raise InputError(f"seed={seed} must not be negative")
 
 
 def start_positions(
-    specimen: Specimen,
-    rig: Rig,
-    *,
-    coarse: tuple[np.ndarray, np.ndarray] | None,
-    borrowed: tuple[np.ndarray, np.ndarray] | None = None,
-    start: str,
-    seed: int,
+    specimen: Specimen, rig: Rig, *, coarse: tuple[np.ndarray, np.ndarray] | None,
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None, start: str, seed: int
 ) -> np.ndarray:
-    """Positions (V, 3), m, at which the minimisation on one mesh begins.
-
-    Args:
-        coarse: rest points and positions of the coarser drape, None on the first mesh.
-        borrowed, start, seed: as for :func:`drape`, for the first mesh.
-    """
+    """Positions (V, 3), m, at which the minimisation on one mesh begins: those of the ``coarse``
+    drape (rest points and positions), on the first mesh of the start."""
     rest, held = specimen.mesh.rest, specimen.held
     if coarse is not None:
         positions = interpolate_positions(*coarse, rest)
@@ -275,49 +233,23 @@ def start_positions(
 
 def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
     """A specimen on ``rig``; with ``soft`` obstacles, as on the coarser meshes."""
-    return Scene(
-        mesh=specimen.mesh,
-        held=specimen.held,
-        obstacles=rig.obstacles,
-        contact_pressure=CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0),
-    )
+    pressure = CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0)
+    return Scene(specimen.mesh, specimen.held, rig.obstacles, contact_pressure=pressure)
 
 
 def drape_result(
-    fabric: Fabric,
-    rig: Rig,
-    laws: Laws,
-    found: Equilibrium,
-    *,
-    edge: float,
-    extra: Sequence[Energy] = (),
-    iterations: int,
-    seconds: float,
-    time_spent: dict[str, float],
-    coarse: tuple[Status, ...] = (),
-    keep: bool = False,
+    fabric: Fabric, rig: Rig, laws: Laws, found: Equilibrium, *, edge: float,
+    extra: Sequence[Energy] = (), iterations: int, seconds: float, time_spent: dict[str, float],
+    coarse: tuple[Status, ...] = (), keep: bool = False
 ) -> DrapeResult:
     """The drape whose last minimisation ended with ``found``; ``keep``: with its factor."""
     scene, newton = found.cloth.scene, found.newton
     return DrapeResult(
-        fabric=fabric,
-        rig=rig,
-        mesh=scene.mesh,
-        held=scene.held,
-        state=found.state,
-        laws=laws,
-        extra=tuple(extra),
-        touches=found.contact is not None,
-        edge=edge,
-        status=found.status,
-        message=found.message,
-        residual=newton.residual,
-        step=newton.step,
+        fabric=fabric, rig=rig, mesh=scene.mesh, held=scene.held, state=found.state, laws=laws,
+        extra=tuple(extra), touches=found.contact is not None, edge=edge, status=found.status,
+        message=found.message, residual=newton.residual, step=newton.step,
         positive_definite=newton.positive_definite,
         self_intersections=len(self_intersections(found.state.positions, scene.mesh.faces)),
-        iterations=iterations,
-        seconds=seconds,
-        time_spent=time_spent,
-        coarse=coarse,
+        iterations=iterations, seconds=seconds, time_spent=time_spent, coarse=coarse,
         equilibrium=found if keep else None,
     )

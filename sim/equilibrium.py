@@ -4,12 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from sim.cloth import Cloth
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
-from sim.lagged import settled
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.newton import NewtonOptions, NewtonResult, Status, minimise
@@ -29,15 +26,12 @@ class Equilibrium:
         state: positions and edge normals.
         newton: the last minimisation, with the work of all.
         contact: of the cloth with itself, where it acts.
-        rounds, change: of a law that follows the direction of bending, see :mod:`sim.lagged`.
     """
 
     cloth: Cloth
     state: State
     newton: NewtonResult
     contact: SelfContact | None = None
-    rounds: int = 1
-    change: float = 0.0
 
     @staticmethod
     def at(cloth: Cloth, state: State) -> "Equilibrium":
@@ -68,42 +62,21 @@ class Equilibrium:
         newton = self.newton
         seconds = dict(Counter(earlier.seconds) + Counter(newton.seconds))
         return replace(self, newton=replace(
-            newton,
-            iterations=earlier.iterations + newton.iterations,
-            factorisations=earlier.factorisations + newton.factorisations,
-            seconds=seconds,
-        ))
-
-
-Minimiser = Callable[[Cloth, np.ndarray, NewtonOptions | None], NewtonResult]
-
-
-def minimise_cloth(cloth: Cloth, q: np.ndarray, options: NewtonOptions | None) -> NewtonResult:
-    """A minimum of the cloth's energy near the state ``q`` (3 V + 3 E,)."""
-    return minimise(cloth.potential, q, options)
+            newton, iterations=earlier.iterations + newton.iterations, seconds=seconds,
+            factorisations=earlier.factorisations + newton.factorisations))
 
 
 def find_equilibrium(
-    scene: Scene,
-    fabric: Fabric,
-    start: State,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    options: NewtonOptions | None = None,
-    self_contact: bool = False,
-    touching: bool = False,
-    minimiser: Minimiser = minimise_cloth,
+    scene: Scene, fabric: Fabric, start: State, *, laws: Laws | None = None,
+    extra: Sequence[Energy] = (), options: NewtonOptions | None = None, self_contact: bool = False,
+    touching: bool = False
 ) -> Equilibrium:
     """Equilibrium of ``fabric`` in ``scene`` next to ``start``; look at its ``status``.
 
     Held vertices stay where they are in ``start``. A numerical failure raises nothing.
 
     Args:
-        laws: of bending and membrane. Where bending follows the direction of curvature, equilibria
-            are found until the directions settle (:func:`sim.lagged.settled`).
         extra: energies beside those of the cloth, its weight and the scene's obstacles.
-        options: of the minimisation.
         self_contact: whether the cloth may not intersect itself. First the equilibrium without
             contact between its parts is found, which is all for most drapes. Where it intersects
             itself, it is untangled and found again with contact
@@ -111,45 +84,24 @@ def find_equilibrium(
             SELF_CONTACT: it could not be untangled, or is tangled again.
         touching: with ``self_contact``, whether the cloth touches itself at the start already, so
             that contact acts from the first step.
-        minimiser: minimises the energy of a cloth, as :func:`minimise_cloth` does.
     """
-    laws = laws or Laws()
+    laws, options = laws or Laws(), options or NewtonOptions()
 
-    def once(start: State, laws: Laws) -> Equilibrium:
-        if self_contact and touching:
-            contact = contact_near(scene, start.positions, density=fabric.density)
-            found = _minimised(scene, fabric, start, laws, extra, options, minimiser, contact)
-            if found.converged and contact.is_complete(found.state.q):
-                return found
-        found = _minimised(scene, fabric, start, laws, extra, options, minimiser)
-        if not (self_contact and found.converged):
+    def minimised(
+        state: State, contact: SelfContact | None = None, options: NewtonOptions = options
+    ) -> Equilibrium:
+        cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
+        newton = minimise(cloth.potential, state.q, options)
+        return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
+
+    if self_contact and touching:
+        contact = contact_near(scene, start.positions, density=fabric.density)
+        found = minimised(start, contact)
+        if found.converged and contact.is_complete(found.state.q):
             return found
-        return _untouched(found, extra, options, minimiser)
-
-    return settled(once, scene, start, laws)
-
-
-def _minimised(
-    scene: Scene,
-    fabric: Fabric,
-    start: State,
-    laws: Laws,
-    extra: Sequence[Energy],
-    options: NewtonOptions | None,
-    minimiser: Minimiser,
-    contact: SelfContact | None = None,
-) -> Equilibrium:
-    cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
-    newton = minimiser(cloth, start.q, options)
-    return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
-
-
-def _untouched(
-    found: Equilibrium, extra: Sequence[Energy], options: NewtonOptions | None,
-    minimiser: Minimiser,
-) -> Equilibrium:
-    """The equilibrium that ``found`` is if it does not intersect itself, or one that does not."""
-    scene = found.cloth.scene
+    found = minimised(start)
+    if not (self_contact and found.converged):
+        return found
     count = len(self_intersections(found.state.positions, scene.mesh.faces))
     if count == 0:
         return found
@@ -157,7 +109,7 @@ def _untouched(
     if positions is None:
         return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
                                                 "not be untangled")
-    freed = _with_contact(found, scene.state(positions), extra, options, minimiser)
+    freed = _with_contact(minimised, scene, scene.state(positions), fabric.density, options)
     freed = freed.after(found.newton)
     count = len(self_intersections(freed.state.positions, scene.mesh.faces))
     if count:
@@ -167,17 +119,15 @@ def _untouched(
 
 
 def _with_contact(
-    tangled: Equilibrium, state: State, extra: Sequence[Energy], options: NewtonOptions | None,
-    minimiser: Minimiser,
+    minimised: Callable[[State, SelfContact, NewtonOptions], Equilibrium], scene: Scene,
+    state: State, density: float, options: NewtonOptions,
 ) -> Equilibrium:
     """Equilibrium with self-contact from a ``state`` without intersections."""
-    cloth, options = tangled.cloth, options or NewtonOptions()
     iterations, found = 0, None
     while True:
-        contact = contact_near(cloth.scene, state.positions, density=cloth.fabric.density)
+        contact = contact_near(scene, state.positions, density=density)
         steps = min(_ROUND, options.max_iterations - iterations)
-        part = _minimised(cloth.scene, cloth.fabric, state, cloth.laws, extra,
-                          replace(options, max_iterations=steps), minimiser, contact)
+        part = minimised(state, contact, replace(options, max_iterations=steps))
         iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
         found = part if found is None else part.after(found.newton)
         state = found.state

@@ -1,32 +1,44 @@
-"""The hinge bending laws by name: form of the energy, modulus by the direction of bending.
+"""The hinge bending laws by name, and their moduli in the conventions of other simulators.
 
-A direction of bending is that of greatest curvature, in material axes, phi from warp. It is kept
-as the double-angle vector s (cos 2 phi, sin 2 phi), because angles do not average: adding such
-vectors adds the tensors of rank one that they stand for. The length s, from 0 to 1, says how far
-the cloth bends in one direction at all: 1 on a cylinder, 0 where it is flat or where its two
-principal curvatures have the same size.
+All of them say that a hinge with the dihedral angle theta and the rest edge e carries the torque
+
+    tau = (a c + b c²) e,
+
+and have their own curvature c. Here (Feng et al. 2022, section 4.2.1) it is
+kappa = 2 theta / (H0 + H1) with the rest heights H of the two triangles. In another convention
+c = f kappa, so that equal torques need a = alpha / f and b = beta / f²:
+
+=================  =======================  ===  ===========  ============
+convention         its curvature c          f    a            b
+=================  =======================  ===  ===========  ============
+ARCSim             theta / (2 (H0 + H1))    1/4  4 alpha      16 beta
+discrete shells    6 theta / (H0 + H1)      3    alpha / 3    beta / 9
+=================  =======================  ===  ===========  ============
+
+*ARCSim* (Narain et al. 2012) has the energy k e² theta² / (8 A) of a hinge whose two triangles have
+the area A = e (H0 + H1)/2: torque k kappa e / 4. Its k may come from a table over kappa; in the
+table's terms the law above is k(kappa) = 4 (alpha + beta kappa).
+
+*Discrete shells* (Grinspun et al. 2003) divide theta by a third of the mean height, (H0 + H1)/6.
+The conversion is for the energy a theta² e / (2 h), h = (H0 + H1)/6. Codes that leave the half out,
+and take a theta² e / h, need half of a: alpha / 6.
+
+The conversion is exact for the same mesh. It does not make a hinge's modulus a physical one:
+see :mod:`sim.cantilever.equivalent`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy
-from sim.energies.hinges import (
-    DihedralBending,
-    Hinges,
-    QuadraticBending,
-    hinge_angles,
-)
+from sim.energies.hinges import DihedralBending, Hinges, QuadraticBending
 from sim.material import BIAS, WARP, WEFT, Fabric
-from sim.mesh import Mesh, adjacency
+from sim.mesh import Mesh
 
 FORMS = ("hinge", "hinge_linear", "quadratic")
-DIRECTIONS = ("mean", "edge", "curvature")
-SMOOTHING_ROUNDS = 2
-"""Rounds of averaging over neighbours that the vertices' shape operators get. Without them the
-lagged iteration of :mod:`sim.lagged` ends in a cycle."""
+WEIGHTINGS = ("mean", "edge")
 
 
 @dataclass(frozen=True)
@@ -37,62 +49,38 @@ class HingeLaw:
         form: ``hinge`` (torque alpha kappa + beta kappa²), ``hinge_linear`` (beta left out) or
             ``quadratic`` (gamma = alpha/3, beta left out).
         direction: ``mean``: every hinge has the mean modulus over all directions; ``edge``: the
-            modulus across its rest edge (Wang et al. 2011); ``curvature``: the modulus along
-            ``axes``.
-        axes: (N, 2) directions of bending of the hinges of
-            :class:`sim.energies.hinges.Hinges`; for ``curvature`` only.
-            :func:`sim.equilibrium.find_equilibrium` finds them.
-
-    Raises:
-        InputError: unknown form or direction.
+            modulus across its rest edge (Wang et al. 2011). That along the curvature of an earlier
+            solution (section 4.4) is left out: it is not the derivative of an energy.
     """
 
     form: str = "hinge"
     direction: str = "mean"
-    axes: np.ndarray | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for name, value, known in (("hinge law", self.form, FORMS),
-                                   ("direction", self.direction, DIRECTIONS)):
+                                   ("direction", self.direction, WEIGHTINGS)):
             if value not in known:
                 raise InputError(f"unknown {name} '{value}'; choose from {', '.join(known)}")
 
-    @property
-    def lagged(self) -> bool:
-        """Whether the directions of bending must come from a previous solution."""
-        return self.direction == "curvature"
-
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
-        """The energy of the hinges beside the triangles ``active`` (F,) bool of ``mesh``.
-
-        Raises:
-            InputError: the law follows the curvature and has no ``axes`` for these hinges.
-        """
+        """The energy of the hinges beside the triangles ``active`` (F,) bool of ``mesh``."""
         hinges = Hinges(mesh, active)
-        if self.direction == "edge":
-            axes = edge_directions(hinges)
-        elif self.direction == "mean":
-            axes = np.zeros((len(hinges.edge), 2))
-        elif self.axes is None or len(self.axes) != len(hinges.edge):
-            raise InputError(
-                f"the law '{self.form}_curvature' needs the cloth's directions of bending; "
-                "find equilibria with sim.equilibrium.find_equilibrium"
-            )
-        else:
-            axes = self.axes
-        alpha = modulus_of_bending(fabric.alpha, axes)
+        x, y = hinges.normals.T
+        alpha, beta = (
+            np.full(len(x), mean_modulus(moduli)) if self.direction == "mean"
+            else modulus_along(moduli, np.arctan2(y, x)) for moduli in (fabric.alpha, fabric.beta))
         if self.form == "quadratic":
             return QuadraticBending(hinges, gamma=alpha / 3)
-        beta = modulus_of_bending(fabric.beta, axes) * (self.form == "hinge")
-        return DihedralBending(hinges, alpha=alpha, beta=beta, stop=fabric.alpha.min())
+        return DihedralBending(hinges, alpha=alpha, beta=beta * (self.form == "hinge"),
+                               stop=fabric.alpha.min())
 
 
 HINGE_LAWS = {
     form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
     for form in FORMS
-    for direction in DIRECTIONS
+    for direction in WEIGHTINGS
 }
-"""hinge, hinge_edge, hinge_curvature, hinge_linear, ..., quadratic_curvature."""
+"""hinge, hinge_edge, hinge_linear, ..., quadratic_edge."""
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -115,67 +103,17 @@ def mean_modulus(moduli: np.ndarray) -> float:
     return float((1 - 2 / np.pi) * moduli[BIAS] + (moduli[WARP] + moduli[WEFT]) / np.pi)
 
 
-def modulus_of_bending(moduli: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(N,) moduli for bending in ``directions`` (N, 2) of (warp, bias, weft) (3,).
+@dataclass(frozen=True)
+class Convention:
+    """How another simulator, ``name``, counts a hinge's curvature: f in the table."""
 
-    :func:`modulus_along` as far as there is one direction, :func:`mean_modulus` for the rest:
-    (1 - s) mean + s k(phi). Section 4.4 takes k(phi) alone, which jumps where the two principal
-    curvatures change places; the iteration of :mod:`sim.lagged` then ends in a cycle for strongly
-    anisotropic fabrics.
-    """
-    share = np.linalg.norm(directions, axis=1)
-    angle = np.arctan2(directions[:, 1], directions[:, 0]) / 2
-    return (1 - share) * mean_modulus(moduli) + share * modulus_along(moduli, angle)
+    name: str
+    curvature: float
 
 
-def edge_directions(hinges: Hinges) -> np.ndarray:
-    """(N, 2) directions across the hinges' rest edges."""
-    nx, ny = hinges.normals.T
-    return np.stack([nx * nx - ny * ny, 2 * nx * ny], axis=1)
+ARCSIM = Convention("ARCSim", 1 / 4)
+DISCRETE_SHELLS = Convention("discrete shells", 3.0)
 
 
-def shape_operators(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(V, 3) curvatures (Sxx, Syy, Sxy), 1/m, of the vertices in material axes.
-
-    S = 1/A sum 1/2 theta e n n^T over the hinges at a vertex, with the dihedral angle theta, the
-    rest edge's length e and normal n, and A the vertex's share of the rest area.
-
-    Args:
-        active: (F,) bool, triangles that can move; other hinges count as flat.
-        positions: (V, 3) m.
-    """
-    hinges = Hinges(mesh, active)
-    bend = 0.5 * hinge_angles(positions.ravel(), hinges.dofs) * hinges.lengths
-    nx, ny = hinges.normals.T
-    per_hinge = bend[:, None] * np.stack([nx * nx, ny * ny, nx * ny], axis=1)
-    total = np.zeros((len(mesh.rest), 3))
-    for end in range(2):
-        np.add.at(total, hinges.corners[:, end], per_hinge)
-    return total / mesh.vertex_areas[:, None]
-
-
-def smoothed(mesh: Mesh, values: np.ndarray, rounds: int = SMOOTHING_ROUNDS) -> np.ndarray:
-    """Values (V, K) averaged with those of the neighbours, ``rounds`` times."""
-    adjacent = adjacency(mesh)
-    count = 1 + np.diff(adjacent.indptr)[:, None]
-    for _ in range(rounds):
-        values = (values + adjacent @ values) / count
-    return values
-
-
-def hinge_directions(mesh: Mesh, active: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Directions (N, 2) in which :class:`~sim.energies.hinges.Hinges` bend.
-
-    The mean of those at the edge's two ends (section 4.4), from smoothed shape operators S. A
-    vertex contributes the deviator of S², whose first axis is the direction of greater |curvature|
-    and whose size is the difference of the squared principal curvatures; the sum is divided by
-    that of |S|², so that flat vertices, whose direction is noise, have no say.
-    Arguments as for :func:`shape_operators`.
-    """
-    sxx, syy, sxy = smoothed(mesh, shape_operators(mesh, active, positions)).T
-    # dev(S²) = tr(S) dev(S), and (Sxx - Syy, 2 Sxy) is the double-angle vector of S
-    vectors = np.stack([sxx - syy, 2 * sxy], axis=1) * (sxx + syy)[:, None]
-    sizes = sxx**2 + syy**2 + 2 * sxy**2
-    ends = Hinges(mesh, active).corners[:, :2]
-    total, size = vectors[ends].sum(axis=1), sizes[ends].sum(axis=1)[:, None]
-    return np.divide(total, size, out=np.zeros_like(total), where=size > 0)
+if __name__ == "__main__":  # a module to import: python -m prints its table
+    print(__doc__)

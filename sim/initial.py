@@ -20,10 +20,7 @@ def initial_positions(
     rest: np.ndarray, *, rig: Rig, start: str, rng: np.random.Generator
 ) -> np.ndarray:
     """Positions (V, 3), m, of rest points (V, 2); flat on the plate, see :data:`STARTS`.
-
-    Raises:
-        InputError: unknown start, or one that the rig has not.
-    """
+    InputError for an unknown start, or one that the rig has not."""
     check_start(start)
     if start == "sine" and not rig.has_plate:
         return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
@@ -58,11 +55,8 @@ def _waves(
 
 
 def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
-    """The specimen bent down on both sides of the plate, along a random direction.
-
-    Isometric: beyond the plate, the cloth follows a circular arc of up to a quarter turn and
-    hangs straight from there, so that it starts without stretch and without self-intersection.
-    """
+    """The specimen bent down on both sides of the plate, along a random direction: beyond the plate
+    a circular arc of up to a quarter turn, then straight, without stretch and intersection."""
     angle = rng.uniform(0, np.pi)
     bend = 0.02 * rng.uniform(0.7, 1.5)  # m, radius of the arc
     turn = rng.uniform(0.5, 0.95) * np.pi / 2
@@ -75,8 +69,7 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     reach = np.minimum(np.abs(s), rig.plate_radius) + bend * np.sin(theta)
     reach += straight * np.cos(turn)
     drop = bend * (1 - np.cos(theta)) + straight * np.sin(turn)
-    plane = (np.sign(s) * reach)[:, None] * across + t[:, None] * along
-    return np.column_stack([plane, -drop])
+    return np.column_stack([(np.sign(s) * reach)[:, None] * across + t[:, None] * along, -drop])
 
 
 def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
@@ -110,11 +103,8 @@ def borrowed_positions(
 
     Args:
         rest: points of this specimen, its border among them.
-        rig: of both drapes.
+        rig: of both drapes; InputError where the other's specimen is not such a one.
         borrowed: rest points (W, 2) and positions (W, 3) of the other drape, m.
-
-    Raises:
-        InputError: the other drape is not of such a specimen.
     """
     other_rest, other_positions = (np.asarray(array, np.float64) for array in borrowed)
     if (other_rest.ndim != 2 or other_rest.shape[1:] != (2,)
@@ -126,25 +116,20 @@ def borrowed_positions(
     except (QhullError, ValueError):
         area = 0.0
     if abs(area / rig.specimen_area - 1) > 0.03:
-        raise InputError(
-            f"the borrowed drape's specimen measures {1e4 * area:.0f} cm², that of {rig.name} "
-            f"{1e4 * rig.specimen_area:.0f} cm²"
-        )
+        raise InputError(f"the borrowed drape's specimen measures {1e4 * area:.0f} cm², that of "
+                         f"{rig.name} {1e4 * rig.specimen_area:.0f} cm²")
     centre, other_centre = (0.5 * (r.min(0) + r.max(0)) for r in (rest, other_rest))
     share = share_of_offset(rest, rig, centre)
-    return interpolate_positions(
-        other_rest, other_positions, rest + share[:, None] * (other_centre - centre)
-    )
+    return interpolate_positions(other_rest, other_positions,
+                                 rest + share[:, None] * (other_centre - centre))
 
 
 @one_blas_thread
 def interpolate_positions(
     coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Positions (V, 3) at rest points (V, 2) of a smooth surface through coarser vertices.
-
-    ``coarse_rest`` (W, 2) and ``coarse_positions`` (W, 3) cover the same specimen.
-    """
+    """Positions (V, 3) at rest points (V, 2) of a smooth surface through coarser vertices (W, 2)
+    at (W, 3), which cover the same specimen."""
     surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull
@@ -158,10 +143,8 @@ def interpolate_positions(
 def _beyond_border(
     surface: CloughTocher2DInterpolator, rest: np.ndarray, centre: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``.
-
-    The border of a disc is a polygon with more corners on a finer mesh, which lie outside.
-    """
+    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``:
+    the border of a disc has more corners on a finer mesh, which lie outside."""
     equations = ConvexHull(rest).equations
     ray = points - centre
     rise = ray @ equations[:, :2].T

@@ -15,10 +15,8 @@ from sim.mesh import Mesh
 
 
 class Law(Protocol):
-    """Makes an energy of a cloth on any mesh: a bending law, or one of your own.
-
-    A drape is solved on several meshes and calls it on each, so it keeps no mesh of its own.
-    """
+    """Makes an energy of a cloth on any mesh: a bending law, or one of your own. A drape is solved
+    on several meshes and calls it on each, so it keeps no mesh of its own."""
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
         """The energy of the triangles ``active`` (F,) bool of ``mesh``.
@@ -40,9 +38,6 @@ class Laws:
         bending: a key of :data:`BENDING`, or a law itself.
         membrane: in-plane law.
         others: laws of energies beside those, such as a foundation or a load.
-
-    Raises:
-        InputError: unknown bending law, no membrane, or ``others`` that are no tuple of laws.
     """
 
     bending: str | Law = "midedge"
@@ -51,9 +46,8 @@ class Laws:
 
     def __post_init__(self) -> None:
         if isinstance(self.bending, str) and self.bending not in BENDING:
-            raise InputError(
-                f"unknown bending law '{self.bending}'; choose from {', '.join(BENDING)}"
-            )
+            raise InputError(f"unknown bending law '{self.bending}'; choose from "
+                             f"{', '.join(BENDING)}")
         if not (isinstance(self.bending, str) or callable(self.bending)):
             raise InputError(f"bending={self.bending!r}: give a name or a law, called with a mesh")
         if isinstance(self.membrane, type) or not hasattr(self.membrane, "scaled"):

@@ -34,15 +34,12 @@ TWIST_FLOOR = 0.05
 @dataclass(frozen=True, eq=False)
 class Fabric:
     """Bending moduli and density of a fabric; two are equal when all their values are.
+    InputError where no elastic plate has such moduli.
 
     Attributes:
         alpha: (3,) linear moduli, N·m, in the order warp, bias, weft; read-only, as beta is.
         beta: (3,) quadratic moduli, N·m², same order.
         density: mass per area, kg/m².
-
-    Raises:
-        InputError: a modulus or the density is not finite, an alpha or the density is not
-            positive, or no elastic plate has these three linear moduli.
     """
 
     alpha: np.ndarray
@@ -64,10 +61,9 @@ class Fabric:
         if alpha.min() <= 0:
             raise InputError("every linear modulus alpha must be positive")
         if not is_admissible(alpha, beta):
-            raise InputError(
-                "no elastic plate is this soft along the bias: alpha_bias must exceed "
-                f"{float(bias_limit(alpha)) / MICRO:.3g} µN·m for these warp and weft moduli"
-            )
+            raise InputError("no elastic plate is this soft along the bias: alpha_bias must exceed "
+                             f"{float(bias_limit(alpha)) / MICRO:.3g} µN·m for these warp and weft "
+                             "moduli")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Fabric) and self._values == other._values
@@ -87,18 +83,14 @@ class Fabric:
 
 def bias_limit(alpha: np.ndarray) -> np.ndarray:
     """Least alpha_bias (...,), N·m, for which a positive-definite plate exists with ``alpha``
-    (..., 3); see plate_constants.
-    """
+    (..., 3); see :func:`plate_constants`."""
     return (np.sqrt(alpha[..., WARP]) - np.sqrt(alpha[..., WEFT])) ** 2 / 4
 
 
 def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """(...,) bool: whether moduli alpha (..., 3) N·m and beta (..., 3) N·m² belong to a stable
-    plate.
-
-    All of alpha must be positive and alpha_bias above :func:`bias_limit`. Any finite beta is
-    admissible, because the torque is continued monotonically.
-    """
+    """(...,) bool: whether moduli alpha (..., 3) N·m and beta (..., 3) N·m² are those of a stable
+    plate: alpha positive, alpha_bias above :func:`bias_limit`. Any finite beta is admissible,
+    because the torque is continued monotonically."""
     alpha, beta = np.asarray(alpha, float), np.asarray(beta, float)
     finite = np.isfinite(alpha).all(axis=-1) & np.isfinite(beta).all(axis=-1)
     sound = finite & (alpha.min(axis=-1) > 0)
@@ -138,11 +130,9 @@ def softening_shape(u, limit):
     over = np.maximum(u, limit)
     beyond = over - limit
     share = beyond / over
-    return (
-        1.0 - 2.0 / 3.0 * (u - share * share * beyond),
-        -2.0 / 3.0 * (1.0 - share * share * (3.0 - 2.0 * share)),
-        4.0 * share * (1.0 - share) ** 2 / over,
-    )
+    return (1.0 - 2.0 / 3.0 * (u - share * share * beyond),
+            -2.0 / 3.0 * (1.0 - share * share * (3.0 - 2.0 * share)),
+            4.0 * share * (1.0 - share) ** 2 / over)
 
 
 def bending_work(
@@ -156,18 +146,13 @@ def bending_work(
     kappa = np.asarray(curvature, dtype=np.float64)
     u = -beta / alpha * kappa
     shape, slope, bend = softening_shape(u, SOFTENING_LIMIT)
-    return (
-        0.5 * alpha * kappa**2 * shape,
-        alpha * kappa * (shape + 0.5 * u * slope),
-        alpha * (shape + 2.0 * u * slope + 0.5 * u**2 * bend),
-    )
+    return (0.5 * alpha * kappa**2 * shape, alpha * kappa * (shape + 0.5 * u * slope),
+            alpha * (shape + 2.0 * u * slope + 0.5 * u**2 * bend))
 
 
 def torque(
     curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> np.ndarray:
     """Torque per width (N): alpha kappa + beta kappa², which goes on straight beyond its limit.
-
-    Arguments as for :func:`bending_work`.
-    """
+    Arguments as for :func:`bending_work`."""
     return bending_work(curvature, alpha, beta)[1]

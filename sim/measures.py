@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from common.threads import one_blas_thread
-from sim.energies.contact import Obstacle
+from sim.energies.contact import Cylinder
 from sim.membranes import Corotational
 from sim.mesh import Mesh
 from sim.scene import Rig
@@ -20,10 +20,10 @@ _OUTLINE = 720  # points of an outline
 
 
 def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """Share of the overhanging cloth that is seen from above (BS 5058, ISO 9073-9).
+    """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9).
 
-    (projected area - plate area) / (specimen area - plate area), of positions (V, 3) m and
-    faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight down. Good to 0.3 %.
+    Of positions (V, 3) m and faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight
+    down. Good to 0.3 %.
     """
     plate = np.pi * rig.plate_radius**2
     return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
@@ -51,11 +51,8 @@ def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarra
 
 
 def fold_angles(outline: np.ndarray) -> np.ndarray:
-    """Where the folds are: angles (n,) on the material circle, radians, ascending.
-
-    A fold is a peak of the distance from the axis along ``outline`` (:func:`fold_outline`) that
-    stands out by 3 mm.
-    """
+    """Where the folds are: angles (n,) on the material circle, radians, ascending. A fold is a peak
+    of the distance from the axis along ``outline`` (:func:`fold_outline`) of at least 3 mm."""
     radius = gaussian_filter1d(np.linalg.norm(outline, axis=1), 6.0, mode="wrap")
     seam = int(radius.argmin())
     radius = np.roll(radius, -seam)  # no peak at the seam
@@ -71,20 +68,16 @@ def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
 def maximum_stretch(
     positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, held: np.ndarray
 ) -> float:
-    """Largest strain in any triangle that is not held, 0.01 for 1 %.
-
-    positions (V, 3) m, rest (V, 2) m, faces (F, 3), held (V,) bool.
-    """
+    """Largest strain in any triangle that is not held, 0.01 for 1 %: positions (V, 3) m, rest
+    (V, 2) m, faces (F, 3), held (V,) bool."""
     mesh = Mesh(rest=rest, faces=faces)
     membrane = Corotational().energy(mesh, ~held[faces].all(axis=1))
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
 
 
 def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """How deep the cloth enters the rig's obstacles anywhere, between its vertices too, m.
-
-    positions (V, 3) m, faces (F, 3). Exact to a micrometre; 0 where nothing enters.
-    """
+    """How deep cloth (V, 3) m of faces (F, 3) enters the rig's obstacles anywhere, between its
+    vertices too, m. Exact to a micrometre; 0 where nothing enters."""
     corners = positions[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     deepest = 0.0
@@ -96,19 +89,18 @@ def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
     return deepest
 
 
-def _largest_depths(obstacle: Obstacle, triangles: np.ndarray) -> np.ndarray:
+def _largest_depths(obstacle: Cylinder, triangles: np.ndarray) -> np.ndarray:
     """(N,) largest depths on triangles (N, 3, 3), m.
 
-    Depth is concave, so it has one maximum along any line, and so has that maximum as the line
-    moves across the triangle: two nested searches find it.
+    Depth is concave: it has one maximum along any line, and so has that maximum as the line moves
+    across the triangle. Two nested searches find it.
     """
     a, b, c = triangles.transpose(1, 0, 2)
 
     def along_line(share: np.ndarray) -> np.ndarray:
         start, end = a + share[:, None] * (b - a), a + share[:, None] * (c - a)
-        return _largest(
-            lambda t: obstacle.depths(start + t[:, None] * (end - start)), len(triangles)
-        )
+        return _largest(lambda t: obstacle.depths(start + t[:, None] * (end - start)),
+                        len(triangles))
 
     return _largest(along_line, len(triangles))
 

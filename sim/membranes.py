@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, PPoly
 
 from common.errors import InputError
 from sim.energies.base import Energy
@@ -30,32 +29,13 @@ class Membrane(Protocol):
         """The same material, ``factor`` times as stiff."""
 
 
-class _Material:
-    """A law of the Green strain that :class:`Guarded` can wrap."""
+class _Linear:
+    """Stress proportional to the strain by a symmetric ``matrix`` (K, K), N/m; of Green strains."""
+
+    matrix: np.ndarray
 
     def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
         return StrainMembrane(mesh, active, self.of_green_strain(self))
-
-    @staticmethod
-    def of_green_strain(law: StrainLaw) -> StrainLaw:
-        """A law of the material's own strain as one of the Green strain."""
-        return law
-
-    @staticmethod
-    def band(low: float, high: float) -> np.ndarray:
-        """The material's own strains between stretches low and high: limits (2, K).
-
-        For components the Green strains of both, and the shear that both together make when they
-        are at 45° to the yarns.
-        """
-        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
-        return np.array([[below, below, below - above], [above, above, above - below]])
-
-
-class _Linear(_Material):
-    """Stress proportional to the strain by a symmetric ``matrix`` (K, K), N/m."""
-
-    matrix: np.ndarray
 
     def density(self, strain: np.ndarray) -> np.ndarray:
         return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
@@ -65,6 +45,18 @@ class _Linear(_Material):
 
     def tangent(self, strain: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.matrix, (len(strain), *self.matrix.shape))
+
+    @staticmethod
+    def of_green_strain(law: StrainLaw) -> StrainLaw:
+        """A law of the material's own strain as one of the Green strain."""
+        return law
+
+    @staticmethod
+    def band(low: float, high: float) -> np.ndarray:
+        """The material's own strains between stretches low and high: limits (2, K). For components
+        the Green strains of both, and the shear that both make together at 45° to the yarns."""
+        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
+        return np.array([[below, below, below - above], [above, above, above - below]])
 
 
 @dataclass(frozen=True)
@@ -76,10 +68,7 @@ class Corotational(_Linear):
 
     Attributes:
         stiffness: Young's modulus times thickness, N/m.
-        poisson: Poisson's ratio in the plane.
-
-    Raises:
-        InputError: no stable material has these.
+        poisson: Poisson's ratio in the plane, between -1 and 1.
     """
 
     stiffness: float = 200.0
@@ -128,9 +117,6 @@ class OrthotropicStVK(_Linear):
         poisson: n, contraction along weft over extension along warp when pulled along warp; the
             other way round it is ``poisson * weft / warp``.
         shear: shear modulus times thickness, N/m.
-
-    Raises:
-        InputError: no stable material has these.
     """
 
     warp: float = 200.0
@@ -140,12 +126,10 @@ class OrthotropicStVK(_Linear):
 
     def __post_init__(self) -> None:
         _check_positive(warp=self.warp, weft=self.weft, shear=self.shear)
-        if not self.poisson**2 * self.weft < self.warp:
-            limit = (self.warp / self.weft) ** 0.5
-            raise InputError(
-                f"poisson={self.poisson:g} must stay below {limit:.3g} for these warp and weft "
-                "moduli"
-            )
+        limit = (self.warp / self.weft) ** 0.5
+        if not abs(self.poisson) < limit:
+            raise InputError(f"poisson={self.poisson:g} must stay below {limit:.3g} for these "
+                             "warp and weft moduli")
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -158,73 +142,6 @@ class OrthotropicStVK(_Linear):
         return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
 
 
-Knots = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class NonlinearCurves(_Material):
-    """Diagonalised membrane with a stress curve for each component (Miguel et al., section 4).
-
-    A curve is a monotone cubic (PCHIP) through its knots, whose slope at rest is that of the
-    first interval; from the last knot on it is straight with the slope of the last interval. So
-    the energy has two continuous derivatives. Negative shear mirrors the curve. Along warp and
-    weft it goes on straight with its slope at rest: how cloth is pushed together says nothing of
-    how it tightens when pulled.
-
-    Attributes:
-        warp, weft: knots (Green strain, stress in N/m) of pulling along each direction, both
-            increasing from (0, 0).
-        shear: knots (2 E_uv, stress in N/m), the same.
-
-    Raises:
-        InputError: a curve that does not increase from (0, 0).
-    """
-
-    warp: Knots = ((0.0, 0.0), (0.02, 2.0), (0.06, 14.0))
-    weft: Knots = ((0.0, 0.0), (0.02, 2.0), (0.06, 14.0))
-    shear: Knots = ((0.0, 0.0), (0.1, 2.0), (0.3, 20.0))
-
-    def __post_init__(self) -> None:
-        for name in ("warp", "weft", "shear"):
-            knots = np.asarray(getattr(self, name), dtype=np.float64)
-            good = knots.ndim == 2 and len(knots) > 1 and knots.shape[1] == 2
-            if not (good and (np.diff(knots, axis=0) > 0).all() and np.isfinite(knots).all()):
-                raise InputError(
-                    f"{name}: a stress curve needs two or more pairs of strain and stress, both "
-                    "increasing"
-                )
-            if knots[0].any():
-                raise InputError(f"{name}: a stress curve starts at strain 0 and stress 0")
-
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        works = [curve.antiderivative() for curve in self._curves]
-        return sum(work(x) - work(0.0) for work, x in zip(works, strain.T, strict=True))
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        return np.column_stack([c(x) for c, x in zip(self._curves, strain.T, strict=True)])
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        slopes = [curve(x, 1) for curve, x in zip(self._curves, strain.T, strict=True)]
-        return np.stack(slopes, axis=1)[:, :, None] * np.eye(3)
-
-    def scaled(self, factor: float) -> "NonlinearCurves":
-        def scale(knots: Knots) -> Knots:
-            return tuple((strain, factor * stress) for strain, stress in knots)
-
-        return NonlinearCurves(*(scale(k) for k in (self.warp, self.weft, self.shear)))
-
-    @cached_property
-    def _curves(self) -> tuple[PPoly, ...]:
-        # Each goes on for one more interval like its last, which PCHIP makes straight.
-        curves = []
-        for knots, odd in ((self.warp, False), (self.weft, False), (self.shear, True)):
-            knots = np.array(knots)
-            pulled = np.vstack([knots, 2 * knots[-1] - knots[-2]])
-            pushed = -pulled[:0:-1] if odd else -pulled[1:2]
-            curves.append(PchipInterpolator(*np.vstack([pushed, pulled]).T))
-        return tuple(curves)
-
-
 @dataclass(frozen=True)
 class Guarded:
     """Another membrane with free strain around rest, against locking.
@@ -232,30 +149,24 @@ class Guarded:
     Flat triangles cannot follow a surface bent in two directions without stretching a little. With
     a stiff membrane that stretch outweighs the bending energy and the cloth folds less than it
     should. Feng et al. 2022 (section 4.1) therefore let cloth deform freely between 99 % and 101 %
-    by moving its reference state along during the simulation. Where that procedure comes to rest,
-    the reference is the state nearest to the current one that the band allows, and only the rest
-    of the strain e, the *excess*, stores energy. The guard is that state of rest as an energy,
+    by moving its reference state along during the simulation. Where that ends, only the strain e
+    beyond the band, the *excess*, stores energy. The guard is that end as an energy,
 
         r psi(e) + (1 - r) psi(excess(e)),
 
     so that an equilibrium stays the minimum of one function, which does not depend on the path.
-    The excess has continuous second derivatives: it is zero well inside the band and e minus the
-    limit well outside. The small share r stays everywhere; without it flat cloth without load
-    could flow within the band and no equilibrium would be unique.
+    The excess has continuous second derivatives. Without the small share r, flat cloth without
+    load could flow within the band and no equilibrium would be unique.
 
-    The corotational law is free in its principal stretches, the others in warp, weft and shear.
+    The corotational law is free in its principal stretches, the other in warp, weft and shear.
 
     Attributes:
         membrane: what resists outside the band.
         low, high: stretches between which the cloth is free; the paper's 99 % and 101 %.
         share: r, of the membrane's stiffness that remains within the band.
-
-    Raises:
-        InputError: a band that does not contain 1, a share that is not in (0, 1), or a membrane
-            that cannot be wrapped.
     """
 
-    membrane: Corotational | OrthotropicStVK | NonlinearCurves = field(
+    membrane: Corotational | OrthotropicStVK = field(
         default_factory=lambda: Corotational(stiffness=5000.0))
     low: float = 0.99
     high: float = 1.01
@@ -266,7 +177,7 @@ class Guarded:
             raise InputError(f"free stretch from {self.low:g} to {self.high:g} must contain 1")
         if not 0 < self.share < 1:
             raise InputError(f"share={self.share:g} must lie between 0 and 1")
-        if not isinstance(self.membrane, _Material):
+        if not isinstance(self.membrane, _Linear):
             raise InputError(f"membrane={self.membrane!r} cannot be guarded; give one such as "
                              "Corotational()")
 

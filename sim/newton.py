@@ -8,7 +8,7 @@ exact Hessian at the end proves a minimum rather than a saddle.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
@@ -35,11 +35,10 @@ class Objective(Protocol):
     """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
 
     A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
-    the step; states need not form a linear space, steps do. ``hessian`` returns what the solver
-    factorises, CSR data in ``pattern``, with ``shift`` times the ``regularisation`` (size,) on the
-    diagonal, where even the convex Hessian is singular.
-    ``energy_scale`` is the size of differences in energy; those below :data:`NOISE` of it are
-    rounding.
+    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
+    ``pattern``, with ``shift`` times a regularisation on the diagonal, where even the convex
+    Hessian is singular. ``energy_scale`` is the size of differences in energy; those below
+    :data:`NOISE` of it are rounding.
     """
 
     size: int
@@ -47,17 +46,11 @@ class Objective(Protocol):
     energy_scale: float
 
     def value(self, q: np.ndarray) -> float: ...
-
     def gradient(self, q: np.ndarray) -> np.ndarray: ...
-
     def hessian(self, q: np.ndarray, convexity: float, shift: float) -> np.ndarray: ...
-
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
-
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
-
     def residual(self, gradient: np.ndarray) -> float: ...
-
     def step_length(self, step: np.ndarray) -> float: ...
 
 
@@ -69,13 +62,11 @@ class NewtonOptions:
         residual: largest residual of a converged state.
         step: largest last step of a converged state.
         max_iterations: per minimisation.
-        linear_solver: name for :func:`sim.linear.make_solver`, None for the fastest.
     """
 
     residual: float = 1e-5
     step: float = 1e-5
     max_iterations: int = 500
-    linear_solver: str | None = None
 
 
 @dataclass
@@ -85,8 +76,8 @@ class NewtonResult:
     Attributes:
         q: last state; use it only if ``status`` is CONVERGED.
         residual, step: scaled figures of the last iteration.
-        positive_definite: whether the exact Hessian at ``q`` has a Cholesky factor.
-        factor: the solver that holds this factor; None without one.
+        positive_definite, factor: whether the exact Hessian at ``q`` has a Cholesky factor, and the
+            solver that holds it.
         factorisations: all of them, also those that failed.
         seconds: CPU time by activity: analyse, assemble, factorise, search, total.
     """
@@ -127,48 +118,32 @@ _ENDINGS = {
 
 
 def minimise(
-    objective: Objective,
-    start: np.ndarray,
-    options: NewtonOptions | None = None,
-    *,
-    make_solver: Callable[..., CholeskySolver] = make_solver,
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Never raises for a numerical failure.
-
-    ``make_solver`` makes the solver of the Newton systems as :func:`sim.linear.make_solver` does.
-    """
+    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
     start = np.array(start, dtype=np.float64)
-    run = _Run(objective, start, options or NewtonOptions(), make_solver)
-    began = time.thread_time()
-    with np.errstate(all="ignore"):
+    run = _Minimisation(objective, start, options or NewtonOptions())
+    with run.timed("total"), np.errstate(all="ignore"):
         run.iterate()
-    run.result.seconds["total"] = time.thread_time() - began
     return run.result
 
 
-class _Run:
-    """State of one minimisation."""
+class _Minimisation:
+    """One minimisation, as far as it has come."""
 
-    def __init__(
-        self,
-        objective: Objective,
-        q: np.ndarray,
-        options: NewtonOptions,
-        make_solver: Callable[..., CholeskySolver],
-    ) -> None:
-        self.objective, self.options, self.make_solver = objective, options, make_solver
+    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
+        self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
-        self.rest = False
+        self.hold = False  # whether the next step asks for no less convexity
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
-        self.result.seconds = dict.fromkeys(("analyse", "assemble", "factorise", "search"), 0.0)
+        self.result.seconds = dict.fromkeys(
+            ("analyse", "assemble", "factorise", "search", "total"), 0.0)
         self.rng = np.random.default_rng(0)
         self.solver: CholeskySolver | None = None
 
     def iterate(self) -> None:
-        result, options = self.result, self.options
-        value = self.objective.value(result.q)
-        gradient = self.objective.gradient(result.q)
-        nudges = 0
+        result, options, nudges = self.result, self.options, 0
+        value, gradient = self._evaluate()
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
             if not np.isfinite(value) or not np.isfinite(result.residual):
@@ -182,12 +157,11 @@ class _Run:
                     if result.step < options.step:
                         result.factor = self.solver
                         return self._end(Status.CONVERGED)
-                    self.convexity, self.rest = 0.0, False
+                    self.convexity, self.hold = 0.0, False
                 elif nudges < NUDGES:
                     result.q = self._nudge(nudges)
                     nudges += 1
-                    value = self.objective.value(result.q)
-                    gradient = self.objective.gradient(result.q)
+                    value, gradient = self._evaluate()
                     self.convexity = 1.0
                     result.iterations += 1
                     continue
@@ -197,7 +171,7 @@ class _Run:
                 step = self._direction(gradient)
             if step is None:
                 return self._end(Status.SINGULAR)
-            with self._timed("search"):
+            with self.timed("search"):
                 found = self._search(value, gradient, step)
             if found is None:
                 # A nearly singular model points far out of its range: make it stiffer, and do
@@ -207,7 +181,7 @@ class _Run:
                     return self._end(Status.LINE_SEARCH)
                 if self.convexity == 1.0:
                     self.shift += 1
-                self.convexity, self.rest = 1.0, True
+                self.convexity, self.hold = 1.0, True
                 result.iterations += 1
                 continue
             self.shift = 0
@@ -217,13 +191,15 @@ class _Run:
         result.residual = self.objective.residual(gradient)
         return self._end(Status.MAX_ITERATIONS)
 
+    def _evaluate(self) -> tuple[float, np.ndarray]:
+        return self.objective.value(self.result.q), self.objective.gradient(self.result.q)
+
     def _end(self, status: Status) -> None:
-        result = self.result
-        result.status = status
-        result.message = _ENDINGS[status].format(**vars(result))
+        self.result.status = status
+        self.result.message = _ENDINGS[status].format(**vars(self.result))
 
     @contextmanager
-    def _timed(self, activity: str) -> Iterator[None]:
+    def timed(self, activity: str) -> Iterator[None]:
         """Add the time spent in a ``with`` block to an entry of the result."""
         began = time.thread_time()
         yield
@@ -231,28 +207,28 @@ class _Run:
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         objective = self.objective
-        with self._timed("assemble"):
+        with self.timed("assemble"):
             data = objective.hessian(self.result.q, convexity, shift)
         if self.solver is None:
-            with self._timed("analyse"):
-                self.solver = self.make_solver(objective.pattern, self.options.linear_solver)
-        with self._timed("factorise"):
+            with self.timed("analyse"):
+                self.solver = make_solver(objective.pattern)
+        with self.timed("factorise"):
             self.result.factorisations += 1
             return self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        with self._timed("factorise"):
+        with self.timed("factorise"):
             return self.solver.solve(rhs, rough=rough)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the least convexity that works; None if nothing does."""
         now = CONVEXITY.index(self.convexity)
-        lowest = now if self.rest else max(now - 1, 0)
-        self.rest = False
+        lowest = now if self.hold else max(now - 1, 0)
+        self.hold = False
         for trial in () if self.shift else CONVEXITY[lowest:-1]:
             if self._factorise(trial):
                 # Having tried in vain to need less, try again only after another step.
-                self.rest = trial == self.convexity and lowest < now
+                self.hold = trial == self.convexity and lowest < now
                 self.convexity = trial
                 return self._solve(-gradient, rough=trial > 0 or self.result.residual > NEAR)
         self.convexity = 1.0

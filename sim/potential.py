@@ -1,67 +1,46 @@
 """The total energy of a cloth as a function of its free unknowns, for an optimiser."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numba
 import numpy as np
 
 from sim.energies.base import Energy
+from sim.energies.cache import StateCache
 from sim.linear import SparsePattern
 from sim.state import moved
-
-
-@dataclass(frozen=True, eq=False)
-class Terms:
-    """What a potential consists of.
-
-    Attributes:
-        stages: the energies, in groups that are made convex one after the other: with two of
-            them, a convexity of 1/2 stands for the first group convex and the second exact.
-        edges: (E, 2) vertices of the edges whose normals are part of the state.
-        free: (U,) bool, which of the unknowns may change.
-        force_scale: (U,) forces (N, or N·m for rotations) that count as 1 in residuals.
-        length_scale: (U,) moves (m or rad) that count as 1 in step lengths and
-            regularisation.
-        energy_scale: J, about as much as the energy changes when the cloth falls.
-    """
-
-    stages: Sequence[Sequence[Energy]]
-    edges: np.ndarray
-    free: np.ndarray
-    force_scale: np.ndarray
-    length_scale: np.ndarray
-    energy_scale: float
 
 
 class Potential:
     """A sum of energies, with derivatives by a step (n,) of the free unknowns.
 
     Args:
-        terms: what it consists of.
+        stages: the energies, in groups that are made convex one after the other: with two of
+            them, a convexity of 1/2 stands for the first group convex and the second exact.
+        edges: (E, 2) vertices of the edges whose normals are part of the state.
+        free: (U,) bool, which of the unknowns may change.
+        force_scale: (U,) forces (N, or N·m for rotations) that count as 1 in residuals.
+        length_scale: (U,) moves (m or rad) that count as 1 in step lengths and regularisation.
+        energy_scale: J, about as much as the energy changes when the cloth falls.
 
     Attributes:
-        size: n.
-        energies: all of them.
-        regularisation: (n,) forces that count as 1 over moves that do, see :class:`Terms`.
-        energy_scale: J, see :class:`Terms`.
+        size, unknowns, energies: n, U, and all energies.
+        regularisation: (n,) forces that count as 1 over moves that do.
     """
 
-    def __init__(self, terms: Terms) -> None:
-        self.energies = [energy for stage in terms.stages for energy in stage]
-        self._stage = np.repeat(np.arange(len(terms.stages)), [len(s) for s in terms.stages])
-        self._edges = terms.edges
-        self._free = np.flatnonzero(terms.free)
-        row = np.full(len(terms.free) + 1, -1)  # one more, for dofs of -1
-        row[self._free] = np.arange(len(self._free))
-        self._stencils = [row[energy.dofs] for energy in self.energies]
-        self.unknowns, self.size = len(terms.free), len(self._free)
-        self._force_scale = terms.force_scale[self._free]
-        self._length_scale = terms.length_scale[self._free]
+    def __init__(
+        self, stages: Sequence[Sequence[Energy]], edges: np.ndarray, free: np.ndarray, *,
+        force_scale: np.ndarray, length_scale: np.ndarray, energy_scale: float
+    ) -> None:
+        self.energies = [energy for stage in stages for energy in stage]
+        self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
+        self._edges, self._free = edges, np.flatnonzero(free)
+        self.unknowns, self.size = len(free), len(self._free)
+        self._force_scale, self._length_scale = force_scale[self._free], length_scale[self._free]
         self.regularisation = self._force_scale / self._length_scale
-        self.energy_scale = terms.energy_scale
-        self._assembled_at, self._assembled = np.empty(0), {}
+        self.energy_scale = energy_scale
+        self._parts = StateCache(states=1)
 
     def all_unknowns(self, step: np.ndarray) -> np.ndarray:
         """(U,) the step (n,) of the free unknowns, zero for the others."""
@@ -83,25 +62,19 @@ class Potential:
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """(n,) derivative of the energy by a step."""
-        total = np.zeros(self.size)
-        for energy, stencil in zip(self.energies, self._stencils, strict=True):
-            _add_elements(total, stencil, energy.gradient(q))
-        return total
+        return self.free_unknowns(forces(self.energies, q, self.unknowns))
 
     @cached_property
     def pattern(self) -> SparsePattern:
         """Of the Hessian."""
-        return SparsePattern(self._stencils, self.size)
+        row = np.full(self.unknowns + 1, -1)  # one more, for dofs of -1
+        row[self._free] = np.arange(self.size)
+        return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
-    def hessian(
-        self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0
-    ) -> np.ndarray:
-        """CSR data (nnz,) of the Hessian in :attr:`pattern`.
-
-        Args:
-            convexity: from 0 (exact) to 1 (all stages convex); in between, stages become convex
-                one after the other, each by the mean of its two forms.
-            shift: multiple of :attr:`regularisation` on the diagonal.
+    def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
+        """CSR data (nnz,) of the Hessian in :attr:`pattern`, plus ``shift`` times
+        :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1 (all stages
+        convex), stages become convex one after the other, each by the mean of its two forms.
         """
         total = np.zeros(len(self.pattern.indices))
         stages = self._stage[-1] + 1
@@ -117,15 +90,14 @@ class Potential:
 
     def _part(self, q: np.ndarray, stage: int, convex: bool) -> np.ndarray:
         """One stage's part of the Hessian, kept so that another convexity here costs little."""
-        if not np.array_equal(q, self._assembled_at):
-            self._assembled_at, self._assembled = q.copy(), {}
-        if (stage, convex) not in self._assembled:
+        parts = self._parts.at(q, lambda q: {})
+        if (stage, convex) not in parts:
             # One after the other: blocks are large, and fresh memory is slow.
-            self._assembled[stage, convex] = self.pattern.assemble(
+            parts[stage, convex] = self.pattern.assemble(
                 energy.hessian(q, convex) if own == stage else None
                 for energy, own in zip(self.energies, self._stage, strict=True)
             )
-        return self._assembled[stage, convex]
+        return parts[stage, convex]
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether every energy allows the step between two states."""
@@ -140,10 +112,29 @@ class Potential:
         return float(np.abs(step / self._length_scale).max())
 
 
+def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
+    """(U,) derivatives of a sum of energies by all unknowns, of which there are ``size``."""
+    total = np.zeros(size)
+    for energy in energies:
+        _add_elements(total, energy.dofs, energy.gradient(q))
+    return total
+
+
+def hessian_product(energies: Sequence[Energy], q: np.ndarray, move: np.ndarray) -> np.ndarray:
+    """(U,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (U,)."""
+    total = np.zeros(len(move))
+    for energy in energies:
+        blocks = energy.hessian(q)
+        if blocks is not None:
+            local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
+            _add_elements(total, energy.dofs, np.einsum("nij,nj->ni", blocks, local))
+    return total
+
+
 @numba.njit(cache=True)
-def _add_elements(total, stencil, parts):
-    """Add element gradients (N, K) to total (n,); stencil (N, K) as for the pattern."""
-    for t in range(len(stencil)):
-        for k in range(stencil.shape[1]):
-            if stencil[t, k] >= 0:
-                total[stencil[t, k]] += parts[t, k]
+def _add_elements(total, dofs, parts):
+    """Add what elements have for their unknowns (N, K) to total (U,)."""
+    for t in range(len(dofs)):
+        for k in range(dofs.shape[1]):
+            if dofs[t, k] >= 0:
+                total[dofs[t, k]] += parts[t, k]

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.contact import Cylinder, Obstacle
+from sim.energies.contact import Cylinder
 from sim.mesh import Mesh
 from sim.state import State
 
@@ -19,9 +19,9 @@ CONTACT_PRESSURE = 120.0
 class Rig:
     """A specimen and what holds it.
 
-    Either a round plate holds the middle of the specimen (paper, section 3.1): the world's origin
-    is then the centre of the plate's top face, z points up. Or two neighbouring corners of a
-    square hang at the height z = 0, at the same distance from the origin (section 7.4.2).
+    Either a round plate holds its middle (paper, section 3.1): the origin is then the centre of the
+    plate's top face, z points up. Or two neighbouring corners of a square hang at the height z = 0,
+    at the same distance from the origin (section 7.4.2).
 
     Attributes:
         specimen_size: side of a square specimen or diameter of a disc, m.
@@ -30,9 +30,6 @@ class Rig:
         corners_apart: distance between the two corners that hold a specimen without plate, m.
         cut: angle from the warp to a side of the square, counter-clockwise, rad: 0 for one that is
             cut along its yarns. Only with a plate.
-
-    Raises:
-        InputError: a specimen that such a rig cannot hold.
     """
 
     specimen_size: float = 0.300
@@ -61,11 +58,9 @@ class Rig:
     @property
     def name(self) -> str:
         """Identifier in datasets and checkpoints: the specimen and what holds it, in mm."""
+        holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
         if not self.has_plate:
             holder, size = "corners", self.corners_apart
-        else:
-            holder = "support" if self.specimen == "disc" else "cylinder"
-            size = self.plate_diameter
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
         return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
 
@@ -96,7 +91,7 @@ class Rig:
         return np.pi / 4 * square if self.specimen == "disc" else square
 
     @property
-    def obstacles(self) -> tuple[Obstacle, ...]:
+    def obstacles(self) -> tuple[Cylinder, ...]:
         """What the cloth may touch."""
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
@@ -113,11 +108,7 @@ class Rig:
 
     @staticmethod
     def from_name(name: str) -> "Rig":
-        """Return the rig called ``name``.
-
-        Raises:
-            InputError: no such rig.
-        """
+        """The rig called ``name``; InputError if there is none."""
         if name not in RIGS:
             raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}")
         return RIGS[name]
@@ -146,7 +137,7 @@ class Scene:
 
     mesh: Mesh
     held: np.ndarray
-    obstacles: tuple[Obstacle, ...] = ()
+    obstacles: tuple[Cylinder, ...] = ()
     gravity: float = GRAVITY
     contact_pressure: float = CONTACT_PRESSURE
 

@@ -16,14 +16,11 @@ _UNTANGLING_ROUNDS = 60
 
 
 def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(N, 3) the edges, as two vertices, and the faces they pass through.
+    """(N, 3) the edges, as two vertices, and the faces they pass through, of cloth at positions
+    (V, 3), finite, of faces (F, 3).
 
     Exact, by floating-point predicates with certain signs. A face and its own edges, or edges
     that start at its corners, do not count; an edge that only touches a face does.
-
-    Args:
-        positions: (V, 3) finite, m.
-        faces: (F, 3).
     """
     ipctk = import_ipctk()
     edges = ipctk.edges(faces)
@@ -43,16 +40,9 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
     """Positions (V, 3), m, near the given ones without intersections; None if none are found.
 
     Vertices around each intersection move half-way to the mean of their neighbours, again and
-    again, more of them and more often the longer it takes. Held vertices stay.
-
-    Args:
-        mesh: the specimen.
-        held: (V,) bool.
-        positions: (V, 3) m.
+    again, more of them and more often the longer it takes. Those ``held`` (V,) stay.
     """
-    vertices = len(positions)
-    adjacent = adjacency(mesh)
-    x = positions.copy()
+    vertices, adjacent, x = len(positions), adjacency(mesh), positions.copy()
     for step in range(_UNTANGLING_ROUNDS):
         crossing = self_intersections(x, mesh.faces)
         if len(crossing) == 0:

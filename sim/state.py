@@ -1,13 +1,12 @@
 """Where cloth is: its vertices and the normals of its edges, and how a step moves both.
 
-The normal at the middle of an edge is perpendicular to the edge, so that it has one freedom: the
-angle about the edge. An unknown of the simulator is therefore a coordinate of a vertex or the
-rotation of an edge's normal, right-handed about the edge from its first to its second vertex. Such
-a rotation has no absolute zero. A step from one state to the next carries every normal along by
-parallel transport from the old direction of its edge to the new one, the smallest rotation between
-them, and turns it by the step's angle; each step starts from zero. (Grinspun et al. 2006,
-Computing discrete shape operators on general meshes, have such normals as unknowns; Bergou et al.
-2010, Discrete viscous threads, transport frames in time.)
+An edge's normal is perpendicular to the edge, so that an unknown of the simulator is a coordinate
+of a vertex or the rotation of an edge's normal, right-handed about the edge from its first to its
+second vertex. Such a rotation has no absolute zero: a step carries every normal along by parallel
+transport from the old direction of its edge to the new one, the smallest rotation between them, and
+turns it by the step's angle. (Grinspun et al. 2006, Computing discrete shape operators on general
+meshes, have such normals as unknowns; Bergou et al. 2010, Discrete viscous threads, transport
+frames in time.)
 """
 
 from dataclasses import dataclass

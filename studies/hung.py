@@ -18,10 +18,10 @@ from sim.initial import interpolate_positions
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
 from sim.membranes import OrthotropicStVK
+from sim.potential import forces
 from sim.scene import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.parameters import forces
 from studies.captured import header, rms, specimen
 from studies.study import Report, Study, over_fabrics
 

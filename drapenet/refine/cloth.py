@@ -16,10 +16,10 @@ from data.prior.gaussian import GaussianPrior
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
 from sim.mesh.specimens import share_of_offset
+from sim.potential import forces
 from sim.scene import Rig
 from sim.sensitivity import Sensitivities, Tangent
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.parameters import forces
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
 
 LAWS = ("membrane", "shear", "friction", "curl_warp", "curl_weft")

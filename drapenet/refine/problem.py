@@ -19,8 +19,8 @@ from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.material import is_admissible
 from sim.newton import NewtonOptions
+from sim.potential import forces
 from sim.sensitivity import Sensitivities, Tangent, follow
-from sim.sensitivity.parameters import forces
 
 Hold = Callable[[np.ndarray], Energy]
 """Springs that hold the simulated cloth, by the objective's parameters (K,): a captured surface

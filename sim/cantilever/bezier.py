@@ -40,10 +40,8 @@ class Bezier:
         return float(self._lengths[1][-1])
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (count, 2), m, at equal arc lengths, and curvatures (count,), 1/m, there.
-
-        Ends included; the curvature is positive where the strip bends down.
-        """
+        """Points (count, 2), m, at equal arc lengths, ends included, and curvatures (count,), 1/m,
+        there, positive where the strip bends down."""
         t, s = self._lengths
         t = np.interp(np.linspace(0.0, s[-1], count), s, t)
         (x, y), (xx, yy) = self.at(t, 1).T, self.at(t, 2).T
@@ -67,13 +65,11 @@ def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tup
 
     Each point's parameter is moved to the nearest point of the fitted curve, and the fit
     repeated. ``degree`` 0 stands for the one in :data:`DEGREES` with the least Bayesian
-    information criterion, so that noise is not fitted.
+    information criterion, so that noise is not fitted. InputError for a degree below 2, or fewer
+    points than it needs.
 
     Returns:
         The curve and the root mean square distance of the points from it, m.
-
-    Raises:
-        InputError: a degree below 2, or fewer points than the degree needs.
     """
     count = len(curve)
     degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]
@@ -104,11 +100,8 @@ def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, f
 
 
 def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezier:
-    """Linear least squares for fixed parameters t (N,).
-
-    Unknowns: the distance of the second control point from the first, which is 0, along the
-    clamp's direction, and the other control points.
-    """
+    """Linear least squares for fixed parameters t (N,): the distance of the second control point
+    from the first, which is 0, along the clamp's direction, and the other control points."""
     basis = bernstein(t, degree)
     along = np.array([np.cos(slope), np.sin(slope)])
     matrix = np.hstack([np.kron(basis[:, 1:2], along[:, None]), np.kron(basis[:, 2:], np.eye(2))])

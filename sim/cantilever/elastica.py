@@ -31,13 +31,11 @@ def strip_shape(
     Args:
         law: (4, K) pieces, see the module.
         weight, length: rho g, N/m², and free length, m.
-        slope: angle of the clamp below the horizontal, radians in [0, pi/2).
+        slope: angle of the clamp below the horizontal, radians in [0, pi/2); InputError also for
+            a law so soft that the strip hangs straight down.
         points: at equal distances along the strip.
         steps: of the integration, at least; the error of H/W is below 1e-7, with 400 below 1e-5
             up to gamma = 1000.
-
-    Raises:
-        InputError: slope out of range, or a law so soft that the strip hangs straight down.
     """
     if not 0 <= slope < np.pi / 2 - 1e-3:
         raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
@@ -61,9 +59,7 @@ def heavy_elastica(
     """Shape (points, 2), m, of a strip whose torque is that of :func:`sim.material.torque`.
 
     ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip.
-
-    Raises:
-        InputError: slope or gamma = weight length³/alpha out of range.
+    InputError where gamma = weight length³/alpha is out of range.
     """
     gamma = weight * length**3 / alpha
     if not 0 < gamma <= LARGEST_GAMMA:
@@ -89,11 +85,8 @@ def softening_law(alpha: float, beta: float) -> np.ndarray:
 
 
 def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """(4, K - 1) straight pieces through curvatures (K,), 1/m, from 0, and rising torques (K,), N.
-
-    Raises:
-        InputError: a torque that does not increase with the curvature.
-    """
+    """(4, K - 1) straight pieces through curvatures (K,), 1/m, from 0, and torques (K,), N, which
+    must rise."""
     rise = np.diff(torque)
     if not (rise > 0).all():
         raise InputError("the torque must increase with the curvature")
@@ -106,12 +99,8 @@ def aspect_ratio(end: np.ndarray) -> float:
 
 
 def gamma_of_aspect_ratio(ratio: float) -> float:
-    """The gamma at which the linear elastica with a horizontal clamp has this H/W.
-
-    Raises:
-        InputError: no gamma up to :data:`LARGEST_GAMMA` has.
-    """
-
+    """The gamma, up to :data:`LARGEST_GAMMA`, at which the linear elastica with a horizontal clamp
+    has this H/W; InputError if none has."""
     def excess(log_gamma: float) -> float:
         return aspect_ratio(elastica(np.exp(log_gamma), 101)[-1]) - ratio
 
@@ -134,9 +123,8 @@ def curvature_of_torque(torque, law):
 def _from_tip(law, weight, length, tip, target, every, shape):
     """Fill ``shape`` (points, 2) from the tip to the clamp by Runge-Kutta steps, fourth order.
 
-    There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical is
-    used, because at the tip of a limp strip it is too small to show in theta. Returns d
-    at the clamp, or where it passes ``target``.
+    There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical, at the
+    tip of a limp strip too small to show in theta, is returned at the clamp or past ``target``.
     """
     steps = (len(shape) - 1) * every
     h = length / steps

@@ -43,9 +43,6 @@ def equivalent_modulus(
         gamma: rho g L³/alpha of the physical strip, L its free length. 10 hangs down by about
             its reach, as the cloth of a drape does.
         laws, tolerance: linear hinges by default; of the stiffness, relative.
-
-    Raises:
-        InputError: the strip has no free length or gamma is out of range.
     """
     laws = laws or Laws(bending="hinge_linear")
     elastica(gamma)  # refuses a gamma out of range before any work

@@ -29,30 +29,23 @@ Strips = Mapping[str, Sequence[np.ndarray]]
 def estimate(
     strips: Strips, *, density: float, method: str = "table", slope: float = 0.0, degree: int = 0
 ) -> dict[str, Estimate]:
-    """The moduli of each direction, from its strips alone; ``density`` in kg/m².
-
-    Raises:
-        InputError: a method not in :data:`METHODS`, or curves that no strip has.
-    """
+    """The moduli of each direction, from its strips alone; ``density`` in kg/m², ``method`` one of
+    :data:`METHODS`. InputError for curves that no strip has."""
     if method not in METHODS:
         raise InputError(f"unknown method '{method}'; choose from {', '.join(METHODS)}")
     found = {}
     for direction, curves in strips.items():
         try:
-            found[direction] = METHODS[method](
-                curves, weight=density * GRAVITY, slope=slope, degree=degree
-            )
+            found[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope,
+                                               degree=degree)
         except InputError as error:
             raise InputError(f"{direction}: {error}") from None
     return found
 
 
 def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
-    """The fabric with the estimated moduli of the three directions.
-
-    Raises:
-        InputError: a direction is missing, or no plate has these moduli.
-    """
+    """The fabric with the estimated moduli of the three directions; InputError where one is
+    missing, or no plate has these moduli."""
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
         raise InputError(f"a fabric needs strips of all three directions; no {missing[0]}")
@@ -67,18 +60,15 @@ def correct(
 
     Each round simulates the strips and estimates from them alike. What is missing moves the
     moduli, by Broyden's method, because each direction's strip feels the other moduli too. The
-    table is the steadier reading: of a bias strip's beta, the regression's varies with the
-    triangulation by a quarter.
+    regression's reading of a bias strip's beta varies with the triangulation by a quarter.
 
     Args:
         strips, estimates: of all three directions, see :func:`estimate`.
         rounds, width: of simulation, at most; of the strips, m.
 
     Returns:
-        The fabric whose strips came nearest.
-
-    Raises:
-        InputError: as for :func:`fabric_of`, or a strip does not settle.
+        The fabric whose strips came nearest; InputError as for :func:`fabric_of`, or where a strip
+        does not settle.
     """
     fabric = fabric_of(estimates, density)
     lengths = {

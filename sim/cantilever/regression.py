@@ -66,11 +66,8 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
     """alpha, beta and relative misfit of the torque law through samples (N,) each.
 
     The law is proportional to alpha for a given beta/alpha, so that only this ratio is searched.
-
-    Raises:
-        InputError: the torque does not grow with the curvature.
+    InputError where the torque does not grow with the curvature.
     """
-
     def project(ratio: float) -> tuple[float, float]:
         law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
         alpha = float(law @ moment / (law @ law))
@@ -92,10 +89,8 @@ def regress(
 ) -> Estimate:
     """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
 
-    Strips of several lengths widen the range of curvatures; each sample counts alike.
-
-    Raises:
-        InputError: the torque does not follow the curvature as a law's does.
+    Strips of several lengths widen the range of curvatures; each sample counts alike. InputError
+    where the torque does not follow the curvature as a law's does.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])

@@ -33,10 +33,8 @@ def match(
     """Moduli whose elastica curves lie nearest the curves (each (N, 2) m) of one direction.
 
     The nearest candidates are sought with Bézier curves through the measured ones; the refinement
-    takes the measured points themselves, and the strips' lengths are unknowns of it.
-
-    Raises:
-        InputError: no curve comes near.
+    takes the measured points themselves, and the strips' lengths are unknowns of it. InputError
+    where no curve comes near.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     lengths = np.array([fit.length for fit in fits])

@@ -26,9 +26,7 @@ Guide = Callable[[Mesh, int, float], Sequence[Energy]]
 @dataclass(frozen=True)
 class HungStrip:
     """Deflection curve (N, 2), m, the mean across a strip, and slope of its free end across, rad.
-
-    The shape counts only if the result's status is CONVERGED.
-    """
+    The shape counts only if the result's status is CONVERGED."""
 
     curve: np.ndarray
     twist: float
@@ -49,20 +47,15 @@ def hang(
         across: mesh cells across the strip; None makes them square.
         guide: keeps the strip a cylinder; None: it is free, as a real one.
         gravity: m/s²; tiny values give the small deflections of plate theory.
-        triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
-
-    Raises:
-        InputError: the mesh has less than two cells along or one across, or a guided strip's
-            mesh is jittered.
+        triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`; none for a guide.
     """
     across = round(width / edge) if across is None else across
     if length < 2 * edge or across < 1:
         raise InputError("a strip needs two mesh cells along it and one across")
     if guide and triangulation.get("jitter"):
         raise InputError("a guided strip needs a regular mesh: jitter=0")
-    cut, held = strip(
-        length=length, width=across * edge, edge=edge, clamp=2 * edge, **triangulation
-    )
+    cut, held = strip(length=length, width=across * edge, edge=edge, clamp=2 * edge,
+                      **triangulation)
     x, y = (cut.rest * [1.0, width / (across * edge)]).T
     cos, sin = np.cos(angle), np.sin(angle)
     mesh = Mesh(rest=np.column_stack([cos * x - sin * y, sin * x + cos * y]), faces=cut.faces)
@@ -98,11 +91,9 @@ def simulate_strips(
         alpha = fabric.alpha[DIRECTIONS.index(direction)]
         count = length * cells / bending_length(alpha, fabric.density)
         edge = length / np.ceil(count - 1e-9)  # a whole number may have been rounded up
-        hung = hang(
-            fabric, angle=ANGLES[direction], length=length, edge=edge, guide=guide,
-            width=3 * edge if guide else width, across=3 if guide else CELLS_ACROSS,
-            diagonals="random", **options,
-        )
+        hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, guide=guide,
+                    width=3 * edge if guide else width, across=3 if guide else CELLS_ACROSS,
+                    diagonals="random", **options)
         if hung.result.status is not Status.CONVERGED:
             raise InputError(f"the simulated {direction} strip of {1e3 * length:.0f} mm does not "
                              f"settle: {hung.result.message}")

@@ -47,10 +47,8 @@ def fit_torque_curve(
 ) -> TorqueCurve:
     """The torque curve of one direction from curves (each (N, 2) m) of strips clamped level.
 
-    Strips of several lengths widen the range of curvatures. ``knots`` are those beside that at 0.
-
-    Raises:
-        InputError: fewer than 2 or more than 8 knots, or curves that no strip has.
+    Strips of several lengths widen the range of curvatures. ``knots``, 2 to 8, are those beside
+    that at 0. InputError for curves that no strip has.
     """
     if not 2 <= knots <= 8:
         raise InputError(f"knots={knots} must lie between 2 and 8")

@@ -29,10 +29,8 @@ class Energy(Protocol):
         """(N, K) derivatives of each element's energy by its unknowns."""
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray | None:
-        """(N, K, K) second derivatives of each element's energy, or None where all are zero.
-
-        With ``convex``, a positive semi-definite approximation instead.
-        """
+        """(N, K, K) second derivatives of each element's energy, or None where all are zero. With
+        ``convex``, a positive semi-definite approximation instead."""
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether a step from ``old`` to ``new`` stays on one branch of the energy."""

@@ -58,10 +58,8 @@ class BendingFriction:
 
 
 class FrictionBending(CurvedBending):
-    """Plate energy of the free triangles with ``friction``.
-
-    The other arguments are those of :class:`sim.energies.midedge.MidEdgeBending`.
-    """
+    """Plate energy of the free triangles with ``friction``. The other arguments are those of
+    :class:`sim.energies.midedge.MidEdgeBending`."""
 
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, friction: BendingFriction

@@ -2,9 +2,8 @@
 
 A hinge has four corners x0..x3: the shared edge x0-x1 and the opposite corners, with triangles
 (x0, x1, x2) and (x1, x0, x3). The angle is 0 when flat and positive when the normals diverge
-around the edge x0 -> x1. Derivatives are closed forms: with e the edge and N the unnormalised
-normal of a triangle, the gradient at its opposite corner is -|e| N/|N|², and the gradients at
-x0, x1 follow from rigid motions leaving the angle unchanged.
+around the edge x0 -> x1. With e the edge and N the unnormalised normal of a triangle, the gradient
+at its opposite corner is -|e| N/|N|², and those at x0, x1 follow from rigid motions.
 """
 
 import numba
@@ -28,9 +27,8 @@ def angle(x):
 def add_side_gradient(x, corner, sign, g):
     """Add to g (4, 3) how one triangle turns about the edge when x0, x1 and its ``corner`` move.
 
-    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. The turn is counted against a frame
-    that parallel transport carries along with the edge; those of both triangles add up to the
-    change of the angle.
+    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. Turns are counted against a frame
+    carried along with the edge; those of both triangles add up to the change of the angle.
     """
     ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
     ee = ex * ex + ey * ey + ez * ez

@@ -45,9 +45,9 @@ def barrier(
 def leaves_room(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float) -> bool:
     """Whether a step leaves every angle (rad) room before its pole.
 
-    An angle may neither pass its pole nor take most of its way there in one step. The second is
-    the fraction-to-boundary rule of interior-point methods: without it, a step can end so close to
-    the pole that no later one gets away. A step turns an angle by less than half a turn.
+    An angle may neither pass its pole nor take most of its way there in one step: the second is
+    the fraction-to-boundary rule of interior-point methods, without which a step can end too close
+    to the pole for a later one to get away. A step turns an angle by less than half a turn.
     """
     turn = np.remainder(after - before + np.pi, 2 * np.pi) - np.pi
     reached = np.abs(before + turn)  # beyond half a turn where the angle itself has jumped

@@ -1,10 +1,8 @@
 """Energies of hinges: every edge stores an energy of the angle between its two triangles.
 
-They stand beside the default law for comparison and for export to simulators that use them. Their
-moduli are not physical: the stiffness of a strip of hinges depends on its triangulation and does
-not converge under refinement (docs/physics.md, :mod:`sim.cantilever.equivalent`).
-
-An edge between held and free cloth clamps its free triangle. As in the default law it counts on
+For comparison, and for export to simulators that use them. Their moduli are not physical: the
+stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
+(docs/physics.md, :mod:`sim.cantilever.equivalent`). An edge between held and free cloth counts on
 the free side alone: H is then the height of the free triangle, not the sum of two heights.
 """
 
@@ -27,9 +25,8 @@ class Hinges:
     Attributes:
         edge: (N,) which of the mesh's edges they are.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
-            then the corners opposite it. The first triangle can move.
-        dofs: (N, 12) their coordinates, as :class:`sim.energies.base.Energy` asks for.
-        rest: (N, 4, 2) m, the corners at rest.
+            then the corners opposite it, of the triangle that can move first; at rest ``rest``
+            (N, 4, 2) m; dofs: (N, 12) their coordinates.
         lengths, normals: (N,) m, the edges' rest lengths, and (N, 2) unit vectors across them.
         areas, bent_areas: (N,) m², of both triangles at rest, and of those that can move.
     """
@@ -68,9 +65,7 @@ class DihedralBending(Energy):
         stop: modulus of the barrier, N·m.
     """
 
-    def __init__(
-        self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float
-    ) -> None:
+    def __init__(self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float) -> None:
         self.dofs = hinges.dofs
         self._alpha, self._beta = alpha, beta
         self._areas, self._lengths = hinges.bent_areas, hinges.lengths

@@ -21,14 +21,9 @@ class StrainLaw(Protocol):
     the principal stretches.
     """
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        """(N,) J/m²."""
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        """(N, K) derivative of the density, N/m."""
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        """(N, K, K) second derivative of the density, N/m, symmetric."""
+    def density(self, strain: np.ndarray) -> np.ndarray: ...  # (N,) J/m²
+    def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) its derivative, N/m
+    def tangent(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K, K) its second one, N/m
 
 
 class StrainMembrane(Energy):
@@ -42,9 +37,6 @@ class StrainMembrane(Energy):
         mesh: the specimen, warp along x and weft along y.
         active: (F,) bool, triangles that store energy.
         law: of the Green strain.
-
-    Attributes:
-        areas: (N,) m², rest areas.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, law: StrainLaw) -> None:
@@ -125,8 +117,8 @@ def _principal(strain):
     """Stretches (N, 2), larger first, and cosine and sine (N, 2) of twice the first's angle."""
     stretches, turn = np.empty((len(strain), 2)), np.empty((len(strain), 2))
     for t in range(len(strain)):
-        total, across, shear = (strain[t, 0] + strain[t, 1], strain[t, 0] - strain[t, 1],
-                                strain[t, 2])
+        total, across = strain[t, 0] + strain[t, 1], strain[t, 0] - strain[t, 1]
+        shear = strain[t, 2]
         apart = np.hypot(across, shear)
         stretches[t, 0] = np.sqrt(max(1.0 + total + apart, 1e-24))
         stretches[t, 1] = np.sqrt(max(1.0 + total - apart, 1e-24))
@@ -184,9 +176,7 @@ def _strains(q, dofs, shape):
             uu += f[i, 0] * f[i, 0]
             uv += f[i, 0] * f[i, 1]
             vv += f[i, 1] * f[i, 1]
-        result[t, 0] = 0.5 * (uu - 1.0)
-        result[t, 1] = 0.5 * (vv - 1.0)
-        result[t, 2] = uv
+        result[t, 0], result[t, 1], result[t, 2] = 0.5 * (uu - 1.0), 0.5 * (vv - 1.0), uv
     return result
 
 
@@ -209,9 +199,8 @@ def _gradient(q, dofs, shape, areas, stress):
     for t in range(len(dofs)):
         _strain_rows(q, dofs[t], shape[t], f, b)
         for j in range(9):
-            result[t, j] = areas[t] * (
-                stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j] + stress[t, 2] * b[2, j]
-            )
+            result[t, j] = areas[t] * (stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j]
+                                       + stress[t, 2] * b[2, j])
     return result
 
 
@@ -223,11 +212,8 @@ def _hessian(q, dofs, shape, areas, stress, tangent):
         _strain_rows(q, dofs[t], shape[t], f, b)
         for m in range(3):
             for j in range(9):
-                cb[m, j] = areas[t] * (
-                    tangent[t, m, 0] * b[0, j]
-                    + tangent[t, m, 1] * b[1, j]
-                    + tangent[t, m, 2] * b[2, j]
-                )
+                cb[m, j] = areas[t] * (tangent[t, m, 0] * b[0, j] + tangent[t, m, 1] * b[1, j]
+                                       + tangent[t, m, 2] * b[2, j])
         for i in range(9):
             for j in range(i, 9):
                 h = b[0, i] * cb[0, j] + b[1, i] * cb[1, j] + b[2, i] * cb[2, j]

@@ -14,8 +14,7 @@ plate it discretises, on any triangulation (docs/physics.md).
 
 Meshes too coarse for the cloth would fold through themselves, where phi jumps. The barrier of
 :mod:`sim.energies.fold_barrier` prevents that, times the least alpha and the rest length of the
-edge over the rest height of the triangle. Its pole is a quarter turn, which leaves half a turn
-between two triangles, and half a turn at a clamp, whose other side is fixed.
+edge over the triangle's rest height; its pole is a quarter turn, half a turn at a clamp.
 """
 
 import copy
@@ -25,13 +24,14 @@ import numpy as np
 
 from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy
-from sim.energies.clamp import bending_areas
+from sim.energies.cache import StateCache
 from sim.energies.convex import raise_eigenvalues
-from sim.energies.remember import Remembered
 from sim.material import Fabric
 from sim.mesh import Mesh
 
 CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+CLAMP = 6 / 5
+"""Stiffness of the row of triangles that hang on clamped edges, relative to their area's."""
 
 
 class MidEdgeBending(Energy):
@@ -47,9 +47,9 @@ class MidEdgeBending(Energy):
         fabric: moduli; see :mod:`sim.energies.plate_law` for the law they enter.
 
     Attributes:
-        maps: (N, 3, 3), 1/m, see :func:`curvature_maps`.
-        areas: (N,) m², with the weights next to a clamp.
-        law: see :func:`sim.energies.plate_law.constants`.
+        maps, areas, law: see :func:`curvature_maps`, :func:`bending_areas` and
+            :func:`sim.energies.plate_law.constants`.
+        pole: (N, 3) rad, of the barrier, infinite on the border.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
@@ -67,10 +67,9 @@ class MidEdgeBending(Energy):
         self.areas = bending_areas(mesh, active, clamped)
         self.maps = curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
-        self._pole = np.where(boundary, np.inf, pole)
-        lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1)[edges]
-        self._slenderness = lengths**2 / (2 * mesh.areas[active])[:, None]  # e/h
-        self._angles = Remembered()
+        self.pole = np.where(boundary, np.inf, pole)
+        self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
+        self._angles = StateCache()
         self._take(fabric)
 
     def _take(self, fabric: Fabric) -> None:
@@ -102,7 +101,7 @@ class MidEdgeBending(Energy):
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return fold_barrier.leaves_room(self.angles(old), self.angles(new), self._pole)
+        return fold_barrier.leaves_room(self.angles(old), self.angles(new), self.pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """(N, 3) angles phi, rad."""
@@ -120,10 +119,6 @@ class MidEdgeBending(Energy):
         """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
         return plate_law.stresses(curvatures, self.law)
 
-    def is_folded(self, q: np.ndarray) -> bool:
-        """Whether the barrier acts anywhere."""
-        return bool(fold_barrier.is_bent(self.angles(q), self._pole).any())
-
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
         """(N, 3) derivatives of the energy by the angles phi, J/rad."""
         moments = self.areas[:, None] * np.einsum("nai,na->ni", self.maps, stress)
@@ -131,8 +126,41 @@ class MidEdgeBending(Energy):
 
     def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
-        value, slope, bend = fold_barrier.barrier(self.angles(q), self._pole)
+        value, slope, bend = fold_barrier.barrier(self.angles(q), self.pole)
         return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
+
+
+def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.ndarray:
+    """Areas (N,), m², with which the active triangles count in the bending energy.
+
+    Clamped cloth turns at its edges: half a hinge at the clamp, whole ones behind it, so that the
+    slope far out is the trapezoidal rule's integral of the curvature. The error of that rule is
+    h²/12 times the curvature's slope at its ends, which vanishes at a free end but not at a clamp.
+    Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a curvature are
+    compliances: triangles on clamped edges get 5/6 of theirs, the next, which touch the clamp with
+    a corner, as much more as leaves the sum unchanged.
+
+    Args:
+        active: (F,) bool, triangles that store energy.
+        clamped: (N, 3) bool, which of their edges adjoin held triangles.
+    """
+    areas = mesh.areas[active].copy()
+    first, second = rows_at_clamp(mesh, active, clamped)
+    if first.any() and second.any():
+        shifted = (1 - 1 / CLAMP) * areas[first].sum() / areas[second].sum()
+        areas[first] *= CLAMP
+        areas[second] /= 1 + shifted
+    return areas
+
+
+def rows_at_clamp(
+    mesh: Mesh, active: np.ndarray, clamped: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) bool: the triangles on clamped edges, and the others that touch these."""
+    rim = np.zeros(len(mesh.rest), dtype=bool)
+    rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
+    first = clamped.any(axis=1)
+    return first, rim[mesh.faces[active]].any(axis=1) & ~first
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:

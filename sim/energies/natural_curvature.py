@@ -44,10 +44,8 @@ class NaturallyCurved:
 
 
 class CurvedBending(MidEdgeBending):
-    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m.
-
-    The other arguments are those of :class:`sim.energies.midedge.MidEdgeBending`.
-    """
+    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m. The other
+    arguments are those of :class:`sim.energies.midedge.MidEdgeBending`."""
 
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray

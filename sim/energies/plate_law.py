@@ -86,11 +86,9 @@ def _returned(k, alpha, base, rho, limit):
     """F and its two derivatives at k >= 0: energy of the law rho less that of the softer base."""
     fast, fast1, _ = _shape(base * k, limit)
     slow, slow1, _ = _shape(rho * k, limit)
-    return (
-        0.5 * alpha * k * k * (slow - fast),
-        alpha * k * (slow - fast + 0.5 * k * (rho * slow1 - base * fast1)),
-        2.0 * alpha * (min(base * k, limit) - min(rho * k, limit)),
-    )
+    return (0.5 * alpha * k * k * (slow - fast),
+            alpha * k * (slow - fast + 0.5 * k * (rho * slow1 - base * fast1)),
+            2.0 * alpha * (min(base * k, limit) - min(rho * k, limit)))
 
 
 @numba.njit(cache=True)

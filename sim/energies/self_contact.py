@@ -14,6 +14,7 @@ from scipy import sparse
 
 from common.errors import InputError, one_line
 from sim.energies.base import Energy
+from sim.energies.cache import StateCache
 from sim.mesh import Mesh
 
 _HALF_WAY = 3.0 * np.log(4.0) + 4.5
@@ -31,9 +32,8 @@ def import_ipctk() -> ModuleType:
     try:
         import ipctk
     except (ImportError, OSError) as error:
-        raise InputError(
-            f"ipctk cannot be imported ({one_line(error)}); install it with: pip install ipctk"
-        ) from None
+        raise InputError(f"ipctk cannot be imported ({one_line(error)}); install it with: "
+                         "pip install ipctk") from None
     ipctk.set_num_threads(1)  # as all of the simulator: one process a core, one thread each
     return ipctk
 
@@ -43,19 +43,15 @@ class SelfContact(Energy):
 
     A pair is a vertex and a triangle, or two edges (faded out where they are parallel), without
     a vertex in common; w is the rest area it stands for. The barrier is twice continuously
-    differentiable, zero from d̂ on and infinite at contact; the distance is once, its second
-    derivative jumps where the nearest point passes from a triangle to its edge.
+    differentiable, zero from d̂ on and infinite at contact; second derivatives of the distance
+    jump where the nearest point passes from a triangle to its edge.
 
-    Pairs come and go during a minimisation, the pattern of the Hessian does not. It couples the
-    vertices of all pairs that are nearer than ``reach`` at first. A block of the Hessian outside
-    the pattern is replaced by an upper bound on the diagonal, so that the convex Hessian stays
-    semi-definite; it is exact only where :meth:`is_complete`.
-
-    An element is a vertex or a couple of vertices; gradients stand with the vertices. The convex
-    Hessian is semi-definite as a sum, not element by element.
+    Pairs come and go during a minimisation, the pattern of the Hessian does not: it couples the
+    vertices of all pairs nearer than ``reach`` at first. A block outside it is replaced by an upper
+    bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An element is a
+    vertex or a couple; the convex Hessian is semi-definite as a sum, not element by element.
 
     Args:
-        mesh: the specimen.
         positions: (V, 3) m, around which the pattern is built.
         distance: d̂, m, below the smallest height of a triangle.
         pressure: N/m² between two sheets of cloth d̂/2 apart.
@@ -63,23 +59,16 @@ class SelfContact(Energy):
     """
 
     def __init__(
-        self,
-        mesh: Mesh,
-        positions: np.ndarray,
-        *,
-        distance: float,
-        pressure: float,
-        reach: float,
+        self, mesh: Mesh, positions: np.ndarray, *, distance: float, pressure: float, reach: float
     ) -> None:
         self._ipctk = import_ipctk()
         self._vertices = len(mesh.rest)
         self._distance = distance
         rest = np.column_stack([mesh.rest, np.zeros(self._vertices)])  # gives the areas
         self._mesh = self._ipctk.CollisionMesh(rest, mesh.edges, mesh.faces)
-        self._barrier = self._ipctk.BarrierPotential(
-            distance, pressure / _HALF_WAY, use_physical_barrier=True
-        )
-        self._latest = self._hessians = None
+        self._barrier = self._ipctk.BarrierPotential(distance, pressure / _HALF_WAY,
+                                                     use_physical_barrier=True)
+        self._touching, self._blocks = StateCache(), StateCache()
         couples = self._near(positions, reach)
         self._keys = couples @ [self._vertices, 1]
         vertex = 3 * np.arange(self._vertices)[:, None] + np.arange(3)
@@ -108,9 +97,8 @@ class SelfContact(Energy):
         :func:`sim.energies.fold_barrier.leaves_room`.
         """
         before, after = self._positions(old), self._positions(new)
-        return self._ipctk.is_step_collision_free(
-            self._mesh, before, before + _OVERSHOOT * (after - before)
-        )
+        return self._ipctk.is_step_collision_free(self._mesh, before,
+                                                  before + _OVERSHOOT * (after - before))
 
     def is_complete(self, q: np.ndarray) -> bool:
         """Whether the pattern holds all pairs in contact at ``q``."""
@@ -120,33 +108,31 @@ class SelfContact(Energy):
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
     def _pairs(self, q: np.ndarray) -> tuple:
-        """The pairs in contact (of the toolkit) and the positions (V, 3); kept for the next call.
+        """The pairs in contact (of the toolkit) and the positions (V, 3)."""
+        return self._touching.at(q, self._find_pairs)
 
-        Newton asks for value, gradient and several Hessians at the same place.
-        """
+    def _find_pairs(self, q: np.ndarray) -> tuple:
         x = self._positions(q)
-        if self._latest is None or not np.array_equal(x, self._latest[1]):
-            pairs = self._ipctk.NormalCollisions()
-            pairs.use_area_weighting = True
-            pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
-            pairs.build(self._mesh, x, self._distance)
-            self._latest, self._hessians = (pairs, x), None
-        return self._latest
+        pairs = self._ipctk.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
+        pairs.build(self._mesh, x, self._distance)
+        return pairs, x
 
     def _both_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
         """Exact and convex blocks (N, 6, 6), and whether the pattern holds all of them."""
-        pairs, x = self._pairs(q)
-        if self._hessians is None:
-            blocks, complete = [], True
-            for projection in ("NONE", "CLAMP"):
-                result = np.zeros((*self.dofs.shape, 6))
-                if not pairs.empty():
-                    method = getattr(self._ipctk.PSDProjectionMethod, projection)
-                    whole = self._barrier.hessian(pairs, self._mesh, x, method)
-                    complete = self._fill(result, whole) and complete
-                blocks.append(result)
-            self._hessians = (*blocks, complete)
-        return self._hessians
+        return self._blocks.at(q, self._find_hessians)
+
+    def _find_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+        (pairs, x), blocks, complete = self._pairs(q), [], True
+        for projection in ("NONE", "CLAMP"):
+            result = np.zeros((*self.dofs.shape, 6))
+            if not pairs.empty():
+                method = getattr(self._ipctk.PSDProjectionMethod, projection)
+                whole = self._barrier.hessian(pairs, self._mesh, x, method)
+                complete = self._fill(result, whole) and complete
+            blocks.append(result)
+        return *blocks, complete
 
     def _fill(self, result: np.ndarray, whole: sparse.spmatrix) -> bool:
         """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if blocks are left."""

@@ -1,7 +1,4 @@
-"""Sparse symmetric systems: assembly into a fixed pattern, and solvers behind one interface.
-
-Batches have :class:`sim.linear.multifrontal.FrontalSolver`, not imported here: it loads PyTorch.
-"""
+"""Sparse symmetric systems: assembly into a fixed pattern, and solvers behind one interface."""
 
 from sim.linear.pattern import SparsePattern
 from sim.linear.solvers import CholeskySolver, available_solvers, make_solver

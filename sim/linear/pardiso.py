@@ -42,7 +42,9 @@ class PardisoSolver:
             return False
         rough = rough and self._single_serves
         self._data = data
-        self._refined = rough and self._factorise_single(data)
+        if rough and self._single is None:
+            self._single = _Factor(self._pattern, order=self._double.order, single=True)
+        self._refined = rough and self._single.factorise(data)
         if self._refined:
             return True
         if rough and self._checks == 0:
@@ -56,16 +58,9 @@ class PardisoSolver:
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
-    def _factorise_single(self, data: np.ndarray) -> bool:
-        if self._single is None:
-            self._single = _Factor(self._pattern, order=self._double.order, single=True)
-        return self._single.factorise(data)
-
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
-        """Conjugate gradients; stops early rather than follow a direction of no curvature.
-
-        A ``rough`` solution is that of the first step if the matrix says it has the right length.
-        """
+        """Conjugate gradients; stops early rather than follow a direction of no curvature. A
+        ``rough`` solution is that of the first step if the matrix says it has the right length."""
         x, residual = np.zeros(len(rhs)), np.array(rhs, dtype=np.float64)
         step = self._single.solve(residual)
         error = residual @ step
@@ -101,7 +96,7 @@ class _Factor:
 
     _positive_definite = 2  # PARDISO's matrix type
     _analyse, _factorise, _solve, _release = 11, 22, 33, -1  # PARDISO's phases
-    _no_memory, _not_definite = -2, -4  # PARDISO's errors: -4 where a pivot was not positive
+    _no_memory, _not_definite = -2, -4  # PARDISO's errors
 
     def __init__(
         self, pattern: SparsePattern, *, order: np.ndarray | None = None, single: bool = False
@@ -143,20 +138,18 @@ class _Factor:
         """PARDISO's error code."""
         number = ctypes.c_int32
         error = number(0)
-        find_mkl().pardiso(
-            _pointer(self._memory, ctypes.c_int64), number(1), number(1),
-            number(self._positive_definite), number(phase), number(self._size),
-            _pointer(self._data, None), _pointer(self._indptr), _pointer(self._indices),
-            _pointer(self.order), number(1), _pointer(self._settings), number(0),
-            _pointer(rhs, None), _pointer(solution, None), error,
-        )
+        find_mkl().pardiso(_pointer(self._memory, ctypes.c_int64), number(1), number(1),
+                           number(self._positive_definite), number(phase), number(self._size),
+                           _pointer(self._data, None), _pointer(self._indptr),
+                           _pointer(self._indices), _pointer(self.order), number(1),
+                           _pointer(self._settings), number(0), _pointer(rhs, None),
+                           _pointer(solution, None), error)
         return error.value
 
-    @classmethod
-    def _require(cls, error: int) -> None:
+    def _require(self, error: int) -> None:
         """LinAlgError, of a matrix that cannot be solved, or MemoryError unless ``error`` is 0."""
         if error:
-            kind = MemoryError if error == cls._no_memory else np.linalg.LinAlgError
+            kind = MemoryError if error == self._no_memory else np.linalg.LinAlgError
             raise kind(f"PARDISO ended with error {error}")
 
     def __del__(self) -> None:
@@ -184,7 +177,6 @@ def find_mkl() -> ctypes.CDLL:
         for file in files:
             if "mkl_rt" in file.name and not file.name.endswith(".lib"):
                 os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
-                break
     from pypardiso import PyPardisoSolver
 
     library = PyPardisoSolver().libmkl

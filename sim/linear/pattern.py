@@ -6,8 +6,6 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from common.errors import InputError
-
 
 class SparsePattern:
     """Upper triangle (with diagonal) of the symmetric matrices that given stencils add up to.
@@ -26,29 +24,12 @@ class SparsePattern:
         self.size = size
         alone = np.arange(size)[:, None]  # every diagonal entry is there
         elements = [alone, *stencils]
-        first = np.concatenate([np.full(len(rows), rows.shape[1]) for rows in elements])
-        first = np.concatenate([[0], np.cumsum(first)])
+        first = np.cumsum(np.concatenate(
+            [[0], *(np.full(len(rows), rows.shape[1]) for rows in elements)]))
         rows = np.concatenate([rows.ravel() for rows in elements])
         self.indptr, self.indices = _structure(first, rows, size)
         self.diagonal = self.indptr[:-1].copy()
-        self._slots = [self.slots(stencil) for stencil in stencils]
-
-    def slots(self, stencil: np.ndarray) -> np.ndarray:
-        """Where the blocks of elements go in the CSR data.
-
-        Args:
-            stencil: (N, K) int64 rows, -1 for absent or held; all pairs are in the pattern.
-
-        Returns:
-            (N, K(K+1)/2) int32 for the upper triangle of each block, row by row, -1: nowhere.
-
-        Raises:
-            InputError: a pair that the pattern has not.
-        """
-        slots = _slots(stencil, self.indptr, self.indices)
-        if (slots == -2).any():
-            raise InputError("the stencil reaches further than the pattern")
-        return slots
+        self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
     def assemble(self, blocks: Sequence[np.ndarray | None]) -> np.ndarray:
         """Sum of symmetric blocks (N, K, K), one array or None per stencil, as CSR data (nnz,)."""
@@ -58,22 +39,16 @@ class SparsePattern:
                 _scatter(data, slots, block)
         return data
 
-    def upper(self, data: np.ndarray) -> sparse.csr_matrix:
-        """The upper triangle as a SciPy matrix."""
-        return sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
-
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
         """The whole matrix as a SciPy matrix."""
-        upper = self.upper(data)
+        upper = sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
         return (upper + sparse.triu(upper, 1).T).tocsr()
 
 
 @numba.njit(cache=True)
 def _structure(first, rows, size):
-    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows.
-
-    Element t has the rows (-1: none) from first[t] to first[t + 1].
-    """
+    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows. Element t
+    has the rows (-1: none) from first[t] to first[t + 1]."""
     # The elements of each row, one row after the other.
     begin = np.zeros(size + 1, dtype=np.int64)
     for i in rows:
@@ -131,7 +106,7 @@ def _slots(stencil, indptr, indices):
                         low = middle + 1
                     else:
                         high = middle
-                slots[t, pair] = low if indices[low] == j else -2
+                slots[t, pair] = low
     return slots
 
 

@@ -13,23 +13,20 @@ from sim.linear.pattern import SparsePattern
 
 
 class CholeskySolver(Protocol):
-    """Factorises matrices of one pattern; the analysis of the pattern is done once."""
+    """Factorises matrices of one pattern; the analysis of the pattern is done once.
+
+    A ``rough`` factor is cheaper: its verdict is no proof, and solutions have a relative error of
+    about 1e-4 in the matrix's norm. A ``rough`` solution by such a factor may have an error of a
+    few hundredths, for half the price.
+    """
 
     name: str
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
-        """Factor the matrix with CSR data (nnz,); False when it is not positive definite or finite.
-
-        ``rough`` allows a cheaper factor: its verdict is no proof, and solutions have a relative
-        error of about 1e-4 in the matrix's norm.
-        """
+        """Factor the matrix with CSR data (nnz,); False: it is not positive definite or finite."""
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        """Solve with the last factor, which must exist; rhs (n,).
-
-        ``rough`` allows a relative error of a few hundredths in the matrix's norm where the factor
-        is a rough one, for half the price.
-        """
+        """Solve with the last factor, which must exist; rhs (n,)."""
 
 
 class SuperLUSolver:
@@ -46,12 +43,8 @@ class SuperLUSolver:
             return False
         matrix = sparse.csc_matrix(self._pattern.symmetric(data))
         try:
-            self._factor = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            self._factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+                                options={"SymmetricMode": True})
         except RuntimeError:  # exactly singular
             return False
         # With diagonal pivots, U's diagonal holds the pivots, and their signs the inertia.
@@ -76,14 +69,10 @@ def available_solvers() -> tuple[str, ...]:
 
 
 def make_solver(pattern: SparsePattern, name: str | None = None) -> CholeskySolver:
-    """The solver called ``name``, or the fastest available one, for matrices of ``pattern``.
-
-    Raises:
-        InputError: unknown or unavailable name.
-    """
+    """The solver called ``name``, or the fastest, for matrices of ``pattern``; InputError for an
+    unknown or unavailable name."""
     available = available_solvers()
-    if name is None:
-        name = available[0]
+    name = name or available[0]
     if name not in available:
         raise InputError(f"linear solver '{name}' is not available here; choose {available}")
     return _SOLVERS[name](pattern)

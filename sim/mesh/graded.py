@@ -61,22 +61,16 @@ class Outline:
 
 
 def rim_radius(outline: Outline) -> tuple[float, int]:
-    """Radius, m, of the polygon that stands for the rim, and the number of its corners.
-
-    A little outside the plate's rim, so that the polygon has the plate's area: with corners on
-    the rim it would hold too little cloth and lie inside the cylinder.
-    """
+    """Radius, m, of the polygon that stands for the rim, and the number of its corners. It has the
+    plate's area: with corners on the rim it would hold too little cloth."""
     corners = max(8, round(2 * np.pi * outline.plate_radius / outline.edge))
     turn = 2 * np.pi / corners
     return outline.plate_radius * np.sqrt(turn / np.sin(turn)), corners
 
 
 def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
-    """Triangulate ``outline``.
-
-    Returns:
-        The mesh, and how many of its vertices lie on the plate: the first ones, the rim's first.
-    """
+    """The mesh of ``outline``, and how many of its vertices lie on the plate: the first ones, the
+    rim's before the others."""
     radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
     parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
              _rings(outline, rng, radius, 1), _border(outline, rng)]
@@ -148,10 +142,8 @@ def _delaunay(points: np.ndarray) -> np.ndarray:
 
 
 def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndarray:
-    """Each point (V, 2) at the mean of the circumcentres around it.
-
-    Their weights are the triangles' areas in units of the wanted edge length.
-    """
+    """Each point (V, 2) at the mean of the circumcentres around it, weighted by the triangles'
+    areas in units of the wanted edge length."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     u, v = b - a, c - a
     twice = doubled_areas(points, faces)
@@ -162,12 +154,10 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndar
     away = a + perpendicular / (2 * twice[:, None]) - centroid
     limit = np.sqrt(twice / 2) / np.linalg.norm(away, axis=1).clip(1e-300)
     centres = centroid + away * np.minimum(1.0, limit)[:, None]
-    weight = np.repeat(twice / outline.edge_at(centroid) ** 2, 3)
-    total = np.bincount(faces.ravel(), weight, minlength=len(points))
-    return np.stack(
-        [np.bincount(faces.ravel(), weight * np.repeat(centres[:, k], 3), minlength=len(points))
-         for k in range(2)], axis=1
-    ) / total[:, None]
+    weight, count = np.repeat(twice / outline.edge_at(centroid) ** 2, 3), len(points)
+    total = np.bincount(faces.ravel(), weight, count)
+    return np.stack([np.bincount(faces.ravel(), weight * np.repeat(centre, 3), count)
+                     for centre in centres.T], axis=1) / total[:, None]
 
 
 def _kept_clear(points: np.ndarray, outline: Outline, radius: float, inside: int) -> np.ndarray:

@@ -38,10 +38,8 @@ def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator
 def grid_points(
     shape: tuple[int, int], size: tuple[float, float], jitter: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random.
-
-    Each coordinate moves by at most ``jitter`` times the spacing; points on a side stay on it.
-    """
+    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random. Each coordinate
+    moves by at most ``jitter`` times the spacing; points on a side stay on it."""
     axes = [np.linspace(0.0, size[k], shape[k]) for k in range(2)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     moves = rng.uniform(-jitter, jitter, points.shape)
@@ -52,26 +50,18 @@ def grid_points(
 
 
 def strip(
-    *,
-    length: float,
-    width: float,
-    edge: float,
-    clamp: float,
-    diagonals: str = "alternating",
-    jitter: float = 0.0,
-    seed: int = 0,
+    *, length: float, width: float, edge: float, clamp: float, diagonals: str = "alternating",
+    jitter: float = 0.0, seed: int = 0
 ) -> tuple[Mesh, np.ndarray]:
     """A strip along +x that starts with a clamped piece of length ``clamp`` at x < 0.
 
     Args:
-        length, width, edge, clamp: m; the spacing is ``edge`` along and across.
+        length, width, edge, clamp: m; the spacing is ``edge`` along and across, of which the clamp
+            is a multiple.
         jitter: as in :func:`grid_points`; the column x = 0 stays in place.
 
     Returns:
         The mesh and the mask (V,) bool of the clamped vertices, x <= 0.
-
-    Raises:
-        InputError: a clamp that is no multiple of ``edge``.
     """
     rng = np.random.default_rng(seed)
     held_columns, columns = round(clamp / edge), round(length / edge)

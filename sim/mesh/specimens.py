@@ -48,12 +48,8 @@ class Specimen:
 
 
 def make_specimen(
-    rig: Rig,
-    *,
-    edge: float,
-    topology: int = 0,
-    offset: tuple[float, float] = (0.0, 0.0),
-    grading: float = GRADING,
+    rig: Rig, *, edge: float, topology: int = 0, offset: tuple[float, float] = (0.0, 0.0),
+    grading: float = GRADING
 ) -> Specimen:
     """Mesh the specimen of ``rig``.
 
@@ -68,9 +64,6 @@ def make_specimen(
         offset: specimen's centre from the plate's axis, m.
         grading: edges at the hem over ``edge``, at least 1; they grow by 10 % per edge until
             then, or to :data:`LONGEST`. Edges on the plate grow faster, they store no energy.
-
-    Raises:
-        InputError: arguments that make no mesh.
     """
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
@@ -154,10 +147,8 @@ def _base_specimen(
 def share_of_offset(
     rest: np.ndarray, rig: Rig, centre: np.ndarray | tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
-    """Share (V,) of an offset's change that moves points (V, 2) of a specimen around ``centre``.
-
-    Zero on the plate, one on the border, in proportion between them. Lengths in m.
-    """
+    """Share (V,) of an offset's change that moves points (V, 2) m of a specimen around ``centre``:
+    zero on the plate, one on the border, in proportion between them."""
     from_centre = np.abs((rest - np.asarray(centre)) @ _turn(rig.cut))
     if rig.specimen == "disc":
         from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
@@ -169,10 +160,9 @@ def share_of_offset(
 def default_edge(fabric: Fabric, rig: Rig) -> float:
     """Edge length at the rim, m, that suits the fabric: 2, 2.5, 3 or 4 mm.
 
-    The longest of these that goes :data:`EDGES_PER_LENGTH` times into the bending length
-    (alpha/rho g)^⅓ of the softest direction, because softer cloth makes narrower folds; few
-    classes, so that drapes share meshes. Without a plate, what such a mesh has at the hem: 8 to
-    16 mm.
+    The longest that goes :data:`EDGES_PER_LENGTH` times into the bending length (alpha/rho g)^⅓ of
+    the softest direction, because softer cloth makes narrower folds; few, so that drapes share
+    meshes. Without a plate, what such a mesh has at the hem: 8 to 16 mm.
     """
     length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
     fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
@@ -181,10 +171,8 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 
 
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
-    """Edges at the rim, m, of the meshes a drape is solved on; each time 2.5 times shorter.
-
-    None but the last has edges above ``coarsest``. InputError for an edge out of :data:`EDGES`.
-    """
+    """Edges at the rim, m, of a drape's meshes, each time 2.5 times shorter; none but
+    the last is above ``coarsest``. InputError for an edge out of :data:`EDGES`."""
     _check_edge(edge)
     levels = [edge]
     while _STEP * levels[0] <= coarsest:

@@ -41,25 +41,29 @@ class Mesh:
 
     @cached_property
     def _edge_tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # Edge i of a face lies opposite its corner i.
-        directed = self.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
-        edges, inverse = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-        face_edges = inverse.reshape(-1, 3)
-        order = np.argsort(face_edges.ravel(), kind="stable")
-        counts = np.bincount(face_edges.ravel(), minlength=len(edges))
+        edges, inverse, counts = np.unique(_sides(self.faces), axis=0, return_inverse=True,
+                                           return_counts=True)
+        inverse = inverse.ravel()
         if counts.max() > 2:
             raise InputError("the mesh is not a surface: an edge belongs to three triangles")
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        order = np.argsort(inverse, kind="stable")
+        first = np.cumsum(counts) - counts
         edge_faces = np.full((len(edges), 2), -1)
         edge_faces[:, 0] = order[first] // 3
         shared = counts == 2
         edge_faces[shared, 1] = order[first[shared] + 1] // 3
-        return edges, face_edges, edge_faces
+        return edges, inverse.reshape(-1, 3), edge_faces
 
     @property
     def edges(self) -> np.ndarray:
         """(E, 2) vertex pairs, smaller index first."""
         return self._edge_tables[0]
+
+    @cached_property
+    def edge_lengths(self) -> np.ndarray:
+        """(E,) at rest, m."""
+        ends = self.rest[self.edges]
+        return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
 
     @property
     def face_edges(self) -> np.ndarray:
@@ -80,12 +84,14 @@ def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2) of triangles (F, 3), smaller index first, and how many triangles each has (E,).
+    """Edges (E, 2) of any triangles (F, 3), smaller index first, and how many triangles each has
+    (E,); those of a specimen are :class:`Mesh`'s."""
+    return np.unique(_sides(faces), axis=0, return_counts=True)
 
-    For any triangles; those of a specimen are :class:`Mesh`'s.
-    """
-    pairs = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0, return_counts=True)
+
+def _sides(faces: np.ndarray) -> np.ndarray:
+    """(3 F, 2) vertices of the triangles' sides, smaller first; the i-th opposite corner i."""
+    return np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
 
 
 def adjacency(mesh: Mesh) -> sparse.csr_matrix:
@@ -97,10 +103,8 @@ def adjacency(mesh: Mesh) -> sparse.csr_matrix:
 
 
 def smooth(positions: np.ndarray, moving: np.ndarray, adjacent: sparse.csr_matrix) -> None:
-    """Move positions (V, 3) where ``moving`` (V,) half-way to the mean of their neighbours.
-
-    In place; ``adjacent`` as :func:`adjacency` gives it.
-    """
+    """Move positions (V, 3) where ``moving`` (V,) half-way to the mean of their neighbours, in
+    place; ``adjacent`` as :func:`adjacency` gives it."""
     degree = np.diff(adjacent.indptr)[:, None]
     positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
 

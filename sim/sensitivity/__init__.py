@@ -8,8 +8,7 @@ is symmetric, any number of them backwards in one solve
 """
 
 from sim.sensitivity.follow import follow
-from sim.sensitivity.forward import Sensitivities, sensitivities
-from sim.sensitivity.parameters import PARAMETERS
+from sim.sensitivity.forward import PARAMETERS, Sensitivities, sensitivities
 from sim.sensitivity.tangent import Tangent
 
 __all__ = ["PARAMETERS", "Sensitivities", "Tangent", "follow", "sensitivities"]

@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from common.errors import InputError
-from common.workers import worker_pool
 from sim.drape import DrapeResult
 from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -18,7 +17,7 @@ from sim.membranes import Corotational
 from sim.newton import NewtonOptions
 from sim.scene import Scene
 from sim.sensitivity.follow import follow
-from sim.sensitivity.parameters import combinations
+from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.rest_shape import pull_on_rest
 from sim.sensitivity.tangent import Tangent
 
@@ -30,9 +29,7 @@ class Equilibria:
     Attributes:
         positions: (V, 3) m each, with their derivatives; those of a failure are where it ended,
             their derivatives NaN.
-        results: the drapes, each with its status.
-        ok: (B,) whether the equilibrium and its derivatives exist.
-        messages: (B,) why not.
+        results, ok, messages: the drapes, whether each and its derivatives exist, and why not.
     """
 
     positions: list[Tensor]
@@ -42,18 +39,11 @@ class Equilibria:
 
 
 def equilibria(
-    starts: Sequence[DrapeResult],
-    *,
-    alpha: Tensor,
-    beta: Tensor,
-    density: Tensor | float = REFERENCE_DENSITY,
-    membrane: Tensor | float | None = None,
-    held: Sequence[Tensor] | None = None,
-    rest: Sequence[Tensor] | None = None,
-    bending: str | Law = "midedge",
-    others: tuple[Law, ...] = (),
-    options: NewtonOptions | None = None,
-    workers: int = 1,
+    starts: Sequence[DrapeResult], *, alpha: Tensor, beta: Tensor,
+    density: Tensor | float = REFERENCE_DENSITY, membrane: Tensor | float | None = None,
+    held: Sequence[Tensor] | None = None, rest: Sequence[Tensor] | None = None,
+    bending: str | Law = "midedge", others: tuple[Law, ...] = (),
+    options: NewtonOptions | None = None
 ) -> Equilibria:
     """Equilibria next to those of ``starts``, on their meshes, of other cloth.
 
@@ -75,10 +65,8 @@ def equilibria(
             the ``others`` as there for cloth of the reference density. Derivatives by ``rest`` are
             NaN for other laws than "midedge" alone.
         options: of the minimisations.
-        workers: processes that find the equilibria; see :func:`sim.batch.drapes.drape_batch`.
 
-    Raises:
-        InputError: shapes that do not fit, or values that no cloth has.
+    InputError for shapes that do not fit, or values that no cloth has.
     """
     count = len(starts)
     density = torch.as_tensor(density, dtype=torch.float64)
@@ -86,32 +74,24 @@ def equilibria(
         membrane = Corotational().stiffness / REFERENCE_DENSITY * density
     density, membrane = (torch.as_tensor(v, dtype=torch.float64).expand(count)
                          for v in (density, membrane))
-    given = {"alpha": alpha, "beta": beta, "held": held, "rest": rest}
+    if held is None:
+        held = [torch.from_numpy(start.positions[start.held]) for start in starts]
+    rest = [torch.from_numpy(start.rest) for start in starts] if rest is None else rest
+    given = {"alpha": alpha, "beta": beta, "density": density, "membrane": membrane, "held": held,
+             "rest": rest}
     for name, values in given.items():
-        if values is not None and len(values) != count:
+        if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} cloths")
-    tasks, inputs = [], []
-    made = Laws(bending=bending, others=others)
-    for k, start in enumerate(starts):
-        here = start.positions[start.held] if held is None else held[k]
-        flat = start.rest if rest is None else rest[k]
-        inputs.append([alpha[k], beta[k], density[k], membrane[k],
-                       torch.as_tensor(here), torch.as_tensor(flat)])
-        tasks.append(_task(start, *(_array(v) for v in inputs[-1]), made))
-    if workers > 1 and count > 1:
-        with worker_pool(min(workers, count)) as pool:
-            futures = [pool.submit(follow, start, fabric, laws=laws, options=options)
-                       for start, fabric, laws in tasks]
-            results = [future.result() for future in futures]
-    else:
-        results = [follow(start, fabric, laws=laws, options=options, keep=True)
-                   for start, fabric, laws in tasks]
+    inputs = list(zip(*given.values(), strict=True))
+    laws = Laws(bending=bending, others=others)
+    tasks = [_task(start, laws, *map(_array, values))
+             for start, values in zip(starts, inputs, strict=True)]
+    results = [follow(start, fabric, laws=laws, options=options, keep=True)
+               for start, fabric, laws in tasks]
     tangents = [Tangent.of(result) for result in results]
     return Equilibria(
-        positions=[
-            _Equilibrium.apply(tangent, result.fabric, *values)
-            for tangent, result, values in zip(tangents, results, inputs, strict=True)
-        ],
+        positions=[_Equilibrium.apply(tangent, result.fabric, *values)
+                   for tangent, result, values in zip(tangents, results, inputs, strict=True)],
         results=[replace(result, equilibrium=None) for result in results],
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
@@ -119,14 +99,8 @@ def equilibria(
 
 
 def _task(
-    start: DrapeResult,
-    alpha: np.ndarray,
-    beta: np.ndarray,
-    density: np.ndarray,
-    membrane: np.ndarray,
-    held: np.ndarray,
-    rest: np.ndarray,
-    laws: Laws,
+    start: DrapeResult, laws: Laws, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray,
+    membrane: np.ndarray, held: np.ndarray, rest: np.ndarray
 ) -> tuple[DrapeResult, Fabric, Laws]:
     """Start, fabric and laws of one sample, from the ``laws`` of all but their membrane."""
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
@@ -134,14 +108,13 @@ def _task(
                          f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
     fabric = Fabric(alpha, beta, float(density))
     stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
-    laws = replace(laws, membrane=Corotational(stiffness=stiffness))
     if not np.array_equal(rest, start.rest):
         start = replace(start, mesh=start.mesh.with_rest(rest))
     if not np.array_equal(held, start.positions[start.held]):
         positions = start.positions.copy()
         positions[start.held] = held
         start = start.at(positions)
-    return start, fabric, laws
+    return start, fabric, replace(laws, membrane=Corotational(stiffness=stiffness))
 
 
 class _Equilibrium(torch.autograd.Function):
@@ -167,20 +140,11 @@ class _Equilibrium(torch.autograd.Function):
 
 
 def pulled_back(
-    tangent: Tangent,
-    fabric: Fabric,
-    by_positions: np.ndarray,
-    *,
-    membrane: float,
-    by_held: bool = True,
-    by_rest: bool = True,
+    tangent: Tangent, fabric: Fabric, by_positions: np.ndarray, *, membrane: float,
+    by_held: bool = True, by_rest: bool = True
 ) -> tuple[np.ndarray | None, ...]:
-    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3).
-
-    Args:
-        fabric: whose own moduli and density are meant.
-        membrane: N/m, in-plane stiffness that is meant.
-        by_held, by_rest: whether these two are wanted.
+    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3),
+    of ``fabric``'s own moduli and density and an in-plane stiffness ``membrane``, N/m.
 
     Returns:
         By alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and rest points
@@ -194,7 +158,7 @@ def pulled_back(
     along[: tangent.coordinates] = by_positions.ravel()
     weights = tangent.response(along)
     _, rows = combinations(("alpha", "beta", "density", "membrane"), fabric)
-    by_fabric = -rows @ (tangent.force_derivatives() @ weights)
+    by_fabric = -rows @ (force_derivatives(tangent.cloth, tangent.q) @ weights)
     held = rest = None
     if by_held:
         push = tangent.force_of(weights)
@@ -207,11 +171,8 @@ def pulled_back(
 
 
 def clamp_levers(scene: Scene, positions: np.ndarray) -> sparse.csr_matrix:
-    """(E, 3 V) turns of the normals of held triangles' edges, rad, by moves of their corners, m.
-
-    Against a frame carried along by the edge, a triangle's normal turns by the opposite corner's
-    move along it over the height there, less the same of the height's foot on the edge.
-    """
+    """(E, 3 V) turns of the normals of held triangles' edges, rad, by corners' moves, m: the
+    opposite corner's move along the normal over the height, less that of the height's foot."""
     mesh = scene.mesh
     face, side = np.nonzero(scene.held_edges[mesh.face_edges] & ~scene.active[:, None])
     start, end, corner = (mesh.faces[face, (side + k) % 3] for k in (1, 2, 0))

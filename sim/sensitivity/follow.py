@@ -17,30 +17,21 @@ from sim.state import State
 
 
 def follow(
-    result: DrapeResult,
-    fabric: Fabric,
-    *,
-    laws: Laws | None = None,
-    extra: Sequence[Energy] = (),
-    options: NewtonOptions | None = None,
-    sensitivities: Sensitivities | None = None,
-    keep: bool = False,
+    result: DrapeResult, fabric: Fabric, *, laws: Laws | None = None, extra: Sequence[Energy] = (),
+    options: NewtonOptions | None = None, sensitivities: Sensitivities | None = None,
+    keep: bool = False
 ) -> DrapeResult:
     """The drape of ``fabric`` next to ``result``, on its mesh: a warm start in place of a new one.
 
     A large change of moduli may end in other folds; the way there is a minimisation, not a path
-    of equilibria.
+    of equilibria. Iterations and seconds of the drape are those of this search.
 
     Args:
-        laws: of bending and membrane; None for those of ``result``.
+        laws, options: None for those of ``result``, and of a drape.
         extra: more energies, such as springs that hold the cloth.
-        options: of the minimisation; None for those of a drape.
         sensitivities: of ``result``, by "log_alpha" and "ratio" among others: the search starts at
             the linear prediction where its energy is lower than that of ``result``'s shape.
         keep: whether the drape keeps its energies and factor, for derivatives.
-
-    Returns:
-        The drape; look at its ``status``. Iterations and seconds are those of this search.
     """
     began = time.perf_counter()
     laws = laws or result.laws
@@ -49,15 +40,12 @@ def follow(
     if sensitivities is not None and sensitivities.ok:
         cloth = Cloth(scene, simulated, laws=laws, extra=extra)
         start = _better(cloth, result, sensitivities)
-    found = find_equilibrium(
-        scene, simulated, start, laws=laws, extra=extra, options=options or FINE_OPTIONS,
-        self_contact=True, touching=result.touches,
-    )
-    return drape_result(
-        fabric, result.rig, laws, found, edge=result.edge, extra=extra,
-        iterations=found.newton.iterations, seconds=time.perf_counter() - began,
-        time_spent=found.newton.seconds, keep=keep,
-    )
+    found = find_equilibrium(scene, simulated, start, laws=laws, extra=extra,
+                             options=options or FINE_OPTIONS, self_contact=True,
+                             touching=result.touches)
+    return drape_result(fabric, result.rig, laws, found, edge=result.edge, extra=extra,
+                        iterations=found.newton.iterations, time_spent=found.newton.seconds,
+                        seconds=time.perf_counter() - began, keep=keep)
 
 
 def _better(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) -> State:

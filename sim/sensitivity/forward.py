@@ -1,14 +1,30 @@
-"""Forward sensitivities: how every vertex moves with every parameter."""
+"""Forward sensitivities: how every vertex moves with every parameter of the cloth.
+
+All parameters are combinations of eight (:data:`BASIC`): log alpha at fixed beta/alpha and
+beta/alpha of the three directions, log density and log membrane stiffness, each with all others
+fixed. They do not change when moduli, stiffness and density are scaled together, as
+:func:`sim.drape.drape` does.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from common.errors import InputError
+from sim.cloth import Cloth
 from sim.drape import DrapeResult
-from sim.material import Fabric
-from sim.sensitivity.parameters import combinations
+from sim.energies.base import Energy
+from sim.material import DIRECTIONS, Fabric
+from sim.potential import forces
 from sim.sensitivity.tangent import Tangent
+
+PARAMETERS = ("log_alpha", "ratio", "alpha", "beta", "density", "membrane")
+"""Names of (groups of) parameters: the first four stand for warp, bias and weft."""
+BASIC = 8
+_DENSITY, _MEMBRANE = 6, 7
+_LOG_STEP = 1e-5  # of log alpha
+_RATIO_STEP = 1e-7  # m, of beta/alpha: some 1e-5 of the radii to which cloth bends
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,11 +33,8 @@ class Sensitivities:
 
     Attributes:
         names: (P,) parameters, such as "log_alpha_warp".
-        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter.
-        vertices: V.
-        ok: whether the derivatives exist.
-        message: why not, in a sentence.
-        softest: see :class:`sim.sensitivity.tangent.Tangent`.
+        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter; vertices: V.
+        ok, message, softest: see :class:`sim.sensitivity.tangent.Tangent`.
     """
 
     names: tuple[str, ...]
@@ -43,7 +56,7 @@ def sensitivities(
     """Derivatives of a drape by parameters of its fabric, on the mesh it has.
 
     Args:
-        parameters: any of :data:`sim.sensitivity.parameters.PARAMETERS`, three each for warp,
+        parameters: any of :data:`PARAMETERS`, three each for warp,
             bias and weft, others constant:
 
             "log_alpha"  per unit of log alpha at fixed beta/alpha; with
@@ -54,9 +67,6 @@ def sensitivities(
 
             Moduli and density are the fabric's own. A drape is simulated at the reference density
             with the membrane of its laws: the in-plane stiffness is that of cloth of that density.
-
-    Raises:
-        InputError: unknown parameter, or a law that has no derivative.
     """
     return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 
@@ -64,21 +74,73 @@ def sensitivities(
 def tangent_sensitivities(
     tangent: Tangent, fabric: Fabric, parameters: Sequence[str]
 ) -> Sensitivities:
-    """Derivatives of the equilibrium of ``tangent``; arguments as for :func:`sensitivities`.
-
-    ``fabric`` has the moduli and density that the derivatives refer to, those of the tangent but
-    for a common factor.
-    """
+    """The same of the equilibrium of ``tangent``. ``fabric`` has the moduli and density that the
+    derivatives refer to, those of the tangent but for a common factor."""
     names, rows = combinations(parameters, fabric)
     moves = np.full((len(names), tangent.cloth.potential.unknowns), np.nan)
     if tangent.ok:
-        for move, push in zip(moves, rows @ tangent.force_derivatives(), strict=True):
-            move[:] = -tangent.response(push)
-    return Sensitivities(
-        names=names,
-        moves=moves,
-        vertices=len(tangent.cloth.scene.mesh.rest),
-        ok=tangent.ok,
-        message=tangent.message,
-        softest=tangent.softest,
-    )
+        pushes = rows @ force_derivatives(tangent.cloth, tangent.q)
+        moves = np.array([-tangent.response(push) for push in pushes])
+    return Sensitivities(names, moves, len(tangent.cloth.scene.mesh.rest), tangent.ok,
+                         tangent.message, tangent.softest)
+
+
+def combinations(names: Sequence[str], fabric: Fabric) -> tuple[tuple[str, ...], np.ndarray]:
+    """Labels (P,) of the parameters ``names`` of ``fabric``, and (P, BASIC) the derivatives of the
+    basic parameters by each; InputError for an unknown name."""
+    basic, alpha = np.eye(BASIC), fabric.alpha[:, None]
+    log_alpha, ratio = basic[:3], basic[3:6]
+    rows = {"log_alpha": log_alpha, "ratio": ratio,
+            "alpha": (log_alpha - fabric.beta[:, None] / alpha * ratio) / alpha,
+            "beta": ratio / alpha,
+            "density": basic[[_DENSITY]] / fabric.density, "membrane": basic[[_MEMBRANE]]}
+    for name in names:
+        if name not in rows:
+            raise InputError(f"unknown parameter '{name}'; choose from {', '.join(PARAMETERS)}")
+    labels = [label for name in names for label in (
+        [name] if len(rows[name]) == 1 else [f"{name}_{direction}" for direction in DIRECTIONS])]
+    return tuple(labels), np.concatenate([np.empty((0, BASIC)), *(rows[name] for name in names)])
+
+
+def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
+    """(BASIC, U) derivatives of the energy's gradient at the state ``q``.
+
+    The membrane's forces are proportional to its stiffness, all that are not the cloth's own
+    (weight, contact) to the density: these derivatives are the forces themselves. The energies of
+    ``laws.others`` are those of cloth of the reference density, so for cloth of another they are
+    proportional to the density too, and made of the moduli over the density. By the moduli,
+    central differences of the forces (error below 1e-9): the laws are smooth in them but for
+    creases, such as the one at isotropic moduli, where this is the mean of both sides.
+    """
+    scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
+
+    def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
+        # Only where the law is the energy's class: others may make more of the fabric.
+        if laws.bending_law is type(cloth.bending) and hasattr(cloth.bending, "with_fabric"):
+            bending = cloth.bending.with_fabric(fabric)
+        else:
+            bending = laws.bending_law(scene.mesh, scene.active, fabric=fabric)
+        others = [law(scene.mesh, scene.active, fabric=fabric) for law in laws.others]
+        return [bending], others
+
+    result = np.zeros((BASIC, size))
+    result[_MEMBRANE] = forces([cloth.membrane], q, size)
+    result[_DENSITY] = forces([*cloth.outer, *cloth.others], q, size)
+    for row in range(6):
+        step = _LOG_STEP if row < 3 else _RATIO_STEP
+        ahead, behind = made(_changed(cloth.fabric, row, step)), made(
+            _changed(cloth.fabric, row, -step))
+        bending, others = ((forces(a, q, size) - forces(b, q, size)) / (2 * step)
+                           for a, b in zip(ahead, behind, strict=True))
+        result[row] = bending + others
+        if row < 3:
+            result[_DENSITY] -= others
+    return result
+
+
+def _changed(fabric: Fabric, row: int, step: float) -> Fabric:
+    """``fabric`` with one of the basic parameters of its moduli increased by ``step``."""
+    log_alpha, ratio = np.log(fabric.alpha), fabric.beta / fabric.alpha
+    (log_alpha if row < 3 else ratio)[row % 3] += step
+    alpha = np.exp(log_alpha)
+    return Fabric(alpha, ratio * alpha, fabric.density)

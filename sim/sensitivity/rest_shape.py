@@ -12,18 +12,16 @@ import torch
 from sim import reference
 from sim.cloth import Cloth
 from sim.mesh.specimens import share_of_offset
+from sim.potential import forces
 from sim.scene import Rig
-from sim.sensitivity.parameters import forces
 from sim.sensitivity.tangent import Tangent
 
 _STEP = 1e-5  # of the mean edge, in central differences
 
 
 def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
-    """(K, V, 3) how the equilibrium moves while its rest points move by ``moves`` (K, V, 2).
-
-    Held vertices stay in place. By central differences of the forces, for any laws.
-    """
+    """(K, V, 3) how the equilibrium moves while its rest points move by ``moves`` (K, V, 2). Held
+    vertices stay in place. By central differences of the forces, for any laws."""
     result = np.zeros((len(moves), *tangent.positions.shape))
     for k, move in enumerate(moves):
         step = _step(tangent, move)
@@ -44,10 +42,8 @@ def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
 
 
 def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad.
-
-    Those of the ``rig`` on which it lies; the mesh moves as for :func:`moves_with_offset`.
-    """
+    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad; the
+    mesh moves as for :func:`moves_with_offset`."""
     share, from_centre = _of_border(tangent, rig)
     turned = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
     return moves_with_rest(
@@ -55,10 +51,8 @@ def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
 
 
 def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m.
-
-    The vertices on the plate move with it, and so do the others less and less towards the border.
-    """
+    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m. The vertices on
+    the plate move with it, and the others less and less towards the border."""
     scene = tangent.cloth.scene
     move = (1 - _of_border(tangent, rig)[0])[:, None] * scene.mesh.rest / rig.plate_diameter
     step = _step(tangent, move)
@@ -81,9 +75,7 @@ def _of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 def _step(tangent: Tangent, move: np.ndarray) -> float:
     """By how much of a ``move`` of the rest points forces are compared."""
-    mesh = tangent.cloth.scene.mesh
-    edge = np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1).mean()
-    return _STEP * edge / np.abs(move).max()
+    return _STEP * tangent.cloth.scene.mesh.edge_lengths.mean() / np.abs(move).max()
 
 
 def _forces_at(tangent: Tangent, move: np.ndarray, rig: Rig | None = None) -> np.ndarray:
@@ -97,25 +89,20 @@ def _forces_at(tangent: Tangent, move: np.ndarray, rig: Rig | None = None) -> np
 
 
 def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
-    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,).
-
-    By automatic differentiation of :mod:`sim.reference`. NaN where there is an energy without a
-    twin there, that is, for other laws than the default.
-    """
+    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,), by
+    automatic differentiation of :mod:`sim.reference`; NaN for laws that have no twin there."""
     cloth, mesh = tangent.cloth, tangent.cloth.scene.mesh
     if not reference.covers(cloth):
         return np.full_like(mesh.rest, np.nan)
     with torch.enable_grad():  # which is off where this is part of a backward pass
-        cloths = reference.cloths_of([cloth])
-        rest = cloths.rest.requires_grad_()
-        x, n = torch.from_numpy(tangent.q.reshape(1, -1, 3)).split(
-            [len(mesh.rest), len(mesh.edges)], dim=1)
+        twin = reference.Twin(cloth)
+        x, n = torch.from_numpy(tangent.q.reshape(-1, 3)).split([len(mesh.rest), len(mesh.edges)])
+        rest = torch.tensor(mesh.rest, requires_grad=True)
         move = torch.zeros_like(x, requires_grad=True)
-        turn = torch.zeros(1, len(mesh.edges), dtype=x.dtype, requires_grad=True)
-        there = reference.moved(cloths.topology, x, n, move, turn)
-        total = reference.energy(cloths, x + move, there)
-        gradients = torch.autograd.grad(total.sum(), (move, turn), create_graph=True)
+        turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
+        total = twin.energy(x + move, reference.moved(twin.edges, x, n, move, turn), rest)
+        gradients = torch.autograd.grad(total, (move, turn), create_graph=True)
         along, around = np.split(weights, [tangent.coordinates])
         pull = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
                 + (gradients[1] * torch.from_numpy(around)).sum())
-        return torch.autograd.grad(pull, rest)[0][0].numpy()
+        return torch.autograd.grad(pull, rest)[0].numpy()

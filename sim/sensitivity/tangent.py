@@ -2,16 +2,13 @@
 
 import numpy as np
 
-from common.errors import InputError
 from sim.cloth import Cloth
 from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import Equilibrium
-from sim.lagged import follows_curvature
-from sim.laws import Laws
 from sim.linear import CholeskySolver, make_solver
+from sim.potential import hessian_product
 from sim.self_contact import contact_near
-from sim.sensitivity.parameters import force_derivatives, hessian_product
 
 STEP, RESIDUAL = 1e-5, 1e-6
 """mm and weights of a vertex: Newton's next step and largest force at the state that is
@@ -28,25 +25,17 @@ _POWERS = 2  # inverse iterations: the softest motion of a regular Hessian is on
 class Tangent:
     """The equilibrium of a cloth at a state, and the linear response to forces on it.
 
-    The state is first moved by a few exact Newton steps, until :data:`STEP` is kept.
-
-    Args:
-        found: an equilibrium, or a state next to one.
+    The state of ``found``, an equilibrium or next to one, is first moved by a few exact Newton
+    steps, until :data:`STEP` is kept.
 
     Attributes:
-        cloth: its energies.
-        q: (3 V + 3 E,) the state at the equilibrium.
-        ok: whether it is a minimum with a regular Hessian; without, there is no response.
-        message: how it ended.
-        softest: about the stiffness of the softest motion, see :data:`SOFTEST`; 0 where there is no
-            factor.
-
-    Raises:
-        InputError: a law that is not the derivative of an energy.
+        cloth, q: its energies, and the state (3 V + 3 E,) at the equilibrium.
+        ok, message: whether it is a minimum with a regular Hessian, without which there is no
+            response; why not.
+        softest: about the stiffness of the softest motion, see :data:`SOFTEST`; 0 without a factor.
     """
 
     def __init__(self, found: Equilibrium) -> None:
-        _require_energy(found.cloth.laws)
         self.cloth, self.q = found.cloth, found.state.q
         self.softest = 0.0
         self._factor: CholeskySolver | None = found.newton.factor
@@ -54,18 +43,26 @@ class Tangent:
 
     @classmethod
     def of(cls, result: DrapeResult) -> "Tangent":
-        """The tangent of a drape; not ok where it did not converge.
-
-        Like the drape it is that of the fabric at the reference density, the membrane's stiffness
-        that of the laws there.
-        """
-        return cls.near(result)._checked(result)
+        """The tangent of a drape, of the fabric at the reference density; not ok where it did not
+        converge."""
+        tangent, reason = cls.near(result), ""
+        contact = [e for e in tangent.cloth.extra if isinstance(e, SelfContact)]
+        if not result.converged:
+            reason = f"the drape is no equilibrium: {result.message}"
+        elif not all(energy.is_complete(tangent.q) for energy in contact):
+            reason = "self-contact reaches further than the Hessian's pattern"
+        if reason:
+            tangent.ok, tangent.message, tangent.softest = False, reason, 0.0
+        return tangent
 
     @classmethod
     def near(cls, result: DrapeResult) -> "Tangent":
         """The tangent of the equilibrium next to a drape, whether this converged or not."""
-        _require_energy(result.laws)
-        return cls(result.equilibrium or rebuilt(result))
+        if result.equilibrium:
+            return cls(result.equilibrium)
+        extra = [*result.extra, *([possible_contact(result)] if result.touches else [])]
+        cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
+        return cls(Equilibrium.at(cloth, result.state))
 
     @property
     def positions(self) -> np.ndarray:
@@ -78,10 +75,8 @@ class Tangent:
         return 3 * len(self.cloth.scene.mesh.rest)
 
     def response(self, force: np.ndarray) -> np.ndarray:
-        """(U,) moves H⁻¹ f under a force (U,), zero where the cloth is held.
-
-        What acts on held unknowns has no effect. NaN where the tangent is not ok.
-        """
+        """(U,) moves H⁻¹ f under a force (U,), zero where the cloth is held; what acts there has no
+        effect. NaN where the tangent is not ok."""
         if not self.ok:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential
@@ -90,18 +85,6 @@ class Tangent:
     def force_of(self, move: np.ndarray) -> np.ndarray:
         """(U,) change of the energy's gradient when the unknowns move by ``move`` (U,)."""
         return hessian_product(self.cloth.potential.energies, self.q, move)
-
-    def force_derivatives(self) -> np.ndarray:
-        """See :func:`sim.sensitivity.parameters.force_derivatives`."""
-        return force_derivatives(self.cloth, self.q)
-
-    def _checked(self, result: DrapeResult) -> "Tangent":
-        contact = [e for e in self.cloth.extra if isinstance(e, SelfContact)]
-        if not result.converged:
-            self._fail(f"the drape is no equilibrium: {result.message}")
-        elif not all(energy.is_complete(self.q) for energy in contact):
-            self._fail("self-contact reaches further than the Hessian's pattern")
-        return self
 
     def _approach(self) -> tuple[bool, str]:
         """Take the last Newton steps and factorise; ``ok`` and ``message``."""
@@ -135,26 +118,7 @@ class Tangent:
             before, motion = motion, self._factor.solve(scale * motion)
         return float(1.0 / (before @ (scale * motion)))
 
-    def _fail(self, message: str) -> None:
-        self.ok, self.message, self.softest = False, message, 0.0
-
-
-def rebuilt(result: DrapeResult) -> Equilibrium:
-    """A drape's energies and state, without the factor of its minimisation."""
-    extra = list(result.extra)
-    if result.touches:
-        extra.append(possible_contact(result))
-    cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
-    return Equilibrium.at(cloth, result.state)
-
 
 def possible_contact(result: DrapeResult) -> SelfContact:
     """The contact of a drape with itself, as its search would add it; zero for most drapes."""
-    simulated = result.simulated
-    return contact_near(result.scene, result.positions, density=simulated.density)
-
-
-def _require_energy(laws: Laws) -> None:
-    if follows_curvature(laws):
-        raise InputError("hinge laws that follow the direction of bending are not the derivative "
-                         "of an energy; choose midedge or hinge")
+    return contact_near(result.scene, result.positions, density=result.simulated.density)

@@ -8,20 +8,15 @@ from common.errors import InputError
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.membranes import Corotational, Guarded, NonlinearCurves, OrthotropicStVK
+from sim.membranes import Corotational, Guarded, OrthotropicStVK
 from sim.mesh import strip
 
 ORTHOTROPIC = OrthotropicStVK(warp=400.0, weft=90.0, poisson=0.6, shear=30.0)
-CURVED = NonlinearCurves(
-    warp=((0.0, 0.0), (0.02, 2.0), (0.05, 20.0)), weft=((0.0, 0.0), (0.03, 1.0), (0.09, 9.0))
-)
 MEMBRANES = {
     "corotational": Corotational(),
     "stvk": ORTHOTROPIC,
-    "curves": CURVED,
     "guarded corotational": Guarded(Corotational(5000.0)),
     "guarded stvk": Guarded(OrthotropicStVK(5000.0, 2000.0, 0.5, 600.0)),
-    "guarded curves": Guarded(CURVED),
 }
 
 
@@ -128,27 +123,6 @@ def test_simple_shear_has_the_shear_modulus():
     assert stretched(ORTHOTROPIC, 1.0, 1.0, gamma) == pytest.approx(expected, rel=1e-10)
 
 
-def test_stress_curves_pass_through_their_knots_and_go_on_straight():
-    for strain, stress in ((0.02, 2.0), (0.05, 20.0), (0.08, 38.0)):  # the last slope is 600 N/m
-        s = np.sqrt(1 + 2 * strain)
-        assert pull(CURVED, s, 1.0, 0) == pytest.approx(s * stress, rel=1e-6)
-    for strain, stress in ((0.03, 1.0), (0.09, 9.0)):
-        s = np.sqrt(1 + 2 * strain)
-        assert pull(CURVED, 1.0, s, 1) == pytest.approx(s * stress, rel=1e-6)
-        assert pull(CURVED, 1.0, s, 0) == pytest.approx(0.0, abs=1e-7)  # no Poisson effect
-    s = np.sqrt(1 - 2 * 0.04)  # pushed together: the slope at rest, 100 N/m
-    assert pull(CURVED, s, 1.0, 0) == pytest.approx(s * 100 * -0.04, rel=1e-6)
-
-
-def test_straight_curves_are_stvk_without_poisson_effect():
-    linear = NonlinearCurves(*(((0.0, 0.0), (0.1, 0.1 * k)) for k in (400.0, 90.0, 30.0)))
-    stvk = OrthotropicStVK(400.0, 90.0, 0.0, 30.0)
-    mesh, active, q = crumpled_strip()
-    values = [membrane.energy(mesh, active) for membrane in (linear, stvk)]
-    assert values[0].value(q) == pytest.approx(values[1].value(q), rel=1e-12)
-    assert np.allclose(*(v.hessian(q) for v in values), rtol=1e-9, atol=1e-9)
-
-
 def test_small_strains_do_not_tell_isotropic_stvk_from_corotational():
     laws = Corotational(200.0, 0.3), OrthotropicStVK()
     for stretches in ((1.001, 1.0), (0.9995, 1.001), (1.0, 1.001)):
@@ -168,7 +142,7 @@ def test_corotational_guard_of_no_width_is_the_corotational_law():
 
 @pytest.mark.parametrize(
     "inner",
-    [Corotational(5000.0), OrthotropicStVK(5000.0, 3000.0, 0.3, 900.0), NonlinearCurves()],
+    [Corotational(5000.0), OrthotropicStVK(5000.0, 3000.0, 0.3, 900.0)],
 )
 def test_strain_within_the_band_costs_the_share_only(inner):
     guard = Guarded(inner, share=1e-6)
@@ -257,9 +231,6 @@ def test_stiffness_scales():
         (lambda: Corotational(200.0, 1.0), "poisson"),
         (lambda: OrthotropicStVK(shear=0.0), "shear"),
         (lambda: OrthotropicStVK(warp=100.0, weft=400.0, poisson=0.5), "poisson"),
-        (lambda: NonlinearCurves(warp=((0.0, 0.0),)), "warp"),
-        (lambda: NonlinearCurves(weft=((0.0, 0.0), (0.1, 5.0), (0.2, 4.0))), "weft"),
-        (lambda: NonlinearCurves(shear=((0.01, 0.0), (0.1, 5.0))), "shear"),
         (lambda: Guarded(low=1.0), "free stretch"),
         (lambda: Guarded(share=0.0), "share"),
         (lambda: Guarded(Guarded()), "cannot be guarded"),

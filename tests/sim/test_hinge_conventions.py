@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from test_hinges import BOTH, one_hinge
 
-from sim.hinge_laws import HingeLaw
-from sim.hinge_units import ARCSIM, DISCRETE_SHELLS
+from sim.hinge_laws import ARCSIM, DISCRETE_SHELLS, HingeLaw
 from sim.material import Fabric
 
 ALPHA, BETA = 25e-6, -30e-9
@@ -29,7 +28,7 @@ def test_arcsim_stores_the_same_energy():
     """k l² theta²/(8 A), and k from a table over kappa = theta l/A for the non-linear law."""
     _, _, edge, (h0, h1) = one_hinge(ANGLE)
     area = edge * (h0 + h1) / 2
-    k, b = ARCSIM.from_here(ALPHA, BETA)
+    k, b = ALPHA / ARCSIM.curvature, BETA / ARCSIM.curvature**2
     assert (k, b) == pytest.approx((4 * ALPHA, 16 * BETA))
     assert k * edge**2 / (2 * area) * ANGLE**2 / 4 == pytest.approx(own_energy(0.0), rel=1e-12)
     curvature = 1 / (2 * (h0 + h1))
@@ -43,7 +42,7 @@ def test_discrete_shells_store_the_same_energy():
     """a theta² e/(2 h) with h a third of the mean height; half of a without the half."""
     _, _, edge, (h0, h1) = one_hinge(ANGLE)
     height = (h0 + h1) / 2 / 3
-    a, b = DISCRETE_SHELLS.from_here(ALPHA, BETA)
+    a, b = ALPHA / DISCRETE_SHELLS.curvature, BETA / DISCRETE_SHELLS.curvature**2
     assert (a, b) == pytest.approx((ALPHA / 3, BETA / 9))
     assert a * ANGLE**2 * edge / (2 * height) == pytest.approx(own_energy(0.0), rel=1e-12)
     assert ALPHA / 6 * ANGLE**2 * edge / height == pytest.approx(own_energy(0.0), rel=1e-12)
