@@ -179,6 +179,6 @@ STUDY = Study(
     "comparable: there all three have one discrete law on one mesh; here two laws are compared.",
     "Equilibria next to the plate's drape on its mesh, so that folds are the same; Style3D starts "
     "there and integrates in time, without friction and without contact of the cloth with itself. "
-    "The modulus is scaled as for unstructured meshes. Style3D takes the modulus by the direction of "
-    "the edge, with powers of its own, and halves the stiffness of the row of hinges at the rim, "
-    "of which one side is held; its membrane has 200 N/m along the yarns and 77 N/m in shear.")
+    "The modulus is scaled as for unstructured meshes. Style3D takes the modulus by the direction "
+    "of the edge, with powers of its own, and halves the stiffness of the row of hinges at the "
+    "rim, of which one side is held; its membrane has 200 N/m along the yarns and 77 N/m in shear.")
