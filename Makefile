@@ -8,7 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu studies example validate clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu docs studies example validate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -90,6 +90,9 @@ bench-gpu: $(STAMP)  ## views rendered on the GPU against the CPU, into the same
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+docs: $(STAMP)  ## figures of README.md and docs/*.md, from the reports
+	$(BIN)/python -m benchmarks.figures
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
 	$(BIN)/python -m studies all

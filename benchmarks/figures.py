@@ -1,0 +1,453 @@
+"""Figures in the documentation, filled in from the reports: ``python -m benchmarks.figures``.
+
+In README.md and docs/*.md, what stands between ``<!-- figures: NAME -->`` and ``<!-- end -->`` is
+the block NAME of :data:`BLOCKS`, made from docs/validation/*.json and docs/studies/*.json. A test
+compares pages and reports; ``make docs`` brings the pages up to date.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterable
+from functools import cache
+from math import exp, sqrt
+
+from benchmarks.common import REPORTS, ROOT, table
+from common.cli import run_command
+from common.errors import InputError
+from common.files import replace_file
+from drapenet.checkpoint import bundled, read_header
+
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
+MISSED = "**missed**"
+"""Beside a target that the figure does not reach."""
+
+
+@cache
+def report(name: str) -> dict:
+    """A report of docs/validation."""
+    return json.loads((REPORTS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def cell(kind: str, name: str = "as trained") -> dict:
+    """A cell of the evaluation of the network of ``kind`` of specimens."""
+    return report(f"evaluation_{RIGS[kind]}")["cells"].get(name)
+
+
+def spread(kind: str) -> float:
+    """Root mean square over directions of the standard deviation of log α over fabrics."""
+    std = read_header(bundled(RIGS[kind])).scale.std[:3]
+    return sqrt(sum(one**2 for one in std) / 3)
+
+
+def percent(value: float, digits: int = 0) -> str:
+    return f"{100 * value:.{digits}f} %"
+
+
+def inside(found: dict) -> str:
+    """Shares inside the intervals of 50, 68 and 90 %."""
+    shares = [one["mean"] if isinstance(one, dict) else one for one in found["inside"].values()]
+    return "{:.0f}, {:.0f}, {:.0f} %".format(*(100 * share for share in shares))
+
+
+def slug(title: str) -> str:
+    """GitHub's anchor of a heading."""
+    return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
+
+
+def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Lines of a Markdown table whose columns are not aligned."""
+    lines = [list(head), *rows]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def claims() -> str:
+    """The table of claims; a target that the report does not reach is marked."""
+    rows: list[list[str]] = []
+
+    def add(claim: str, section: str, figure: str, target: str, command: str, *,
+            met: bool = True) -> None:
+        rows.append([f"[{claim}](#{slug(section)})", figure,
+                     target if met else f"{target}: {MISSED}",
+                     f"`{command if '.' in command else 'benchmarks.' + command}`"])
+
+    found = report("elastica")
+    add("Hanging strips have the shape of the elastica", "Strips against the heavy elastica",
+        f"drop over reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to 1000, "
+        "on four triangulations", "0.5 %", "elastica", met=found["passed"])
+
+    found = report("strips")
+    bent = max(abs(row["deviation"]) for row in found["nonlinear"])
+    cut = max(abs(row["deviation"]) for row in found["angled"])
+    add("… also with quadratic moduli and off-axis",
+        "Non-linear and anisotropic strips, and plates",
+        f"{percent(bent, 2)} (non-linear); {percent(cut, 2)} of the modulus at five angles",
+        "1 %; 2 %", "strips", met=bent < 0.01 and cut < 0.02)
+    rates = found["plate_rates"].values()
+    add("The element converges to plate theory", "Non-linear and anisotropic strips, and plates",
+        f"order {min(rates):.1f} to {max(rates):.1f} on three plates", "2", "strips",
+        met=min(rates) > 1.9)
+
+    found = report("testers")["errors_percent"]["guided regression"]
+    worst = [found[name]["largest"] for name in ("alpha", "beta")]
+    add("Cantilever estimators recover the moduli of guided strips", "Cantilever estimators",
+        f"α within {worst[0]:.1f} %, β within {worst[1]:.1f} % in {found['alpha']['readings']} of "
+        "60 directions", "2 %; 10 %", "testers", met=worst[0] <= 2 and worst[1] <= 10)
+
+    found = report("meshes")
+    midedge, hinge = (found["summary"][law]["largest_mean_mm"] for law in ("midedge", "hinge"))
+    add("A fine mesh does not decide the drape †", "Mesh independence",
+        f"three kinds of meshes agree within {midedge:.2f} mm (hinge model {hinge:.1f} mm)",
+        f"{found['limit_mm']} mm", "meshes", met=found["passed"])
+
+    found = report("default_mesh")
+    free, placed = found["meshes"][RIGS["squares"]][:2]
+    add("The default mesh is close to a fine one", "The default mesh",
+        f"{free['mean_mm']:.2f} mm as draped, {placed['mean_mm']:.2f} mm in the fine mesh's "
+        "minimum", f"{found['limit_mm']} mm as draped", "default_mesh",
+        met=free["mean_mm"] <= found["limit_mm"])
+
+    found = report("convergence")
+    drapes = found["all"]
+    deepest = drapes["deepest_entry_of_accepted_mm"]
+    add("Drapes converge", "Convergence",
+        f"{percent(drapes['share_reached'], 1)} of {drapes['drapes']}, "
+        f"{drapes['accepted_that_intersect_themselves']} intersect themselves, at most "
+        f"{deepest:.3f} mm inside the cylinder", "99 %; 0; 0.2 mm", "convergence",
+        met=found["passed"])
+
+    found = report("speed")["default"]
+    mean, median = found["mean_cpu_seconds"], found["median_cpu_seconds"]
+    add("A drape costs one to two CPU-seconds", "Speed",
+        f"mean {mean:.2f}, median {median:.2f} (the paper's took 19.8 on other hardware)",
+        "1.2; 1.0", "speed", met=mean <= 1.2 and median <= 1.0)
+
+    worst = report("membranes")["scaling_worst_mm"]
+    add("A drape depends on moduli over density alone", "Membrane",
+        f"{worst:.0e} mm, if the membrane scales as well", "0.01 mm", "membranes",
+        met=worst < 0.01)
+
+    found = report("scans")
+    add("Simulated drapes reach the drape coefficients of real ones", "Real drapes",
+        f"within {found['largest_difference']:.2f} points on {len(found['scans'])} scans",
+        f"{found['limit_points']:.0f} points", "scans", met=found["passed"])
+
+    found = report("sensitivity")
+    cost = found["share_of_the_drape"]["backward"]["largest"]
+    add("Derivatives of a drape are right", "Derivatives of a drape",
+        "forward {:.1e}, adjoint {:.1e} from central differences; backward pass at most "
+        "{} of a drape".format(*found["worst"].values(), percent(cost, 1)), "1e-3; 15 %",
+        "sensitivity", met=found["passed"])
+
+    found = report("batched")["each_on_its_own"]
+    add("Two cores make twice the drapes †", "Many drapes at once",
+        f"{found['ratio']:.2f} times; {found['ratio_from_their_start']:.2f} with the start of the "
+        "processes", "2", "batched", met=found["ratio_from_their_start"] >= 2)
+
+    agreement = report("render")["agreement"]["rasteriser"]
+    speeds = report("render")["views_per_second"]["240x180"]
+    add("The rasteriser sees what ray casting sees †", "Rendering",
+        f"{agreement['silhouette_pixels_that_differ']} of "
+        f"{1e-6 * agreement['cloth_pixels']:.1f} million pixels differ, depth within "
+        f"{agreement['largest_mm']:.3f} mm; {speeds['rasteriser'] / speeds['rays']:.1f} times as "
+        "fast", "1 pixel; 0.05 mm", "render", met=agreement["largest_mm"] < 0.05)
+
+    bounds = report("information")["rms"]
+    bound = bounds["all nuisances unknown"]
+    ideal = bounds["no nuisances"]
+    add("What four views of a drape can determine at best", "What a drape determines",
+        f"log α to {ideal['log_alpha']:.2f} and β/α to {1e3 * ideal['beta_over_alpha']:.1f} mm "
+        f"without nuisances; {bound['log_alpha']:.2f} and {1e3 * bound['beta_over_alpha']:.1f} mm "
+        "with all unknown", "–", "information")
+
+    for kind in RIGS:
+        found = cell(kind)
+        error, ratio = found["log_alpha"]["rmse"], found["beta_over_alpha"]["rmse"]
+        low, high = found["log_alpha"]["interval_95"]
+        limit = {"squares": 0.84, "discs": None}[kind]
+        add(f"The network's error on unseen {kind}", "The estimator",
+            f"log α {error:.3f} ({low:.3f} to {high:.3f}), β/α {ratio:.2f} of the spread",
+            f"β/α {limit}" if limit else "–", f"drapenet.evaluate rig={RIGS[kind]}",
+            met=limit is None or ratio <= limit)
+        off = max(abs(100 * one["mean"] - float(level.strip("%")))
+                  for level, one in found["inside"].items())
+        add(f"… and the coverage of its 50, 68 and 90 % intervals ({kind})", "The estimator",
+            inside(found), "3 points", f"drapenet.evaluate rig={RIGS[kind]}", met=off <= 3)
+
+    found = report("real_captures")
+    ratios = [found["agreement"][name]["median"] for name in ("captures", "samples")]
+    nearest = found["recognition"]["any"]
+    add("Estimates of real fabrics agree", "Real drapes through the network",
+        "α within a factor of {:.2f} between captures of a sample, {:.2f} between samples; the "
+        "nearest other estimate is of the same fabric for {} of {} scans".format(
+            *ratios, nearest["right"], nearest["of"]), "1.10; 1.18; 33", "real_captures",
+        met=ratios[0] <= 1.10 and ratios[1] <= 1.18 and nearest["right"] >= 33)
+    folds, coefficient = (found["prediction"][name] for name in ("folds", "coefficient"))
+    add("Drapes of an estimate look like other samples of the fabric",
+        "Real drapes through the network",
+        f"median difference {coefficient['off']:.1f} points of drape coefficient, "
+        f"{folds['off']:.2f} folds (two samples differ by {coefficient['scans']:.1f} and "
+        f"{folds['scans']:.0f})", "3 points; 1 fold", "real_captures",
+        met=coefficient["off"] <= 3 and folds["off"] <= 1)
+
+    found = report("tree")
+    ratios = [found["ratios"][name]["median"] for name in ("captures", "samples")]
+    add("Raw scenes of real drapes give the same estimates", "Whole scenes and faulty captures",
+        f"{found['captures']} scans in one command, {found['failures']} failures, killed twice "
+        "with the same tables; α within {:.2f} and {:.2f}".format(*ratios), "1.07; 1.09",
+        "tree", met=round(ratios[0], 2) <= 1.07 and round(ratios[1], 2) <= 1.09)
+
+    found = report("cutouts")["summary"]["all"]
+    add("Cloth is cut out of whole scenes", "Whole scenes and faulty captures",
+        "intersection over union {:.3f}, worst {:.3f}; plate within {:.1f} mm (worst {:.1f}), "
+        "tilt {:.2f}° ({:.2f}), turns {:.2f}° ({:.1f})".format(
+            *found["iou"], *found["across_mm"], *found["tilt_deg"], *found["turn_deg"]),
+        "0.985, 0.96; worst 1.5 mm, 0.3°, 0.7°", "cutouts",
+        met=found["across_mm"][1] <= 1.5 and found["tilt_deg"][1] <= 0.3)
+
+    found = dict(report("faults")["found"])
+    sound = found.pop("sound")
+    share = sum(found.values()) / len(found)
+    add("Faulty captures are noticed", "Whole scenes and faulty captures",
+        f"{percent(share, 1)} of {len(found)} kinds corrected, refused or named; {percent(sound)} "
+        "of sound captures have a warning", "95 %; 2 %", "faults",
+        met=share >= 0.95 and sound <= 0.02)
+
+    names = ("refine_views", "refine_views_real")
+    for name, text in zip(names, ("without", "with"), strict=True):
+        before, after = (report(name)["summary"]["all"][who] for who in ("network", "refined"))
+        worst = after["log_alpha_worst_fabric"]
+        met = round(after["log_alpha"], 2) <= 0.10 and worst <= 0.35
+        add(f"Refinement of views {text} nuisances", "Refinement",
+            f"error of log α {after['log_alpha']:.3f} (network {before['log_alpha']:.3f}), worst "
+            f"fabric {worst:.2f}", "0.10; 0.35", "refine_views", met=met)
+    found = report("refine_scans")
+    ratios = [found["summary"]["agreement"][name]["median"] for name in ("captures", "samples")]
+    add("Refinement of scans", "Refinement",
+        "α within {:.2f} between captures, {:.2f} between samples; {:.1f} mm from the scan".format(
+            *ratios, found["mean_away_mm"]), "1.06; 1.13; 4.0 mm", "refine_scans",
+        met=ratios[0] <= 1.06 and ratios[1] <= 1.13)
+    found = report("repeats")["summary"]
+    add("Repeated drapes of one fabric", "Repeated drapes",
+        "error of log α {:.3f}, {:.3f}, {:.3f} with 1, 2, 5 captures (bound {:.3f}, {:.3f}, "
+        "{:.3f}); inside, with 5: {}".format(
+            *(found[n][key] for key in ("log_alpha", "bound") for n in "125"),
+            inside(found["5"])),
+        "0.081 with 5", "repeats", met=found["5"]["log_alpha"] <= 1.2 * 0.081)
+
+    found = report("service")
+    many, bad = found["many_at_once"], found["malformed"]
+    add("The service bears a crowd and malformed requests", "The service",
+        f"{many['with_their_own_result']} of {many['uploads']} simultaneous uploads answered with "
+        f"their own result; {bad['requests']} malformed requests, {bad['tracebacks']} tracebacks, "
+        f"answers within {bad['longest_seconds']:.0f} s", "all; 0; 10 s", "service",
+        met=many["with_their_own_result"] == many["uploads"] and not bad["tracebacks"])
+
+    found = report("prior")["models"]
+    vae, mixture = (found[name]["log_likelihood_unseen"] for name in ("vae4", "gmm3"))
+    add("The prior describes unseen fabrics", "The fabric prior",
+        "VAE-4 {:.2f} ± {:.2f} nats, best mixture {:.2f} ± {:.2f}".format(*vae, *mixture),
+        "not below the mixture", "prior", met=vae[0] >= mixture[0])
+    return markdown(["claim", "figure", "target", "`python -m …`"], rows)
+
+
+def elastica() -> str:
+    """Strips of the default law and of hinges beside the elastica."""
+    found = report("elastica")
+    laws, gammas = found["deviations"], found["settings"]["gammas"]
+    meshes = list(laws["midedge"])
+    chosen = [k for k in range(len(gammas)) if k in (0, 3, 6, 8, 11)]
+    rows = [[f"{gammas[k]:.4g}",
+             *(f"{100 * laws['midedge'][mesh][k]:+.2f}" for mesh in meshes),
+             *(f"{100 * laws['hinge_linear'][mesh][k]:+.1f}" for mesh in meshes)] for k in chosen]
+    return table(["Γ", *meshes, *(f"hinges, {mesh}" for mesh in meshes)], rows)
+
+
+def testers() -> str:
+    """Errors of the cantilever estimators."""
+    def share(value: float) -> str:
+        return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
+
+    names = {"noisy": "guided, 0.3 mm noise,", "corrected": "table, corrected"}
+    rows = [[" ".join(names.get(word, word) for word in strips.split()),
+             *(share(found[name][key]) for name in ("alpha", "beta")
+               for key in ("median", "rms", "largest"))]
+            for strips, found in report("testers")["errors_percent"].items()]
+    return table(["strips, estimator", "α: median", "rms", "largest", "β: median", "rms",
+                  "largest"], rows)
+
+
+def default_mesh() -> str:
+    """Distances of drapes on the default and other meshes from a fine one."""
+    kinds = report("default_mesh")["meshes"]
+    rows = []
+    for kind, rig in RIGS.items():
+        for row in kinds[rig]:
+            if kind == "discs" and not row["mesh"].startswith("default"):
+                continue
+            name = row["mesh"] if row["mesh"].startswith("default") else f"{row['mesh']} mm"
+            rows.append([kind, name, *(f"{row[f'{key}_mm']:.2f}"
+                                       for key in ("mean", "median", "largest")),
+                         f"{row['within_limit']} of {row['same_folds']}",
+                         f"{row['mean_cpu_seconds']:.2f}"])
+    return table(["specimens", "edges at the rim", "mean, mm", "median", "largest",
+                  "within 0.8 mm", "CPU-seconds a drape"], rows)
+
+
+def locking() -> str:
+    """Drape coefficients, and distances from the fine mesh, over membrane and mesh."""
+    rows = []
+    for alpha, found in report("membranes")["fabrics"].items():
+        for name in dict.fromkeys(row["membrane"] for row in found["locking"]):
+            own = [row for row in found["locking"] if row["membrane"] == name]
+            rows.append([f"{alpha} µN·m", name,
+                         *(f"{row['drape_coefficient']:.3f}" for row in own),
+                         *(f"{row['from_own_fine_mesh_mm']:.2f}" for row in own[:-1])])
+    edges = [f"{row['edge_mm']:g} mm" for row in own]
+    return table(["α", "membrane", *(f"coefficient, {edge}" for edge in edges),
+                  *(f"distance, {edge}" for edge in edges[:-1])], rows)
+
+
+def cutouts() -> str:
+    """Cut-outs by sensor, medians and worst."""
+    rows = [[name, f"{found['iou'][1]:.3f}",
+             *("{:.2f}, {:.2f}".format(*found[key]) for key in ("across_mm", "tilt_deg",
+                                                                "turn_deg", "shift"))]
+            for name, found in report("cutouts")["summary"].items()
+            if name in ("smooth", "paper", "tof")]
+    return table(["sensor", "intersection over union, worst",
+                  *(f"{what}: median, worst" for what in
+                    ("plate's centre, mm", "tilt, °", "turn, °", "log α, standard deviations"))],
+                 rows)
+
+
+def information() -> str:
+    """Posterior bounds by what is unknown."""
+    rows = [[name.replace("_", " along "), f"{found['log_alpha']:.3f}",
+             f"{1e3 * found['beta_over_alpha']:.2f}",
+             f"{found['standardised_log_alpha']:.3f}",
+             f"{found['standardised_beta_over_alpha']:.3f}"]
+            for name, found in report("information")["rms"].items()
+            if name not in ("shear", "size", "plate", "cut")]
+    return table(["unknown", "log α", "β/α, mm", "log α, of the spread", "β/α, of the spread"],
+                 rows)
+
+
+def cells() -> str:
+    """The networks' errors and coverage, one condition changed at a time."""
+    def columns(kind: str, name: str) -> list[str]:
+        found = cell(kind, name)
+        if not found:
+            return ["–"] * 3
+        low, high = found["log_alpha"]["interval_95"]
+        return [f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
+                f"{found['beta_over_alpha']['rmse']:.2f}", inside(found)]
+
+    rows = [[name, *columns("squares", name), *columns("discs", name)]
+            for name in report(f"evaluation_{RIGS['discs']}")["cells"]]
+    return table(["condition", *(f"{kind}: {what}" for kind in RIGS
+                                 for what in ("log α (95 %)", "β/α", "inside"))], rows)
+
+
+def refinement() -> str:
+    """Errors of network and refinement on simulated captures and scans."""
+    sets = {"views, no nuisances": report("refine_views")["summary"]["all"],
+            "views, other folds": report("refine_views")["summary"]["other folds"],
+            "views, all nuisances": report("refine_views_real")["summary"]["all"],
+            "scans, all nuisances": report("refine_scans_simulated")["summary"]}
+    rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
+             f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
+             f"{found[who]['beta_over_alpha_mm']:.2f}", inside(found[who])]
+            for name, found in sets.items() for who in ("network", "refined")]
+    return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
+                  "inside"], rows)
+
+
+def scans() -> str:
+    """Network and refinement on the real scans."""
+    found = report("refine_scans")["summary"]
+    network = report("real_captures")
+    def factors(agreement: dict) -> list[str]:
+        return [f"{agreement[name]['median']:.2f}" for name in ("captures", "samples", "fabrics")]
+
+    def shares(who: str) -> list[str]:
+        return [f"{one['right']} of {one['of']}" for one in found["joined"][who].values()]
+
+    return table(["", "captures", "samples", "fabrics", "nearest, one scan", "two joined",
+                  "four joined"],
+                 [["network", *factors(network["agreement"]), *shares("network")],
+                  ["refined", *factors(found["agreement"]), *shares("refined")]])
+
+
+def prior() -> str:
+    """Priors on fitted and unseen fabrics."""
+    found = report("prior")
+    names = {**{f"gmm{k}": f"mixture of {k} normal distributions" for k in (3, 7)},
+             **{f"vae{k}": f"VAE-{k}" for k in range(1, 5)}, "gaussian": "one normal distribution"}
+    keys = ("log_likelihood_fitted", "log_likelihood_unseen", "wasserstein")
+    rows = [[names[name], *("{:.2f} ± {:.2f}".format(*model[key]) for key in keys),
+             "{:.2f} ± {:.2f}".format(*found["by_row"][name]["log_likelihood_unseen"])]
+            for name, model in found["models"].items() if name in names]
+    return table(["model", "fitted fabrics, nats", "unseen fabrics", "Wasserstein distance",
+                  "split by row"], rows)
+
+
+def accuracy() -> str:
+    """What to expect, in three lines."""
+    squares, discs = cell("squares"), cell("discs")
+    error = {kind: exp(cell(kind)["log_alpha"]["rmse"] * spread(kind)) - 1 for kind in RIGS}
+    four = {kind: exp(cell(kind, "views 4")["log_alpha"]["rmse"] * spread(kind)) - 1
+            for kind in RIGS}
+    real = report("real_captures")["agreement"]
+    return "\n".join([
+        f"- **Simulated fabrics** that the network has never seen, with the variation of real "
+        f"specimens and cameras: typical error of α {percent(error['squares'])} for squares and "
+        f"{percent(error['discs'])} for discs ({percent(four['squares'])} and "
+        f"{percent(four['discs'])} with four views); the 68 % intervals contain "
+        f"{percent(squares['inside']['68%']['mean'])} and "
+        f"{percent(discs['inside']['68%']['mean'])} of the true moduli.",
+        f"- **Repeats of real fabrics** (60 scans, nine fabrics, true moduli unknown): α of two "
+        f"captures of a sample agrees within a factor of {real['captures']['median']:.2f}, of two "
+        f"samples within {real['samples']['median']:.2f} (medians).",
+        f"- **Limits**: β/α is poorly constrained by a drape (error "
+        f"{squares['beta_over_alpha']['rmse']:.2f} and {discs['beta_over_alpha']['rmse']:.2f} of "
+        "its spread over fabrics); no comparison with a laboratory tester has been made on real "
+        "cloth; friction between yarns acts as stiffness."])
+
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    block.__name__: block for block in (
+        claims, accuracy, elastica, testers, default_mesh, locking, cutouts, information,
+        cells, refinement, scans, prior)
+}
+
+
+def filled(text: str) -> str:
+    """``text`` with all its blocks made anew.
+
+    Raises:
+        InputError: an unknown block.
+    """
+    def block(mark: re.Match[str]) -> str:
+        if mark[2] not in BLOCKS:
+            raise InputError(f"figures: {mark[2]} is not a block; known: {', '.join(BLOCKS)}")
+        return f"{mark[1]}{BLOCKS[mark[2]]()}\n{mark[3]}"
+
+    return MARK.sub(block, text)
+
+
+def main(argv: list[str]) -> None:
+    """The command line."""
+    if argv:
+        raise InputError(f"{' '.join(argv)}: this command takes no settings")
+    for page in PAGES:
+        old = page.read_text(encoding="utf-8")
+        if (new := filled(old)) != old:
+            replace_file(page, new.encode())
+            print(page.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    run_command(main, usage=__doc__)

@@ -1,0 +1,41 @@
+"""Figures in the documentation are those of the reports."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks.figures import BLOCKS, MARK, PAGES, ROOT, filled, slug
+from common.errors import InputError
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_have_the_figures_of_the_reports(page):
+    text = page.read_text(encoding="utf-8")
+    assert text == filled(text), "run `make docs`"
+    assert text.count("<!-- figures:") == text.count("<!-- end -->") == len(MARK.findall(text))
+
+
+def test_every_block_has_a_place():
+    named = {mark[1] for page in PAGES for mark in MARK.findall(page.read_text(encoding="utf-8"))}
+    assert named == set(BLOCKS)
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of a page."""
+    return {slug(line.lstrip("# ")) for line in page.read_text(encoding="utf-8").splitlines()
+            if line.startswith("#")}
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text(encoding="utf-8")):
+            name, _, anchor = target.partition("#")
+            file = (page.parent / name).resolve() if name else page
+            assert file.exists(), f"{page.relative_to(ROOT)}: {target}"
+            assert not anchor or anchor in headings(file), f"{page.relative_to(ROOT)}: {target}"
+
+
+def test_an_unknown_block_is_refused():
+    with pytest.raises(InputError, match="figures: nothing is not a block"):
+        filled("<!-- figures: nothing -->\n<!-- end -->\n")
