@@ -91,7 +91,10 @@ validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resu
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
 	  $(BIN)/python -m benchmarks.$$name || exit 1; done
 
-docs: $(STAMP)  ## figures of README.md and docs/*.md, from the reports
+docs: $(STAMP)  ## figures of README.md and docs/*.md, from the demo and the reports
+	mkdir -p outputs
+	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo > outputs/demo.txt
+	cp outputs/demo.txt docs/validation/demo.txt
 	$(BIN)/python -m benchmarks.figures
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md

@@ -7,8 +7,7 @@
     ... export=jfab,usd                        files for other tools as well, or export=all
 
 Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``, ``drape.glb`` and
-``torque.svg`` to ``out``. What a capture consists of is described in ``README.md``, "Your own
-fabric".
+``torque.svg`` to ``out``. What a capture consists of is described in ``docs/use.md``.
 """
 
 import common.interrupt  # noqa: F401

@@ -253,6 +253,34 @@ def claims() -> str:
     return markdown(["claim", "figure", "target", "`python -m …`"], rows)
 
 
+def demo() -> str:
+    """What ``make demo`` prints, and the true moduli beside the estimate."""
+    printed = (REPORTS / "demo.txt").read_text(encoding="utf-8").rstrip()
+    truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
+    rows = []
+    for direction, true in truth["moduli"].items():
+        alpha, low, high, beta, least, most = re.search(
+            rf"^{direction} +(\S+) +(\S+) to (\S+) +(\S+) +(\S+) to (\S+)$", printed,
+            re.MULTILINE).groups()
+        rows.append([direction, f"{true['alpha_uN_m']:.0f}", f"{alpha} ({low} to {high})",
+                     f"{true['beta_nN_m2']:.0f}", f"{beta} ({least} to {most})"])
+    known = table(["", "α true, µN·m", "estimate (68 %)", "β true, nN·m²", "estimate (68 %)"], rows)
+    return (f"```\n{printed}\n```\n\n"
+            f"**The capture of the demo is simulated**, so the true moduli are known:\n\n{known}")
+
+
+def views() -> str:
+    """Errors of log α by number of views and of drapes."""
+    found = {count: cell("squares", f"views {count}")["log_alpha"]["rmse"] * spread("squares")
+             for count in (1, 2, 4, 8)}
+    joined = report("repeats")["summary"]
+    return "\n\n".join((
+        table(["views of one drape", *found], [["error of log α", *map("{:.2f}".format,
+                                                                      found.values())]]),
+        table(["drapes of one fabric, joined", *joined],
+              [["error of log α", *(f"{one['log_alpha']:.2f}" for one in joined.values())]])))
+
+
 def elastica() -> str:
     """Strips of the default law and of hinges beside the elastica."""
     found = report("elastica")
@@ -419,8 +447,8 @@ def accuracy() -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     block.__name__: block for block in (
-        claims, accuracy, elastica, testers, default_mesh, locking, cutouts, information,
-        cells, refinement, scans, prior)
+        demo, accuracy, views, claims, elastica, testers, default_mesh, locking, cutouts,
+        information, cells, refinement, scans, prior)
 }
 
 

@@ -1,10 +1,10 @@
 """Turn depth frames into a cut-out capture: ``python -m data.capture import=PATH out=DIR``.
 
-PATH is a folder with capture.yaml and frames of the whole scene, or of the cloth alone (README.md,
-"Your own fabric"). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
+PATH is a folder with capture.yaml and frames of the whole scene, or of the cloth alone
+(docs/use.md). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
 DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes; last, the cloth
 of all frames from above, one colour a frame, turned back by turns_deg. Look at it: where the hems
-of two colours lie apart, the table had not turned as stated, or the cloth has moved.
+of two colours lie apart, the table was not turned as stated, or the cloth has moved.
 
 import   folder of the frames
 out      new or empty folder of the capture
