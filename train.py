@@ -81,7 +81,7 @@ def train(config: TrainConfig) -> Path:
             train_loss = torch.stack(losses).mean().item()
             finite = all(part.isfinite().all() for part in network.parameters())
             if not math.isfinite(train_loss) or not finite:
-                raise InputError(f"the loss of epoch {epoch} is no finite number; try a smaller "
+                raise InputError(f"the loss of epoch {epoch} is not finite; try a smaller "
                                  "optim.learning_rate, and another out=")
             metrics = validate(network, unseen)
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)

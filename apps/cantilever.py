@@ -77,7 +77,7 @@ def main(argv: list[str]) -> None:
     elif argv[0] == "estimate":
         print_estimate(parse_overrides(ESTIMATES, argv[1:]))
     else:
-        raise InputError(f"'{argv[0]}' is no command; begin with hang or estimate")
+        raise InputError(f"unknown command '{argv[0]}'; use hang or estimate")
 
 
 def print_strips(config: dict) -> None:
@@ -120,7 +120,8 @@ def print_estimate(config: dict) -> None:
         raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
     for direction, names in files.items():
         if not all(names):
-            raise InputError(f"{direction}={config[direction]} lacks a file's name at a comma")
+            raise InputError(f"{direction}={config[direction]} has an empty file name; separate "
+                             "names by single commas")
     if config["method"] not in (known := [*METHODS, "spline"]):
         raise InputError(f"unknown method '{config['method']}'; choose from {', '.join(known)}")
     if not config["density"] > 0:
@@ -176,7 +177,7 @@ def moduli(strips: Strips, config: dict) -> dict:
 def torque_curves(strips: Strips, config: dict) -> dict:
     """Fit a torque curve to the strips of each direction, print its knots; the report's part."""
     if config["slope"] or config["rounds"]:
-        raise InputError("method=spline is for a level clamp and has no rounds of correction")
+        raise InputError("method=spline needs a level clamp and rounds=0")
     rows = {}
     for direction, curves in strips.items():
         found = fit_torque_curve(curves, weight=1e-3 * config["density"] * GRAVITY,

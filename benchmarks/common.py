@@ -72,7 +72,7 @@ def write_figure(path: Path, figure: "Figure") -> None:
 
 
 def tick_short_scales(*scales: "Axis") -> None:
-    """Label logarithmic scales hardly longer than a power of ten with plain numbers."""
+    """Label logarithmic scales little longer than a power of ten with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for scale in scales:

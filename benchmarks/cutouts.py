@@ -16,7 +16,7 @@ through the pixels that truly show the plate.
 Keys (``key=value``):
 
     rig         of the drapes
-    poses       cameras, each with a drape of its own, for each of the sensors
+    poses       cameras, each with another drape, for each of the sensors
     estimated   poses whose captures the network estimates, too; the slow part
     edge_mm     edges of the drapes' meshes at the plate's rim
     seed        of all that is random

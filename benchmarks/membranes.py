@@ -9,7 +9,7 @@ Three questions, isotropic fabrics of each alpha:
 - *scaling*: the same moduli/density at 100, 300 and 900 g/m².
 
 Drapes "from the fold" start from one drape of 200 N/m, so that their folds are the same; drapes
-"from flat" start from the sine start and find folds of their own.
+"from flat" start from the sine start and find other folds.
 
 Keys (``key=value``):
 
@@ -88,7 +88,7 @@ def membrane(name: str, stiffness: float) -> Membrane:
     if name == "stvk":
         shear = stiffness / (2 * (1 + POISSON))
         return OrthotropicStVK(stiffness, stiffness, POISSON, shear)
-    # Yarns that hardly stretch and turn freely, as in woven cloth
+    # Yarns that are nearly inextensible and turn freely, as in woven cloth
     return OrthotropicStVK(stiffness, stiffness, 0.0, 40.0)
 
 

@@ -112,13 +112,13 @@ def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], d
             "begin": str(folder / far),
         }
     }
-    # A mesh of its own: on the start's mesh the start would simply stay.
+    # Another mesh: on the start's mesh the start would simply stay.
     own = {**common, "seed": config["seed"] + 2, "edge_mm": config["start_mm"]}
     return {start: own}, drapes, back
 
 
 def laws_for(name: str, config: dict) -> list[str]:
-    """Laws to compare for a fabric: without those that an isotropic fabric does not tell apart."""
+    """Laws to compare for a fabric: without those that an isotropic fabric does not distinguish."""
     laws = list(dict.fromkeys([DEFAULT_LAW, *config["laws"].split(",")]))
     isotropic = len(set(FABRICS[name])) == 1
     return [law for law in laws if not (isotropic and law.endswith("_edge"))]

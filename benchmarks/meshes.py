@@ -19,7 +19,7 @@ Keys (``key=value``):
     laws          bending laws; those that follow a direction are left out for isotropic fabrics
     edge_mm       edges at the rim where meshes are compared under every law
     refinement_mm where they are under the default law
-    start_mm      of the common start, on a mesh of its own
+    start_mm      of the common start, on a separate mesh
     membrane      in-plane stiffness, N/m
     seed          of the meshes; the common start's is the next
     workers       processes, one thread each

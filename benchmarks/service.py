@@ -1,6 +1,6 @@
 """The service under load and under attack: ``python -m benchmarks.service``.
 
-Starts ``serve.py`` and, in turn: sends many captures at once, each with a density of its own by
+Starts ``serve.py`` and, in turn: sends many captures at once, each with another density by
 which its result is known again, and again where the queue was full; kills the service while
 estimates are under way, and starts it again; sends malformed requests, from noise on the socket to
 damaged captures. Whatever the service answers is checked: results, sentences, seconds, files
@@ -55,7 +55,7 @@ CLIENT = httpx.Client(limits=httpx.Limits(max_connections=None))
 
 
 class Service:
-    """``serve.py`` in a folder of its own, on a free port."""
+    """``serve.py`` in a new folder, on a free port."""
 
     def __init__(self, folder: Path, *, queue: int, workers: int):
         self.folder, self.results, self.log = folder, folder / "results", folder / "log.txt"

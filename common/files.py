@@ -54,7 +54,7 @@ def folder_named(out: str) -> Path:
 def require_folder(out: Path) -> None:
     """InputError where ``out`` is no folder to write in and cannot become one.
 
-    To be told before long work, not after. Nothing is made of it yet.
+    Called before long work, not after. Nothing is made of it yet.
     """
     if reason := reason_closed(out):
         raise InputError(f"cannot write to the folder {out}: {reason}; choose another place")
@@ -72,7 +72,7 @@ def reason_closed(folder: Path) -> str:
     if not os.path.isdir(nearest):
         return "a file is in the way"
     try:
-        # Permissions alone do not tell: of a file system that is read only, or root's.
+        # Permissions alone do not show: of a file system that is read only, or root's.
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
         return error.strerror or one_line(error)
@@ -119,8 +119,8 @@ def remove_file(path: Path) -> None:
         path.unlink(missing_ok=True)
         remove_partial(path.parent, path.name)
     except OSError as error:
-        raise InputError(f"cannot remove {path}: {error.strerror}; do it by hand, it is of an "
-                         "earlier run") from None
+        raise InputError(f"cannot remove {path}: {error.strerror}; remove it by hand, it is "
+                         "from an earlier run") from None
 
 
 def remove_partial(folder: Path, pattern: str) -> None:

@@ -77,7 +77,7 @@ def board_turns(pictures: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
             shown, _ = cv2.projectPoints(corners[0], turn, place, matrix, None)
             away = np.sqrt(np.square(shown.reshape(-1, 2) - corners[1]).sum(axis=1).mean())
         if not found or away > WORST:
-            raise InputError(f"color_{k}.png: the board lies as no flat board can with these "
+            raise InputError(f"color_{k}.png: its corners do not fit a flat board with these "
                              "intrinsics; check fx, fy and that the print is flat")
         poses.append((cv2.Rodrigues(turn)[0], place.ravel()))
     first, place = poses[0]
@@ -109,7 +109,7 @@ def board_intrinsics(pictures: np.ndarray) -> Intrinsics:
 def _required(picture: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
     if (corners := find_corners(picture)) is None:
         raise InputError(f"color_{k}.png does not show the board (fewer than {FEWEST} corners); "
-                         "let it lie in sight, or remove the color pictures")
+                         "place it in view, or remove the color pictures")
     return corners
 
 

@@ -362,7 +362,7 @@ def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
 
     The network looks at a window around all that is not background: a single far pixel, such as
     time-of-flight sensors leave, moves it and halves the moduli. Larger pieces stay: whether they
-    are cloth, only a person can tell.
+    are cloth, only a person can judge.
     """
     pieces, count = ndimage.label(view > 0, structure=np.ones((3, 3)))
     if count < 2:

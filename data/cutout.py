@@ -127,7 +127,7 @@ def cut_out(
                 doubts.append("the column is nearly as wide as the plate: where cloth touches it "
                               "the hem may be wrong; look at it with python -m data.capture")
     else:
-        # Where cloth lies on the plate, and bends down at its side, it is hardly nearer.
+        # Where cloth lies on the plate, and bends down at its side, it is little nearer.
         top = (radius < rig.plate_radius + _SLACK) & (np.abs(height) < _ABOVE)
         near = (background > 0) & (background - frames < _CHANGED * frames / 0.5)
         cloth &= ~_without_cloth_below(cloth & near & ~top, cloth)

@@ -97,7 +97,7 @@ def read_fabric_table(path: str | Path) -> FabricTable:
 
     Raises:
         InputError: no such file, a column that is missing or there twice, another unit, a cell
-            that is no number, a density or linear modulus that cannot be, a multiplicity below 1.
+            that is not a number, an impossible density or linear modulus, a multiplicity below 1.
     """
     path = Path(path)
     try:

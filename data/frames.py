@@ -237,7 +237,7 @@ def read_exr(file: Path) -> np.ndarray:
             channels = {name: np.array(one.pixels) for name, one in picture.channels().items()}
     except InputError:
         raise
-    except Exception as error:  # the library has no error of its own
+    except Exception as error:  # the library has no error class
         raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
                          ) from None
     name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)

@@ -33,7 +33,7 @@ def rasterise_arrays(
     def work(mesh: int) -> None:
         _draw(points[mesh], faces[mesh], intrinsics[mesh], pictures[mesh])
 
-    # Threads of its own: those of numba and OpenMP do not survive the fork of a loader's workers.
+    # Separate threads: those of numba and OpenMP do not survive the fork of a loader's workers.
     if threads == 1 or len(points) == 1:
         for mesh in range(len(points)):
             work(mesh)

@@ -76,10 +76,10 @@ def join_views(folder: Path, names: list[str], pictures: list[np.ndarray]) -> np
                 "all views must have one size"
             )
     for (first, a), (second, b) in itertools.combinations(zip(names, pictures, strict=True), 2):
-        # A blank picture is the reader's to tell.
+        # Blank pictures are reported by the reader.
         if np.array_equal(a, b) and a.min() < a.max():
             raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "
-                             "be taken anew, after the table has turned on")
+                             "be taken after the table has turned on")
     return np.stack(pictures)
 
 

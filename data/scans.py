@@ -45,7 +45,7 @@ def read_scan(path: Path, rig: Rig) -> Scan:
                          expected="an npz file with vertices, rest and faces; a raw mesh must end "
                                   "in .ply or .obj")
     if missing := [key for key in keys if key not in arrays]:
-        raise InputError(f"{path} is no scan: it has no array '{missing[0]}'; "
+        raise InputError(f"{path} is not a scan: it has no array '{missing[0]}'; "
                          f"it needs {', '.join(keys)}")
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
     count = len(positions) if positions.ndim else 0

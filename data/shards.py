@@ -184,8 +184,8 @@ def verified_digest(path: Path) -> str:
             whole.update(block)
             content.update(block)
     if seal != _seal(content.hexdigest()):
-        raise InputError(f"{path} is damaged or no shard of schema version {SCHEMA_VERSION}; "
-                         "generate it anew")
+        raise InputError(f"{path} is damaged or not a shard of schema version {SCHEMA_VERSION}; "
+                         "generate it again")
     return whole.hexdigest()
 
 
@@ -238,7 +238,8 @@ class Shard:
         try:
             self._file = h5py.File(self.path, "r")
         except OSError:
-            raise InputError(f"{self.path} is not a readable HDF5 file; generate it anew") from None
+            raise InputError(f"{self.path} is not a readable HDF5 file; "
+                             "generate it again") from None
         if self.attribute("schema_version") != SCHEMA_VERSION:
             self.close()
             raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}; "

@@ -48,7 +48,7 @@ def finished_manifest(root: str | Path) -> dict:
     """
     manifest = read_manifest(Path(root))
     if manifest is None:
-        raise InputError(f"{root} is no dataset: dataset.json is missing")
+        raise InputError(f"{root} is not a dataset: dataset.json is missing")
     if not manifest["complete"]:
         raise InputError(f"{root} is unfinished; complete it with python -m data.generate "
                          f"out={root} and the settings it was begun with")

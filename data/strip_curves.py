@@ -24,7 +24,7 @@ def read_curve(path: str | Path) -> np.ndarray:
     a strip reaches away from its clamp and hangs below it.
 
     Raises:
-        InputError: no such file, no such columns, a cell that is no number, too few points,
+        InputError: no such file, no such columns, a cell that is not a number, too few points,
             points out of order or listed from the free end, or not the size and shape of a
             hanging strip.
     """
@@ -66,8 +66,8 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     span = np.linalg.norm(np.ptp(curve, axis=0))
     if not SHORTEST <= span <= LONGEST:
-        raise InputError(f"a curve that spans {1e3 * span:.6g} mm is no strip's, "
-                         f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; are its columns in mm?")
+        raise InputError(f"the curve spans {1e3 * span:.6g} mm, strips "
+                         f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; give its columns in mm")
     reach, drop = curve[-1]
     if abs(reach) < 1e-3 * span or drop == 0:
         raise InputError("the free end must lie beside and below the clamp's edge")

@@ -121,7 +121,7 @@ class TimeOfFlight(SensorNoise):
 def _surroundings(
     depth: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """What the four neighbours tell of each pixel of pictures (..., h, w).
+    """What the four neighbours indicate of each pixel of pictures (..., h, w).
 
     Where a picture ends nothing is known, least of all that the cloth ends there.
 

@@ -1,6 +1,6 @@
 """Hundreds of captures in one command: ``infer.py captures=ROOT out=OUT``.
 
-Each capture is estimated in a worker process and has a folder of its own under OUT; a file
+Each capture is estimated in a worker process and has its folder under OUT; a file
 ``done.json`` is written last, with a digest of all that the result depends on. So an interrupted
 run goes on where it stopped, and ends with the same tables as one that was left alone.
 """

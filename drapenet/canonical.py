@@ -126,7 +126,7 @@ def drape_coefficient(found: DrapeMap, rig: Rig) -> float:
 
 def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
     """What to say, a line each, of turns (K,) of the table, rad, unlike the ``nominal`` ones."""
-    return [f"the table had turned by {np.degrees(turn):.0f}° in view {k}, not by "
+    return [f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
             f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
             for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
             if not abs(turn - given) < LARGEST_TURN_ERROR]

@@ -152,7 +152,7 @@ class Header:
 
     @property
     def identity(self) -> dict[str, str]:
-        """What tells this checkpoint from any other: file name, its hash, the dataset's hash."""
+        """What identifies this checkpoint: file name, its hash, the dataset's hash."""
         return {
             "file": self.path.name,
             "sha256": self.content["weights"]["sha256"],
@@ -209,7 +209,7 @@ def load_model(header: Header) -> MapNet:
 
     data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
     if hashlib.sha256(data).hexdigest() != header.content["weights"]["sha256"]:
-        raise InputError(f"{header.path} is not the file that its JSON describes; copy both anew")
+        raise InputError(f"{header.path} is not the file that its JSON describes; copy both again")
     try:
         model = MapNet(**header.content["model"])
         tensors = {name: value.to(torch.float32) if value.is_floating_point() else value

@@ -118,8 +118,8 @@ def estimate_capture(
     doubts = capture_doubts(capture, header.setups, camera, found)
     if strict and (wrong := [*capture.warnings, *doubts]):
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        raise InputError(f"{capture.path}: refused, for {wrong[0]}{more}; strict=false estimates "
-                         "it nevertheless")
+        raise InputError(f"{capture.path}: refused: {wrong[0]}{more}; strict=false estimates "
+                         "it anyway")
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
     name = os.fsencode(capture.path.resolve().name).decode(errors="replace")

@@ -4,7 +4,7 @@ A depth is measured with the standard deviation s, and one pixel in m independen
 With the derivatives J of the depths by the parameters, Fisher's information is JᵀJ/(s² m), and no
 unbiased estimate has a smaller covariance than its inverse. What is unknown beside the moduli
 (nuisances of the specimen, how it is turned and where it lies on the plate, where the camera
-stands) has columns of its own in J. What is known of a parameter before the drape, with the
+stands) has separate columns in J. What is known of a parameter before the drape, with the
 covariance C, adds C⁻¹ to the information. The inverse of the sum is the posterior bound: in linear
 approximation, the covariance of the best estimate that uses this knowledge. Silhouettes are
 left out: their pixels are few.

@@ -131,7 +131,7 @@ def quality_doubts(quality: Quality) -> list[str]:
                       "length of the ray; check the lens's distortion")
     if q.misread:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth, and by less than 1/{BETTER:g} of it if {q.misread}")
+                      f"cloth, and by less than 1/{BETTER:g} of that if {q.misread}")
     elif q.disagreement > LARGEST_DISAGREEMENT:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
                       f"cloth (sound captures: up to {1e3 * LARGEST_DISAGREEMENT:g} mm): check "
@@ -142,7 +142,8 @@ def quality_doubts(quality: Quality) -> list[str]:
                       "exposure, light or distance")
     if q.cut > LARGEST_CUT:
         doubts.append(f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: "
-                      f"up to {LARGEST_CUT:.0%}): a threshold of the depth has cut the cloth off")
+                      f"up to {LARGEST_CUT:.0%}): a threshold of the depth has cut off the "
+                      "cloth; cut it out by geometry or colour")
     if q.pixel > LARGEST_PIXEL:
         doubts.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
                       f"{1e3 * LARGEST_PIXEL:g} mm): move the camera nearer")

@@ -103,12 +103,12 @@ def camera_doubts(camera: Camera, setups: Setups) -> list[str]:
     near, far = setups.distance
     doubts = []
     if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
-        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal, "
-                      f"cameras must stand at {low:.0f}° to {high:.0f}°: check that the pictures "
+        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal "
+                      f"(limits {low:.0f}° to {high:.0f}°): check that the pictures "
                       "are upright, their intrinsics, and the camera's place")
     if not near - SHIFT < distance < far + SHIFT:
-        doubts.append(f"the plate is {1e3 * distance:.0f} mm away, cameras must stand at "
-                      f"{1e3 * near:.0f} to {1e3 * far:.0f} mm: check the depth unit, the "
+        doubts.append(f"the plate is {1e3 * distance:.0f} mm away (limits "
+                      f"{1e3 * near:.0f} to {1e3 * far:.0f} mm): check the depth unit, the "
                       "intrinsics and the camera's place")
     return doubts
 

@@ -29,8 +29,8 @@ from sim.self_contact import self_intersections
 from sim.state import State
 
 COARSE_MEMBRANE = 0.03
-"""Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness hardly
-matters for the shape but limits the length of Newton's steps (docs/physics.md)."""
+"""Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness matters
+little for the shape but limits the length of Newton's steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth would end in the cylinder."""
 COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)

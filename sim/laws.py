@@ -55,7 +55,7 @@ class Laws:
                              "Corotational(stiffness=200.0)")
         if not (isinstance(self.others, tuple) and all(callable(law) for law in self.others)):
             raise InputError("others must be a tuple of laws: others=(law,), each called with a "
-                             "mesh, not an energy that is made")
+                             "mesh, not an energy")
 
     @property
     def bending_law(self) -> Law:

@@ -1,7 +1,7 @@
 """In-plane materials: parameters in SI units, with the law that they make.
 
 Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated. A material is a law
-(:class:`sim.energies.membrane.StrainLaw`) of its own strain: the Green strain in warp and weft
+(:class:`sim.energies.membrane.StrainLaw`) of its strain measure: the Green strain in warp and weft
 axes, or for the corotational one the principal stretches less 1.
 """
 

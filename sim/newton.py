@@ -149,7 +149,7 @@ class _Minimisation:
             if not np.isfinite(value) or not np.isfinite(result.residual):
                 return self._end(Status.NOT_FINITE)
             if result.residual < options.residual:
-                # Only the exact Hessian can tell a minimum from a saddle.
+                # Only the exact Hessian distinguishes a minimum from a saddle.
                 result.positive_definite = self._factorise(0.0, proof=True)
                 if result.positive_definite:
                     step = self._solve(-gradient)

@@ -58,7 +58,7 @@ def test_a_doubtful_capture_is_refused_where_that_is_wanted(
     first.rename(capture / "other.png")
     second.rename(first)
     (capture / "other.png").rename(second)
-    with pytest.raises(InputError, match=r"refused, for .*; strict=false estimates"):
+    with pytest.raises(InputError, match=r"refused: .*; strict=false estimates"):
         infer.main(words(capture, checkpoint, "strict=true"))
     assert not (capture.parent / "out" / "estimate.json").exists()
 
@@ -123,7 +123,7 @@ BAD = {
     "checkpoint of another rig": (spoil_header(rig="disc300_support180"), "disc300_support180"),
     "checkpoint of another schema": (spoil_header(schema_version=7), "schema version 7"),
     "checkpoint missing": (lambda _, f: f.unlink(), "no checkpoint file"),
-    "checkpoint damaged": (lambda _, f: truncate(f), "copy both anew"),
+    "checkpoint damaged": (lambda _, f: truncate(f), "copy both again"),
 }
 
 

@@ -1,4 +1,4 @@
-"""Run a notebook's code cells as one script and store what they show: ``python tools/run_notebook.py FILE``.
+"""Run a notebook's code cells as one script, store their output: ``tools/run_notebook.py FILE``.
 
 Kept for each cell: what it prints, and its matplotlib figures as PNG. Nothing else of Jupyter is
 needed, and the same results give the same file.
@@ -14,7 +14,7 @@ from pathlib import Path
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 DPI = 60
 

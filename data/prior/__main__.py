@@ -27,13 +27,13 @@ SAMPLES = 1000  # of which the printed description is made
 def main(argv: list[str]) -> None:
     """The command line: ``fit fabrics=FILE [out=FILE] [model=NAME]``."""
     if not argv or argv[0] != "fit":
-        raise InputError("the command is: fit fabrics=FILE; --help says more")
+        raise InputError("the command is: fit fabrics=FILE; see --help")
     options = parse_overrides(
         {"fabrics": "", "out": "outputs/prior.json", "model": "vae4"}, argv[1:])
     if not options["fabrics"]:
         raise InputError("a table of fabrics is needed: fit fabrics=FILE")
     if options["model"] not in MODELS:
-        raise InputError(f"model={options['model']} is none of {', '.join(MODELS)}")
+        raise InputError(f"model={options['model']} is unknown; choose from {', '.join(MODELS)}")
     require_file(Path(options["out"]))
     table = read_fabric_table(options["fabrics"])
     start = time.perf_counter()

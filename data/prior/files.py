@@ -52,9 +52,9 @@ def prior_from_content(content: object, *, origin: str) -> Prior:
     """The prior in a decoded JSON file; ``origin`` names the file in complaints."""
     kind = content.get("kind") if isinstance(content, dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"{origin} is no prior; its \"kind\" must be one of {', '.join(KINDS)}")
+        raise InputError(f"{origin} is not a prior; its \"kind\" must be one of {', '.join(KINDS)}")
     if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{origin} has another schema version than {SCHEMA_VERSION}; fit it anew")
+        raise InputError(f"{origin} has another schema version than {SCHEMA_VERSION}; fit it again")
     if content.get("parameters") != list(THETA_NAMES):
         raise InputError(f"{origin} describes other parameters than {', '.join(THETA_NAMES)}")
     try:

@@ -1,7 +1,7 @@
 """What a refinement makes small, and what all objectives have in common.
 
 An objective compares a simulated drape, given by its vertex positions, with something captured.
-It knows nothing of moduli; it may have parameters of its own, the nuisances: how the specimen is
+It knows nothing of moduli; it may have further parameters, the nuisances: how the specimen is
 turned, where the camera stands. Its value is half the sum of squared residuals, always: an
 objective that has to survive outliers hands out residuals that are bent already (:func:`huber`), so
 that every optimiser sees plain least squares.
@@ -51,7 +51,7 @@ class Objective(Protocol):
     """A comparison of a simulated drape with a captured one.
 
     Attributes:
-        nuisances: names of its own K parameters.
+        nuisances: names of its K further parameters.
         start: (K,) their first values, SI.
         scale: (K,) by how much each may sensibly change in a step.
         deviation: (K,) how far each is known to lie from its first value, standard deviations;

@@ -19,7 +19,7 @@ class RobustPositions:
         vertices: (V,) bool, those that count.
         sigma: m, standard deviation of a distance.
         limit: in units of ``sigma``, from which the value grows linearly.
-        independent: how many of the distances are independent: of one fold, hardly more than one.
+        independent: how many of the distances are independent: of one fold, about one.
     """
 
     nuisances = ()

@@ -172,7 +172,7 @@ def _samples(found: Found) -> np.ndarray | None:
 def _doubts(found: Found, theta: np.ndarray | None, seen: Seen) -> list[str]:
     doubts = []
     if theta is not None and found.uncertainty.reduced_chi2 >= WORST:
-        doubts.append("no cloth takes the captured surface (squared misfit "
+        doubts.append("no simulated cloth fits the captured surface (squared misfit "
                       f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
                       f"most {WORST:g}): the network's estimate stands; check rig, specimen, "
                       "cut-out and intrinsics")

@@ -1,7 +1,7 @@
 """Scans of drapes, registered to a mesh of the specimen by pulling simulated cloth onto them.
 
 A scan without marks on the cloth says nothing of sliding along the surface. The cloth says it
-itself: it hardly stretches, so from the plate's rim on every vertex has its place. The specimen is
+itself: it stretches little, so from the plate's rim on every vertex has its place. The specimen is
 laid on the surface (:mod:`.guided`), its fabric soft so that it follows the folds, and pulled onto
 it more and more, until its strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al.
 2007), which Larionov et al. use (section 3.2), stretches the mesh instead: its hem ends up to
@@ -95,7 +95,7 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
             held=held, reason="vertices slid along the cloth")
     if found.distance > _APART:
-        raise InputError(f"{path}: a specimen of {rig.name} cannot be laid on this surface, it "
+        raise InputError(f"{path}: a specimen of {rig.name} does not fit this surface, it "
                          f"stays {1e3 * found.distance:.0f} mm away on average; give all of the "
                          "cloth and nothing else, in metres")
     return found

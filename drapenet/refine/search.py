@@ -4,7 +4,7 @@ On a mesh a drape has many equilibria close to each other, a millimetre or two a
 stick where the mesh lets them. A free simulation ends in one of them, the captured cloth in none,
 and the difference would be charged to the moduli. So a specimen is pulled onto the captured surface
 (:mod:`.attraction`), which finds the folds, and weak springs hold it there: one equilibrium is
-left, which moves smoothly with the moduli. The right fabric hardly needs the springs; a wrong one
+left, which moves smoothly with the moduli. The right fabric needs the springs little; a wrong one
 pulls at them, which shows in the same residuals, only smaller. Several fabrics begin, and
 Levenberg-Marquardt goes on from the best; then the specimen is pulled again, for the first shape
 was that of a wrong fabric, seen from a little beside.

@@ -48,7 +48,7 @@ def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
     missing, or no plate has these moduli."""
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
-        raise InputError(f"a fabric needs strips of all three directions; no {missing[0]}")
+        raise InputError(f"a fabric needs strips of all three directions; {missing[0]} is missing")
     return Fabric(*_moduli(_unknowns(estimates)), density=density)
 
 

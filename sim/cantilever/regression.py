@@ -24,7 +24,7 @@ SAMPLES = 256  # points along each curve (section 4.3)
 RATIO_RANGE = (-0.02, 0.02)  # m; beta/alpha of fabrics lies within
 LARGEST_MISFIT = 0.5
 """Of the torque, relative. Points read with an error of 0.3 mm leave 0.15; on nearly straight
-strips they leave 0.4 to 0.9, and alpha is off by up to a factor of four; what is no strip leaves
+strips they leave 0.4 to 0.9, and alpha is off by up to a factor of four; other curves leave
 0.98."""
 
 NO_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
@@ -96,6 +96,6 @@ def regress(
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     alpha, beta, misfit = fit_law(curvature, moment)
     if misfit > LARGEST_MISFIT:
-        raise InputError(f"{NO_STRIP}; or take method=table, which stands more noise "
+        raise InputError(f"{NO_STRIP}; or use method=table, which tolerates more noise "
                          f"(the law leaves {100 * misfit:.0f} % of the torque unexplained)")
     return Estimate(alpha, beta, misfit, float(curvature.max()))

@@ -96,7 +96,7 @@ def simulate_strips(
                     diagonals="random", **options)
         if hung.result.status is not Status.CONVERGED:
             raise InputError(f"the simulated {direction} strip of {1e3 * length:.0f} mm does not "
-                             f"settle: {hung.result.message}")
+                             f"come to rest: {hung.result.message}")
         strips[direction].append(hung.curve)
     return strips
 

@@ -97,7 +97,7 @@ def test_what_went_wrong_is_not_kept():
             pool.submit(time.sleep, 1000)
         raise ZeroDivisionError
     assert ended(process)
-    with pytest.raises(InputError, match="ended from outside"), worker_pool(1) as pool:
+    with pytest.raises(InputError, match="was killed"), worker_pool(1) as pool:
         os.kill(process_of(pool), signal.SIGKILL)
         pool.submit(time.sleep, 10).result()
     with worker_pool(1) as pool:

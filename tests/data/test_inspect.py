@@ -297,7 +297,7 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
     [
         ([], "folder of a dataset is needed"),
         (["out=somewhere"], "folder of a dataset is needed"),
-        (["nowhere"], "nowhere is no dataset"),
+        (["nowhere"], "nowhere is not a dataset"),
         (["set", "size=3"], "unknown key 'size'"),
         (["set", "out="], "out= needs the name of a folder"),
         (["set", "out=/proc/report"], "cannot write to the folder /proc/report"),
@@ -314,4 +314,4 @@ def test_command_line_ends_with_code_2_and_one_line(tmp_path):
     run = subprocess.run([sys.executable, "-m", "data.inspect", str(tmp_path)], cwd=ROOT,
                          capture_output=True, text=True)
     assert run.returncode == 2
-    assert run.stderr == f"error: {tmp_path} is no dataset: dataset.json is missing\n"
+    assert run.stderr == f"error: {tmp_path} is not a dataset: dataset.json is missing\n"

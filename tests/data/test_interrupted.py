@@ -43,7 +43,7 @@ def make(out, *, shards=6, solver=fake_drapes.lending_cone, **options):
 
 
 def start(out, *, shards=6, pause=0.03):
-    """A process, and a session of its own, that makes the dataset with two workers."""
+    """A process, in a new session, that makes the dataset with two workers."""
     script = Path(out).with_name("run.py")
     script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),

@@ -75,7 +75,7 @@ def test_what_is_no_scan_is_refused_in_one_line(tmp_path, change, complaint):
 
 
 def damaged(kind: str) -> bytes:
-    """An npz file with a damage for which zipfile, zlib or numpy has an error of its own."""
+    """An npz file with a damage for which zipfile, zlib or numpy raises another error."""
     file, arrays = io.BytesIO(), scan_arrays()
     np.savez_compressed(file, rest=arrays.pop("rest"), **arrays)
     content = bytearray(file.getvalue())

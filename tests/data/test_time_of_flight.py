@@ -1,4 +1,4 @@
-"""The time-of-flight model: its figures, measured on pictures whose noise can be told."""
+"""The time-of-flight model: its figures, measured on pictures whose noise can be measured."""
 
 import math
 from dataclasses import replace

@@ -107,7 +107,7 @@ def test_held_cloth_is_free_along_the_surface(captured: CapturedShape) -> None:
 
 @pytest.fixture(scope="module")
 def scanned() -> DrapeResult:
-    """A drape on a mesh of its own."""
+    """A drape on another mesh."""
     fabric = fabric_from_theta(THETA)
     return drape(fabric, rig=DISC_RIG, edge=4e-3, start="sine", seed=3)
 
@@ -158,7 +158,7 @@ def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
 
     near = scanned.rest[:, 0] < 0.03  # one side is missing
     trimesh.PointCloud(scanned.positions[near]).export(tmp_path / "part.ply")
-    with pytest.raises(InputError, match="cannot be laid on this surface"):
+    with pytest.raises(InputError, match="does not fit this surface"):
         read_shape(tmp_path / "part.ply", DISC_RIG, edge=6e-3)
     trimesh.PointCloud(scanned.positions).export(tmp_path / "points.ply")
     found = read_shape(tmp_path / "points.ply", DISC_RIG, edge=6e-3)

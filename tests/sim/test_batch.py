@@ -63,5 +63,5 @@ def killed(mesh, active, *, fabric):
 
 
 def test_a_worker_that_is_killed_is_reported():
-    with pytest.raises(InputError, match="ended from outside"):
+    with pytest.raises(InputError, match="was killed"):
         drape_batch(FABRICS, edge=EDGE, workers=2, laws=Laws(others=(killed,)))

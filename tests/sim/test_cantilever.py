@@ -156,7 +156,7 @@ def test_non_linear_strip_matches_the_non_linear_elastica(ratio):
                                         length=0.09)[-1])
     linear = aspect_ratio(elastica(50.0)[-1])
     assert abs(aspect_ratio(hung.curve[-1]) / exact - 1) < 0.01
-    assert abs(exact / linear - 1) > 0.1  # or the strip would not tell the laws apart
+    assert abs(exact / linear - 1) > 0.1  # or the strip would not distinguish the laws
 
 
 def test_strip_on_a_ramp_matches_its_elastica():

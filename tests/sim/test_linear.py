@@ -158,7 +158,7 @@ def test_solutions_do_not_depend_on_where_the_numbers_lie(rough):
 
 @pytest.mark.parametrize("rough", [False, True])
 def test_solutions_do_not_depend_on_libraries_loaded_before(rough):
-    """PyTorch brings an MKL of its own, which may change the paths that this one takes."""
+    """PyTorch brings another MKL, which may change the paths that this one takes."""
     script = """
 import hashlib, sys
 {first}

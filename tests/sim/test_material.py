@@ -25,7 +25,7 @@ FABRICS = [
 
 TWISTING = [
     Fabric([30e-6, 20e-6, 15e-6], [-60e-9, -80e-9, -15e-9]),  # the bias softens most
-    Fabric([53.1e-6, 16.5e-6, 25.3e-6], [-176e-9, -68.6e-9, -92.1e-9]),  # hardly any twist left
+    Fabric([53.1e-6, 16.5e-6, 25.3e-6], [-176e-9, -68.6e-9, -92.1e-9]),  # little twist left
 ]
 
 

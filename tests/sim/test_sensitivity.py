@@ -33,7 +33,7 @@ LENGTH = 0.06
 
 @pytest.fixture(scope="module")
 def draped() -> DrapeResult:
-    """A drape of cloth that is anisotropic, softens and has a density of its own."""
+    """A drape of cloth that is anisotropic, softens and has another density."""
     result = drape(FABRIC, edge=0.012, options=TIGHT)
     assert result.converged
     return result

@@ -53,7 +53,7 @@ def test_folds_survive_in_another_fabric_on_another_mesh(lender):
         assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
         lent.append(mean_distance(borrowed, lender))
         own.append(mean_distance(drape(isotropic(17), **settings), lender))
-    assert max(own) > 2 * max(lent)  # starts of their own may find the same folds, not all do
+    assert max(own) > 2 * max(lent)  # other starts may find the same folds, not all do
 
 
 def test_borrowed_drape_drifts_with_the_specimen(lender):

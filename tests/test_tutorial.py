@@ -1,0 +1,35 @@
+"""The tutorial's code runs, and its outputs are stored."""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIAL = ROOT / "docs" / "tutorial.ipynb"
+
+
+def code(notebook: dict) -> list[dict]:
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def test_outputs_are_stored_and_small():
+    cells = code(json.loads(TUTORIAL.read_text(encoding="utf-8")))
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    assert all(cell["outputs"] for cell in cells)
+    assert TUTORIAL.stat().st_size < 200_000
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_as_a_script(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("run_notebook", ROOT / "tools/run_notebook.py")
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    shutil.copy(TUTORIAL, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    cells = code(tool.run(tmp_path / TUTORIAL.name))  # its cells assert what they find
+    assert [len(cell["outputs"]) for cell in cells] == [
+        len(cell["outputs"]) for cell in code(json.loads(TUTORIAL.read_text(encoding="utf-8")))]
+    assert (tmp_path / "outputs" / "tutorial" / "fabric.jfab").exists()
