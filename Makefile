@@ -7,6 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
+PACKAGES := apps benchmarks common configs data drapenet examples sim studies tests tools
 
 .PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu docs studies example validate clean
 
@@ -51,9 +52,11 @@ serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python -m benchmarks.perturbed
 
-lint: $(STAMP)  ## style, and which module imports which
+lint: $(STAMP)  ## style, which module imports which, spelling and words
 	$(BIN)/ruff check .
 	$(BIN)/python tools/check_layers.py
+	$(BIN)/python tools/check_words.py
+	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 	$(BIN)/python -m apps.drape

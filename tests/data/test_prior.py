@@ -112,10 +112,10 @@ def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000])
-def test_other_files_are_no_prior(tmp_path, text):
+def test_other_files_are_not_a_prior(tmp_path, text):
     path = tmp_path / "p.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"no prior|no JSON document"):
+    with pytest.raises(InputError, match=r"not a prior|no JSON document"):
         load_prior(path)
 
 

@@ -1,0 +1,43 @@
+"""Words that this project avoids, in its documentation, messages and docstrings: ``make lint``.
+
+They are short and easily misread; :data:`WORDS` gives a usual one for each.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+WORDS = {
+    r"tells?|told": "identifies, distinguishes, reports",
+    r"put down|laid anew": "placed, registered again",
+    r"errs": "has a bias of",
+    r"hardly": "little, nearly",
+    r"(?:is|are) no (?:number|plate|drape|capture|scan|prior|estimate|dataset|strip)s?": "is not a",
+    r"(?:mesh|folder|name|thread|start)s? of (?:its|their) own": "another, unique",
+}
+KINDS = ("*.py", "*.md", "*.yaml", "*.html", "*.ipynb", "Makefile")
+ELSEWHERE = ("docs/studies.md", "tools/check_words.py")
+"""Not looked at: a generated page, and this list."""
+
+
+def complaints(root: Path) -> list[str]:
+    """One line for each avoided word in the files that git knows in ``root``."""
+    command = ["git", "-C", str(root), "ls-files", "--", *KINDS]
+    names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split("\n")
+    lines = []
+    for name in filter(None, names):
+        if name in ELSEWHERE:
+            continue
+        text = (root / name).read_text(encoding="utf-8")
+        for pattern, usual in WORDS.items():
+            for found in re.finditer(rf"(?<![\w.\"])(?:{pattern})\b(?!\()", text):
+                line = text.count("\n", 0, found.start()) + 1
+                lines.append(f"{name}:{line}: '{found[0]}': better: {usual}")
+    return lines
+
+
+if __name__ == "__main__":
+    found = complaints(Path(__file__).resolve().parents[1])
+    print("\n".join(found))
+    sys.exit(bool(found))
