@@ -14,7 +14,7 @@ WORDS = {
     r"errs": "has a bias of",
     r"hardly": "little, nearly",
     r"(?:is|are) no (?:number|plate|drape|capture|scan|prior|estimate|dataset|strip)s?": "is not a",
-    r"(?:mesh|folder|name|thread|start)s? of (?:its|their) own": "another, unique",
+    r"(?:mesh|folder|name|start)s? of (?:its|their) own": "another, unique",
 }
 KINDS = ("*.py", "*.md", "*.yaml", "*.html", "*.ipynb", "Makefile")
 ELSEWHERE = ("docs/studies.md", "tools/check_words.py")
