@@ -66,7 +66,7 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     span = np.linalg.norm(np.ptp(curve, axis=0))
     if not SHORTEST <= span <= LONGEST:
-        raise InputError(f"the curve spans {1e3 * span:.6g} mm, strips "
+        raise InputError(f"the curve spans {1e3 * span:.6g} mm but strips have "
                          f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; give its columns in mm")
     reach, drop = curve[-1]
     if abs(reach) < 1e-3 * span or drop == 0:

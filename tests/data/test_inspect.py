@@ -270,7 +270,7 @@ def settings(folder):
         (lambda folder: rewrite(folder, hash="0" * 64), "contradicts itself"),
         (lambda folder: rewrite(folder, complete=False), "unfinished"),
         (lambda folder: rewrite(folder, schema_version=99), "schema version"),
-        (lambda folder: (folder / "dataset.json").unlink(), "no dataset"),
+        (lambda folder: (folder / "dataset.json").unlink(), "not a dataset"),
     ],
 )
 def test_a_manifest_that_does_not_match_its_shards_is_refused(bare, tmp_path, spoil, complaint):

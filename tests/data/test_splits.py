@@ -22,7 +22,7 @@ def test_no_dataset_or_an_unfinished_one(tmp_path):
     copy.mkdir()
     manifest = generate(root, small_config(drapes=4))
     assert finished_manifest(root) == manifest
-    with pytest.raises(InputError, match="no dataset"):
+    with pytest.raises(InputError, match="not a dataset"):
         finished_manifest(copy)
     write_manifest(copy, manifest | {"complete": False})
     with pytest.raises(InputError, match="unfinished"):
