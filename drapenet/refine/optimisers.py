@@ -175,8 +175,8 @@ class Run:
 def levenberg_marquardt(run: Run) -> tuple[Status, str]:
     """Gauss-Newton within a region of trust; unknowns at a bound that want to leave it stay.
 
-    The step is the best one of the linearised problem no longer than the radius, so that what the
-    residuals hardly depend on hardly moves.
+    The step is the best one of the linearised problem no longer than the radius, and what
+    the residuals depend on little moves little.
     """
     problem, limits = run.problem, run.limits
     x, value = run.best.x, run.best.value
