@@ -190,7 +190,7 @@ def read_material(
     content = parse_json(data, path, EstimateFile.remedy)
     if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
                                          ] != [SCHEMA, SCHEMA_VERSION]:
-        raise InputError(f"{path} is no estimate of version {SCHEMA_VERSION}; estimate the capture "
+        raise InputError(f"{path} is not an estimate of version {SCHEMA_VERSION}; estimate the capture "
                          "again")
     found = EstimateFile.of(content, path)
     alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
