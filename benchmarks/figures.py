@@ -141,10 +141,10 @@ def claims() -> str:
         "{} of a drape".format(*found["worst"].values(), percent(cost, 1)), "1e-3; 15 %",
         "sensitivity", met=found["passed"])
 
-    found = report("batched")["each_on_its_own"]
+    found = report("throughput")
     add("Two cores make twice the drapes †", "Many drapes at once",
         f"{found['ratio']:.2f} times; {found['ratio_from_their_start']:.2f} with the start of the "
-        "processes", "2", "batched", met=found["ratio_from_their_start"] >= 2)
+        "processes", "2", "throughput", met=found["ratio_from_their_start"] >= 2)
 
     agreement = report("render")["agreement"]["rasteriser"]
     speeds = report("render")["views_per_second"]["240x180"]

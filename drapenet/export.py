@@ -190,8 +190,8 @@ def read_material(
     content = parse_json(data, path, EstimateFile.remedy)
     if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
                                          ] != [SCHEMA, SCHEMA_VERSION]:
-        raise InputError(f"{path} is not an estimate of version {SCHEMA_VERSION}; estimate the capture "
-                         "again")
+        raise InputError(f"{path} is not an estimate of version {SCHEMA_VERSION}; estimate the "
+                         "capture again")
     found = EstimateFile.of(content, path)
     alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
                    for key in ("alpha_uN_m", "beta_nN_m2"))

@@ -16,7 +16,7 @@ from sim.mesh import Mesh
 
 class Law(Protocol):
     """Makes an energy of a cloth on any mesh: a bending law, or one of your own. A drape is solved
-    on several meshes and calls it on each, so it keeps no mesh of its own."""
+    on several meshes and calls it on each, so it keeps no mesh."""
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
         """The energy of the triangles ``active`` (F,) bool of ``mesh``.

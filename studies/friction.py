@@ -283,4 +283,4 @@ STUDY = Study(
     "nothing of friction. α by the network is the mean over directions, without faults of the "
     "set-up; the network was trained with 0 to 200 µN·m per metre from flat and assumes the mean "
     "where friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
-    "(physics.md#beside-the-law-natural-curvature-and-friction)).")
+    "(physics.md#natural-curvature-and-friction)).")

@@ -181,7 +181,7 @@ def test_wrong_wishes_have_one_line(estimate: Path, words: list[str], complaint:
 
 
 @pytest.mark.parametrize(("changes", "complaint"), [
-    ({"schema": "other"}, "is no estimate of version 2"),
+    ({"schema": "other"}, "is not an estimate of version 2"),
     ({"moduli": {}}, "directions"),
     ({"moduli": {name: {"alpha_uN_m": summary(-1.0), "beta_nN_m2": summary(0.0)}
                  for name in ("warp", "bias", "weft")}}, "median=-1.0 must be more than 0"),
