@@ -5,6 +5,7 @@ import json
 import random
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -188,8 +189,9 @@ def damaged_zip(data: bytes, rng: random.Random, member: Callable = damaged_npy)
     else:
         files[k] = files[k][0], member(files[k][1], rng)
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", rng.choice((zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED))
-                         ) as archive:
+    kind = rng.choice((zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED))
+    with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", kind) as archive:
+        warnings.simplefilter("ignore", UserWarning)  # a name twice is meant
         for name, content in files:
             archive.writestr(name or "x", content)
     return stream.getvalue()

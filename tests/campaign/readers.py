@@ -32,6 +32,7 @@ from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
 from common.configs import read_config, read_option
+from common.documents import read_bytes, read_json
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import read_capture
@@ -87,11 +88,11 @@ def spoil(reader: Reader, folder: Path, rng: random.Random) -> str:
     way = rng.random()
     if way < 0.97:
         file.write_bytes(reader.damage[name](file.read_bytes(), rng))
+        reader.after(folder)
     else:
         others = [other for other in folder.iterdir() if other != file]
         file.unlink()
         _STRANGE[rng.randrange(len(_STRANGE))](file, rng.choice(others) if others else folder)
-    reader.after(folder)
     return name
 
 
@@ -386,11 +387,8 @@ def _setup(folder: Path) -> None:
 
 
 def _read_setup(folder: Path) -> None:
-    try:
-        content = json.loads((folder / "setup.json").read_bytes())
-    except (ValueError, OSError):
-        raise InputError("the damage is not of the mapping itself") from None
-    Setups.from_config(content).camera(np.random.default_rng(0), CameraRig.load().intrinsics)
+    setups = Setups.from_config(read_json(folder / "setup.json"))
+    setups.camera(np.random.default_rng(0), CameraRig.load().intrinsics)
 
 
 def _upload(folder: Path) -> None:
@@ -421,14 +419,10 @@ def _read_upload(folder: Path) -> None:
     config = {**read_config("serve"), "results": str(folder / "r"), "megabytes": 4.0}
     settings = Settings(**{key: config[key] for key in config
                            if key in Settings.__dataclass_fields__})
-    try:
-        data = (folder / "capture.zip").read_bytes() if (
-            (folder / "capture.zip").stat().st_size < 1 << 23) else b""
-        content = json.loads((folder / "fields.json").read_bytes())
-        texts = {str(key): value if isinstance(value, str) else repr(value)
-                 for key, value in content.items()}
-    except (ValueError, AttributeError, OSError):
-        raise InputError("the damage is not of what a request can hold") from None
+    data, fields = read_bytes(folder / "capture.zip", 1 << 23, "zip"), read_json(
+        folder / "fields.json")
+    texts = {str(key): value if isinstance(value, str) else repr(value)
+             for key, value in (fields.items() if isinstance(fields, dict) else ())}
     written = folder / f"written_{os.getpid()}"
     try:
         write_upload(checked_upload([("capture.zip", data)], texts, settings), written)
