@@ -25,6 +25,7 @@ from drapenet.config import InferConfig
 from drapenet.output import ESTIMATE, require_output, write_estimate, write_files
 from drapenet.sources import header_for, read_scan_capture
 from drapenet.table import format_table
+from sim.mesh.specimens import check_edge
 
 DRAPES = 2  # of the report of a single capture
 
@@ -110,6 +111,8 @@ def check(config: InferConfig) -> None:
         targets_named(config.export, "export")
     if not -1 <= config.drapes <= 4:
         raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
+    if config.edge_mm:
+        check_edge(1e-3 * config.edge_mm)
     if config.membrane_n_per_m < 0:
         raise InputError(f"membrane_n_per_m={config.membrane_n_per_m:g} must be positive")
 

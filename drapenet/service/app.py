@@ -114,9 +114,14 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def _add_pages(app: FastAPI, settings: Settings) -> None:
+    @cache
+    def page() -> bytes:
+        return render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
+                      kinds=KINDS, example=EXAMPLE.is_dir())
+
     @app.get("/", include_in_schema=False)
-    def page() -> HTMLResponse:
-        return HTMLResponse(_page(settings))
+    def start() -> HTMLResponse:
+        return HTMLResponse(page())
 
     @app.get("/docs", include_in_schema=False)
     def docs() -> HTMLResponse:
@@ -134,12 +139,6 @@ def _add_pages(app: FastAPI, settings: Settings) -> None:
         if not EXAMPLE.is_dir():
             raise RequestError(404, "the example is not installed")
         return Response(_example(), media_type="application/zip")
-
-
-@cache
-def _page(settings: Settings) -> bytes:
-    return render("service.html", settings=settings, targets=TARGETS, meshes=MESHES, kinds=KINDS,
-                  example=EXAMPLE.is_dir())
 
 
 @cache

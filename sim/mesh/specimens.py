@@ -104,7 +104,7 @@ def _turn(angle: float) -> np.ndarray:
 def _check(
     rig: Rig, edge: float, topology: int, offset: tuple[float, float], grading: float
 ) -> None:
-    _check_edge(edge)
+    check_edge(edge)
     if not 1 <= grading < np.inf:
         raise InputError(f"grading={grading:g}: edges at the hem must not be shorter than at the "
                          "rim; give 1 or more")
@@ -122,7 +122,8 @@ def _check(
                          "reduce the offset or refine")
 
 
-def _check_edge(edge: float) -> None:
+def check_edge(edge: float) -> None:
+    """InputError for a length of edges at the rim, m, that no mesh has (:data:`EDGES`)."""
     least, most = EDGES
     if not least <= edge <= most:
         raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
@@ -173,7 +174,7 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
 def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
     """Edges at the rim, m, of a drape's meshes, each time 2.5 times shorter; none but
     the last is above ``coarsest``. InputError for an edge out of :data:`EDGES`."""
-    _check_edge(edge)
+    check_edge(edge)
     levels = [edge]
     while _STEP * levels[0] <= coarsest:
         levels.insert(0, _STEP * levels[0])

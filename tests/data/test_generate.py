@@ -316,7 +316,7 @@ def test_help_names_every_key(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
-    for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "rig:", "nuisances.cut_deg:",
+    for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "rig:", "cut_deg:",
                 "starts_per_fabric:", "parts:", "dataset=specimens, the default",
                 "dataset=paper\n    As in Feng", "launcher=slurm\n    Jobs of a Slurm"):
         assert key in text

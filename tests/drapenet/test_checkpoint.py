@@ -68,7 +68,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     ({"dataset": {"sha256": 3}}, r"dataset\.sha256=3 is not a text"),
     ({"model": {"width": 100000, "components": 2, "targets": 6, "distance": 0.1, "spread": 0.1}},
      r"model\.width=100000 must be at most 512"),
-    ({"model": {"width": 8, "targets": 6, "depth": 3}}, r"model\.components is missing"),
+    ({"model": {"width": 8, "targets": 6, "depth": 3}}, r"unknown key 'model\.depth'"),
     ({"config": {"setup": None}}, r"config\.setup=None is not a mapping"),
 ])
 def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:

@@ -211,7 +211,7 @@ def test_raw_scans_are_checked(tmp_path: Path, captured: CapturedShape) -> None:
         bad.write_bytes(content)
         with pytest.raises(InputError):
             read_cloud(bad, DISC_RIG)
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match="cannot be read"):
         read_cloud(tmp_path / "missing.ply", DISC_RIG)
 
 
@@ -224,7 +224,7 @@ def test_command_says_what_is_wrong(tmp_path: Path) -> None:
         ([f"scan={bad}"], "cannot read the scan"),
         (["scan=x.npz", "capture=y"], "not both"),
         (["scan=x.npz", "refine=depth"], "a scan takes none or scan"),
-        ([f"scan={tmp_path / 'missing.obj'}"], "cannot read the scan"),
+        ([f"scan={tmp_path / 'missing.obj'}"], "cannot be read"),
         (["scan=x.npz", "held=1.2"], "held=1.2: give a share"),
         (["scan=x.npz", "density_g_m2=0"], "density_g_m2"),
     ):

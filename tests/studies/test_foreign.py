@@ -46,7 +46,7 @@ def test_a_drape_registered_to_its_own_mesh_stays_and_to_another_lies_on_it():
 def test_without_newton_its_rows_are_left_out_and_the_page_says_so(monkeypatch, capsys):
     monkeypatch.setattr(style3d, "find_spec", lambda _: None)
     assert style3d.left_out("rows are") and style3d.INSTALL in capsys.readouterr().err
-    with pytest.raises(InputError, match="studies"):
+    with pytest.raises(InputError, match="newton"):
         style3d.require()
     report = json.loads(optimisers.STUDY.report.read_text(encoding="utf-8"))
     report["targets"].pop("style3d")
