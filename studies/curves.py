@@ -187,8 +187,9 @@ def draw(report: Report) -> Figure:
                       "o" if noise else "x", ms=3.5, color=colours[name],
                       label=f"{FITS[name]}, {noise:g} mm" if place == 0 else None)
     axes.set(yscale="log", ylabel="drape's displacement [mm]", xlim=(-0.5, len(KINDS) - 0.5))
+    axes.set_ylim(bottom=1e-3)  # those of the exact law lie below
     axes.set_xticks(range(len(KINDS)), KINDS)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="lower right")
     tick_short_scales(axes.yaxis)
     return figure
 
