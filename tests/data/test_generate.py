@@ -318,7 +318,8 @@ def test_help_names_every_key(capsys):
     text = capsys.readouterr().out
     for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "rig:", "cut_deg:",
                 "starts_per_fabric:", "parts:", "dataset=specimens, the default",
-                "dataset=paper\n    As in Feng", "launcher=slurm\n    Jobs of a Slurm"):
+                "dataset=paper\n    # As in Feng",
+                "launcher=slurm\n    # Jobs of a Slurm"):
         assert key in text
     assert "# of all that is random" in text
     assert "@package" not in text
