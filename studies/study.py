@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import ROOT, run_cases, table
+from benchmarks.figures import slug
 from common.configs import read_config
 
 PAGE = ROOT / "docs" / "studies.md"
@@ -113,8 +114,12 @@ class Study:
 
 def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
     """The page with a section for every study that has a report."""
-    sections = [study.section(reports[study.name]) for study in studies if study.name in reports]
-    return "\n".join([_HEAD, "\n\n".join(sections), ""])
+    there = [study for study in studies if study.name in reports]
+    contents = table(["study", "after", "question"],
+                     [[f"[{study.title}](#{slug(study.title)})", study.after, study.question]
+                      for study in there])
+    sections = [study.section(reports[study.name]) for study in there]
+    return "\n".join([_HEAD, contents, "", "\n\n".join(sections), ""])
 
 
 def error_cell(result: dict[str, Any] | None, name: str, *, interval: bool = False) -> str:
