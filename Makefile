@@ -52,10 +52,11 @@ serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python -m benchmarks.perturbed
 
-lint: $(STAMP)  ## style, which module imports which, spelling and words
+lint: $(STAMP)  ## style, which module imports which, unused code, spelling and words
 	$(BIN)/ruff check .
 	$(BIN)/python tools/check_layers.py
 	$(BIN)/python tools/check_words.py
+	$(BIN)/python -m vulture
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
 sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape

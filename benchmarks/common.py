@@ -195,11 +195,6 @@ def next_to(
                             self_contact=self_contact)
 
 
-def usual_size(values: np.ndarray | Sequence) -> list[float]:
-    """(K,) 1.48 times the median size of values (N, K): of normal ones the standard deviation."""
-    return (1.4826 * np.median(np.abs(values), axis=0)).tolist()
-
-
 def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """Lines of a Markdown table; floats with three significant digits."""
     def cell(value: object) -> str:

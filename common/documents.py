@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import from_json
 
 from common.errors import InputError, one_line
@@ -24,8 +24,6 @@ LARGEST_TEXT = 1 << 16  # bytes, of what people write
 LARGEST_TABLE = 8 << 20  # bytes
 LARGEST_DOCUMENT = 64 << 20  # bytes, of what programs write
 DEEPEST = 20  # levels of a YAML text; of JSON the parser allows 200
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-"""A SHA-256, hexadecimal."""
 T = TypeVar("T", bound="Schema")
 
 

@@ -1,17 +1,7 @@
 """Estimates in the units that people see, for the terminal."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
-
-from sim.material import MICRO, NANO, Fabric
-
-
-def moduli_table(names: Sequence[str], fabric: Fabric) -> dict[str, dict[str, float]]:
-    """The moduli of one fabric by direction."""
-    return {name: {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO}
-            for name, alpha, beta in zip(names, fabric.alpha.tolist(), fabric.beta.tolist(),
-                                         strict=True)}
 
 
 def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[str, str]:

@@ -117,7 +117,6 @@ class Problem:
         self._afresh, self._cloth = afresh, cloth
         self._free = np.array([name in free for name in UNKNOWNS])
         own = objective.start if nuisance is None else np.asarray(nuisance, dtype=np.float64)
-        self._own = np.asarray(own, dtype=np.float64)
         self.names = (*(name for name in UNKNOWNS if name in free), *objective.nuisances)
         self.scale = np.concatenate([SCALE[self._free], objective.scale])
         reach = NUISANCE_REACH * np.asarray(objective.scale)
