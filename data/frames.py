@@ -217,7 +217,7 @@ def read_array(file: Path) -> np.ndarray:
             depth = np.load(stream, allow_pickle=False)
     except InputError:
         raise
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError) as error:
+    except Exception as error:  # tokenize's errors among others, of a damaged header
         raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}") from None
     return _metres(depth, file)
 

@@ -171,6 +171,8 @@ def estimate_capture(
         # A minute of refinement must not be lost for it.
         doubts.append("interrupted: there is no report")
         files = {}
+    except InputError:  # a word that is out of range
+        raise
     except Exception as error:  # nor for a font, a full memory or a name that cannot be drawn
         doubts.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
         files = {}
