@@ -288,8 +288,9 @@ def load_state(
                 _, index, key = name.split(".")
                 moments.setdefault(int(index), {})[key] = value
         for index, parameter in enumerate(optimizer.param_groups[0]["params"] if moments else ()):
-            if any(value.shape not in ((), parameter.shape) for value in moments[index].values()):
-                raise ValueError(f"moments of parameter {index} have another shape")
+            shapes = {name: value.shape for name, value in moments[index].items()}
+            if shapes != {"step": (), "exp_avg": parameter.shape, "exp_avg_sq": parameter.shape}:
+                raise ValueError(f"moments of parameter {index} are missing or of another shape")
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError, OSError) as error:
         raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
                          ) from None

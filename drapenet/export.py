@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -56,12 +56,17 @@ SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
 GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
 
 
-class _Positive(Excerpt):
-    median: float = Field(gt=0)
+_Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class _Quantity(Excerpt):
     median: float
+    interval_68: _Interval
+    interval_90: _Interval
+
+
+class _Positive(_Quantity):
+    median: float = Field(gt=0)
 
 
 class _Direction(Excerpt):

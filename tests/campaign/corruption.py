@@ -90,7 +90,7 @@ def damaged_value(value: Any, rng: random.Random) -> Any:
             copy[key] = damaged_value(value[key], rng)
         return copy
     if isinstance(value, int | float) and not isinstance(value, bool) and rng.random() < 0.5:
-        return value * rng.choice((-1, 10, 1000, 1e-3, 1e9, 1e-9))
+        return float(max(-1e99, min(value, 1e99))) * rng.choice((-1, 10, 1000, 1e-3, 1e9, 1e-9))
     return rng.choice(VALUES)
 
 

@@ -150,7 +150,7 @@ def test_a_damaged_state_is_an_input_error(tmp_path: Path) -> None:
     ({"epochs_done": "1"}, {}, "epochs_done='1' is not a whole number"),
     ({"best_loss": []}, {}, r"best_loss=\[\] is not a number"),
     ({"run": None}, {}, "run=None is not a mapping"),
-    ({}, {"optimizer.0.exp_avg": torch.zeros(7)}, "moments of parameter 0 have another shape"),
+    ({}, {"optimizer.0.exp_avg": torch.zeros(7)}, "moments of parameter 0 are missing"),
     ({}, {"optimizer.x": torch.zeros(1)}, "cannot be resumed"),
 ])
 def test_a_state_of_other_content_is_an_input_error(
