@@ -78,7 +78,7 @@ def test_another_setting_in_the_same_folder_is_refused(words: list[str]) -> None
     ("epochs=0", "epochs"),
     ("device=tpu", "device"),
     ("optim.batch_size=1000", "batch"),
-    ("data=/nowhere", "no dataset"),
+    ("data=/nowhere", "not a dataset"),
     ("model.width=0", "width"),
     ("captures=0", "captures"),
     ("colour=red", "colour"),

@@ -48,7 +48,7 @@ def test_other_settings_have_other_files(files: Path, cloth_dataset: Path) -> No
 
 
 def test_an_unfinished_dataset_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no dataset"):
+    with pytest.raises(InputError, match="not a dataset"):
         make_maps(tmp_path, tmp_path / "out", rig=Rig(), setups=SETUPS, captures=1, seed=0)
 
 
