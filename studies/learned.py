@@ -26,7 +26,7 @@ from data.prior.table import TablePrior
 from data.prior.uniform import UniformPrior
 from data.shards import json_digest
 from data.splits import finished_manifest, split_by_fabric
-from drapenet.config import ModelConfig, OptimConfig, learning_rate
+from drapenet.config import ModelConfig, TrainConfig, learning_rate
 from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.coverage import LEVELS, covered, ranks
 from drapenet.evaluate import rms_with_interval
@@ -34,7 +34,7 @@ from drapenet.maps import Maps, make_maps
 from drapenet.targets import MODULI, TargetScale, targets_of
 from drapenet.training import CaptureSet
 from sim.scene import Rig
-from studies.networks import OnMaps, OnNumbers, OnOutlines, OnViews
+from studies.networks import COMPONENTS, OnMaps, OnNumbers, OnOutlines, OnViews
 from studies.stacked_views import CHANNELS, TARGETS, StackedSet, pictures, setups
 
 RIG = "square300_cylinder100"
@@ -175,7 +175,7 @@ def learner(one: Training, config: dict[str, Any]) -> Learner:
     chosen = maps.chosen(~held) if one.drapes == "fabrics" else captured(one.drapes, config)
     chosen = chosen.chosen(_wanted(chosen, one, config))
     captures = CaptureSet(chosen, scale=scale, disc=False)
-    shape = captures.network(ModelConfig(width=1))
+    shape = captures.network(ModelConfig(width=1, components=COMPONENTS))
     kinds = {"map": OnMaps, "outline": OnOutlines}
     network: torch.nn.Module
     if one.sees == "numbers":
@@ -242,7 +242,8 @@ def fit(
     """Train as ``train.py`` does, without epochs; the number of steps. The network is left in
     evaluation mode.
     """
-    optim, began, done = OptimConfig(batch_size=batch), time.process_time(), 0
+    optim = compose_config("train", [f"optim.batch_size={batch}"], schema=TrainConfig).optim
+    began, done = time.process_time(), 0
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=optim.weight_decay)
     network.train()
     batches = chain.from_iterable(_shown(captures, one, size=batch, seed=seed, epoch=epoch)
