@@ -16,7 +16,8 @@ Keys:
     readers     names, with |; empty: all
     seed        of all that is random
     work        folder of what is done so far
-    out         the report, JSON; "" for none
+    out         the report, JSON; "" for none; tables go into docs/validation.md, too, unless it is
+                another
 """
 
 import sys
@@ -36,7 +37,7 @@ from typing import Any  # noqa: E402
 import accidents  # noqa: E402
 from cases import FINDINGS, Outcome, run_case  # noqa: E402
 from readers import READERS, Reader, spoil  # noqa: E402
-from tables import describe  # noqa: E402
+from tables import describe, place  # noqa: E402
 
 from benchmarks.common import REPORTS, machine  # noqa: E402
 from common.cli import parse_overrides, run_command  # noqa: E402
@@ -64,6 +65,8 @@ def main(argv: list[str]) -> None:
     content = {"seed": config["seed"], "readers": readers, "kills": killed, "accidents": hurt}
     if config["out"]:
         replace_json(Path(config["out"]), {"machine": machine(), **content})
+    if config["out"] == DEFAULTS["out"]:
+        place(content, REPORTS.parent / "validation.md")
     print(describe(content))
 
 

@@ -1,10 +1,16 @@
 """The tables of a campaign's report."""
 
+from pathlib import Path
 from typing import Any
 
 from cases import FINDINGS
 
 from benchmarks.common import table
+from common.files import replace_file
+
+BEGIN, END = "<!-- campaign -->\n", "\n<!-- end of campaign -->"
+KILLS = {"kills": "datasets, one to four processes", "pool_kills": "datasets, worker processes",
+         "training_kills": "trainings"}
 
 
 def describe(content: dict[str, Any]) -> str:
@@ -12,13 +18,19 @@ def describe(content: dict[str, Any]) -> str:
     rows = [[name, found["cases"], *(found["outcomes"].get(kind, 0)
                                      for kind in ("accepted", "refused")),
              sum(found["outcomes"].get(kind, 0) for kind in FINDINGS),
-             f"{found['most_seconds']:.1f}", f"{found['most_megabytes']:.0f}"]
+             f"{found['most_seconds']:.2f}", f"{found['most_megabytes']:.0f}"]
             for name, found in content["readers"].items()]
     text = table(["reader", "damaged", "accepted", "refused", "findings", "longest [s]",
                   "most memory [MB]"], rows)
-    rows = [[name.replace("_", " "), found["kills"], found["runs"], found["same"]]
+    rows = [[KILLS[name], found["kills"], found["runs"], found["same"]]
             for name, found in content["kills"].items()]
-    text += "\n\n" + table(["SIGKILLs", "number", "runs", "with the bytes of one in peace"], rows)
+    text += "\n\n" + table(["SIGKILLs of", "number", "runs", "with the bytes of one in peace"], rows)
     rows = [[name, found["cases"], found["cases"] - sum(found["wrong"].values())]
             for name, found in content["accidents"].items()]
     return text + "\n\n" + table(["accident to a dataset", "cases", "right"], rows)
+
+
+def place(content: dict[str, Any], page: Path) -> None:
+    """Put the tables where the page ``page`` has those of an earlier report."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    replace_file(page, f"{before}{BEGIN}{describe(content)}{END}{rest.partition(END)[2]}".encode())
