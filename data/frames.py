@@ -238,8 +238,8 @@ def read_exr(file: Path) -> np.ndarray:
     except InputError:
         raise
     except Exception as error:  # the library has no error class
-        raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
-                         ) from None
+        raise InputError(f"{file} is damaged or no OpenEXR picture ({type(error).__name__}); "
+                         "export the view again") from None
     name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)
     if name is None and len(channels) != 1:
         raise InputError(f"{file} has channels {shown(sorted(channels))}; give depth as channel Z")

@@ -30,7 +30,8 @@ class Outcome:
     Attributes:
         kind: one of the names above.
         message: of the error; of a traceback with the place where it was raised.
-        seconds: of processor time. megabytes: at most, beyond those at the beginning.
+        seconds: of processor time.
+        megabytes: at most, beyond those at the beginning; 0 of a process that was ended.
     """
 
     kind: str
@@ -43,7 +44,6 @@ def run_case(
     work: Callable[[], object], *, seconds: int = CPU_SECONDS, megabytes: int = MEGABYTES
 ) -> Outcome:
     """Do ``work`` in a process of its own."""
-    before = _status("VmRSS")
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -56,13 +56,12 @@ def run_case(
     _, status, usage = os.wait4(child, 0)
     ended = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
     if not in_time or ended in (signal.SIGXCPU, signal.SIGKILL):
-        kind, message = TIME, ""
+        kind, message, megabytes = TIME, "", 0.0
     elif ended or not text:
-        kind, message = CRASH, signal.Signals(ended).name if ended else f"exit {status}"
+        kind, message, megabytes = CRASH, f"signal {ended}, status {status}", 0.0
     else:
-        kind, message = json.loads(text)
-    return Outcome(kind, message, usage.ru_utime + usage.ru_stime,
-                   max(0.0, usage.ru_maxrss / 1024 - before))
+        kind, message, megabytes = json.loads(text)
+    return Outcome(kind, message, usage.ru_utime + usage.ru_stime, megabytes)
 
 
 def _status(key: str) -> float:
@@ -93,7 +92,10 @@ def _work(work: Callable[[], object], writing: int, seconds: int, megabytes: int
         room = int(_status("VmSize") + megabytes) << 20
         resource.setrlimit(resource.RLIMIT_AS, (room, room))
         signal.signal(signal.SIGXCPU, signal.SIG_DFL)
-        os.write(writing, json.dumps(_outcome(work)).encode())
+        before = _status("VmRSS")
+        kind, message = _outcome(work)
+        text = json.dumps([kind, message, _status("VmHWM") - before])
+        os.write(writing, text.encode())
     finally:
         os._exit(0)
 
