@@ -24,7 +24,8 @@ def describe(content: dict[str, Any]) -> str:
                   "most memory [MB]"], rows)
     rows = [[KILLS[name], found["kills"], found["runs"], found["same"]]
             for name, found in content["kills"].items()]
-    text += "\n\n" + table(["SIGKILLs of", "number", "runs", "with the bytes of one in peace"], rows)
+    text += "\n\n" + table(["SIGKILLs of", "number", "runs", "with the bytes of one in peace"],
+                           rows)
     rows = [[name, found["cases"], found["cases"] - sum(found["wrong"].values())]
             for name, found in content["accidents"].items()]
     return text + "\n\n" + table(["accident to a dataset", "cases", "right"], rows)
