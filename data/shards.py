@@ -352,9 +352,19 @@ class _Begun(Excerpt):
     provenance: list[Any] = Entry(default_factory=list)
 
 
+class _Named(Excerpt):
+    name: str
+
+
+class _Config(Excerpt):
+    rig: _Named
+    prior: dict[str, Any]
+
+
 class _Finished(_Begun):
     """What a finished one must hold."""
 
+    config: _Config
     hash: str
     shards: dict[Annotated[str, Entry(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Entry(
         min_length=1)

@@ -160,14 +160,17 @@ def test_manifest(tmp_path):
     assert read_manifest(tmp_path) is None
     begun = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
              "config": {"sampling": {}}}
-    finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"}}
+    finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"},
+                        "config": {"rig": {"name": "disc"}, "prior": {}}}
     for content in (begun, finished):
         write_manifest(tmp_path, content)
         assert read_manifest(tmp_path) == content
     damaged = [begun | {name: value} for name, value in (
         ("drapes", "10"), ("config", []), ("identity", None), ("complete", 0))]
     damaged += [{"schema_version": SCHEMA_VERSION}, begun | {"complete": True},
-                finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]}]
+                finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]},
+                finished | {"config": {"rig": "disc", "prior": {}}},
+                finished | {"config": {"rig": {"name": "disc"}}}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
     complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (5, 7)}
