@@ -210,7 +210,7 @@ BAD = {
     "half a PLY": ("view_0.ply", lambda f: f.write_text("ply\nelement vertex 5\n"), "damaged"),
     "points behind": ("view_0.ply", lambda f: trimesh.PointCloud(-np.eye(3)).export(f),
                       "no point in front"),
-    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "cannot be read"),
+    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "no OpenEXR picture"),
     "no recording": ("take.bag", lambda f: f.write_text("no recording"), "as a recording"),
     "a recording": ("take.mkv", lambda f: f.write_text(""), "ffmpeg -i FILE -map 0:1"),
 }
