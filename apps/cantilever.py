@@ -9,43 +9,27 @@ first row is the clamp's edge; several strips of a direction are joined by comma
 
     python -m apps.cantilever estimate warp=a.csv,b.csv bias=c.csv weft=d.csv density=150
 
-Keys (``key=value``) of hang:
-
-    gamma              of each strip
-    out                JSON file; without it the list is printed
-
-Keys of estimate:
-
-    warp, bias, weft   curves of each direction, any subset
-    density            g/m²
-    method             table (nearest computed curve, for measured curves), regression (torque on
-                       curvature, for clean ones) or spline (a free curve of torque against
-                       curvature in place of the moduli, for a level clamp)
-    slope              angle of the clamp below the horizontal, degrees
-    degree             of the Bézier curves, 0 chooses it for each
-    knots              of the spline, beside that at 0
-    rounds             of simulated correction, at most (6 is enough); needs all three directions
-    width              of the strips, mm, for the correction
-    out                JSON file with the result
+``hang --help`` and ``estimate --help`` list the keys of each.
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
 import json
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from common.cli import check_density, parse_overrides, run_command
+from common.cli import check_density
+from common.command import command, commands
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
 from data.strip_curves import read_curve
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
-from sim.cantilever.torque_curve import KNOTS, fit_torque_curve
+from sim.cantilever.torque_curve import fit_torque_curve
 from sim.material import DIRECTIONS, MICRO, NANO
 from sim.newton import Status
 from sim.scene import GRAVITY
@@ -54,43 +38,46 @@ LENGTH = 0.09  # m; only gamma matters
 LARGEST_SIMULATED_GAMMA = 2000.0
 CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
 
-STRIPS = {"gamma": [0.1, 1.0, 10.0, 100.0], "out": ""}
-ESTIMATES = {
-    **dict.fromkeys(DIRECTIONS, ""),
-    "density": 0.0,
-    "method": "table",
-    "slope": 0.0,
-    "degree": 0,
-    "knots": KNOTS,
-    "rounds": 0,
-    "width": 30.0,
-    "out": "",
-}
+
+@dataclass
+class HangConfig:
+    """``configs/cantilever_hang.yaml``."""
+
+    gamma: list[float]
+    out: str
 
 
-def main(argv: list[str]) -> None:
-    """Dispatch to :func:`print_strips` or :func:`print_estimate`."""
-    if not argv or {"-h", "--help", "help"} & set(argv):
-        print(__doc__)
-    elif argv[0] == "hang":
-        print_strips(parse_overrides(STRIPS, argv[1:]))
-    elif argv[0] == "estimate":
-        print_estimate(parse_overrides(ESTIMATES, argv[1:]))
-    else:
-        raise InputError(f"unknown command '{argv[0]}'; use hang or estimate")
+@dataclass
+class EstimateConfig:
+    """``configs/cantilever_estimate.yaml``."""
+
+    warp: str
+    bias: str
+    weft: str
+    density: float
+    method: str
+    slope: float
+    degree: int
+    knots: int
+    rounds: int
+    width: float
+    out: str
 
 
-def print_strips(config: dict) -> None:
+@command("cantilever_hang", HangConfig)
+def print_strips(config: HangConfig) -> None:
     """Simulate a strip for each gamma; write JSON to the file ``out``, or print it."""
-    for gamma in config["gamma"]:
+    if not config.gamma:
+        raise InputError("gamma= needs a number, such as gamma=10")
+    for gamma in config.gamma:
         if not 0 < gamma <= LARGEST_SIMULATED_GAMMA:
             raise InputError(
                 f"gamma={gamma:g} must lie above 0 and not above {LARGEST_SIMULATED_GAMMA:g}"
             )
-    out = Path(config["out"]) if config["out"] else None
+    out = Path(config.out) if config.out else None
     if out:
         require_file(out)
-    text = json.dumps([simulate(gamma) for gamma in config["gamma"]], indent=2) + "\n"
+    text = json.dumps([simulate(gamma) for gamma in config.gamma], indent=2) + "\n"
     if out:
         replace_file(out, text.encode())
     else:
@@ -113,38 +100,39 @@ def simulate(gamma: float) -> dict:
     }
 
 
-def print_estimate(config: dict) -> None:
+@command("cantilever_estimate", EstimateConfig)
+def print_estimate(config: EstimateConfig) -> None:
     """Estimate, print a table in people's units, and write JSON where asked."""
-    files = {d: config[d].split(",") for d in DIRECTIONS if config[d]}
+    files = {d: named.split(",") for d in DIRECTIONS if (named := getattr(config, d))}
     if not files:
         raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
     for direction, names in files.items():
         if not all(names):
-            raise InputError(f"{direction}={config[direction]} has an empty file name; separate "
+            raise InputError(f"{direction}={','.join(names)} has an empty file name; separate "
                              "names by single commas")
-    if config["method"] not in (known := [*METHODS, "spline"]):
-        raise InputError(f"unknown method '{config['method']}'; choose from {', '.join(known)}")
-    if not config["density"] > 0:
+    if config.method not in (known := [*METHODS, "spline"]):
+        raise InputError(f"unknown method '{config.method}'; choose from {', '.join(known)}")
+    if not config.density > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
-    check_density(config["density"])
-    if config["rounds"] < 0 or not 0 < config["width"] <= 500:
+    check_density(config.density)
+    if config.rounds < 0 or not 0 < config.width <= 500:
         raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
-    if config["out"]:
-        require_file(Path(config["out"]))
+    if config.out:
+        require_file(Path(config.out))
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
-    report = (torque_curves if config["method"] == "spline" else moduli)(strips, config)
-    if config["out"]:
-        replace_json(Path(config["out"]), {"density_g_m2": config["density"],
-                                           "method": config["method"], **report})
+    report = (torque_curves if config.method == "spline" else moduli)(strips, config)
+    if config.out:
+        replace_json(Path(config.out), {"density_g_m2": config.density,
+                                           "method": config.method, **report})
 
 
-def moduli(strips: Strips, config: dict) -> dict:
+def moduli(strips: Strips, config: EstimateConfig) -> dict:
     """Estimate and correct alpha and beta of each direction, print them; the report's part."""
     options = {
-        "density": 1e-3 * config["density"],
-        "method": config["method"],
-        "slope": float(np.radians(config["slope"])),
-        "degree": config["degree"],
+        "density": 1e-3 * config.density,
+        "method": config.method,
+        "slope": float(np.radians(config.slope)),
+        "degree": config.degree,
     }
     found = estimate(strips, **options)
     rows = {
@@ -158,9 +146,9 @@ def moduli(strips: Strips, config: dict) -> dict:
         }
         for direction, e in found.items()
     }
-    if config["rounds"]:
-        width = 1e-3 * config["width"]
-        fabric = correct(strips, found, rounds=config["rounds"], width=width, **options)
+    if config.rounds:
+        width = 1e-3 * config.width
+        fabric = correct(strips, found, rounds=config.rounds, width=width, **options)
         for k, direction in enumerate(DIRECTIONS):
             rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
             rows[direction]["beta_nN_m2"] = float(fabric.beta[k] / NANO)
@@ -171,17 +159,17 @@ def moduli(strips: Strips, config: dict) -> dict:
     for direction in (direction for direction, e in found.items() if e.bounded):
         print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
               f"{RATIO_RANGE[1]:g} m; these curves do not determine beta")
-    return {"rounds": config["rounds"], "moduli": rows}
+    return {"rounds": config.rounds, "moduli": rows}
 
 
-def torque_curves(strips: Strips, config: dict) -> dict:
+def torque_curves(strips: Strips, config: EstimateConfig) -> dict:
     """Fit a torque curve to the strips of each direction, print its knots; the report's part."""
-    if config["slope"] or config["rounds"]:
+    if config.slope or config.rounds:
         raise InputError("method=spline needs a level clamp and rounds=0")
     rows = {}
     for direction, curves in strips.items():
-        found = fit_torque_curve(curves, weight=1e-3 * config["density"] * GRAVITY,
-                                 knots=config["knots"], degree=config["degree"])
+        found = fit_torque_curve(curves, weight=1e-3 * config.density * GRAVITY,
+                                 knots=config.knots, degree=config.degree)
         rows[direction] = {
             "curvature_1_m": found.curvature.tolist(),
             "torque_mN": (1e3 * found.torque).tolist(),
@@ -194,10 +182,7 @@ def torque_curves(strips: Strips, config: dict) -> dict:
     return {"torque_curves": rows}
 
 
-def entry() -> None:
-    """Console script."""
-    run_command(main)
-
+main = commands({"hang": print_strips, "estimate": print_estimate}, usage=__doc__)
 
 if __name__ == "__main__":
-    sys.exit(entry())
+    main()

@@ -1,17 +1,12 @@
-"""Shared conduct of the command lines: ``key=value`` words, one-line errors, exit codes."""
+"""Shared conduct of the command lines: one-line errors, exit codes."""
 
 import errno
-import math
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, NoReturn
-
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from common.ctrl_c import end, require_interruption
 from common.errors import InputError
@@ -22,37 +17,6 @@ FULL_ERROR = "HYDRA_FULL_ERROR"
 LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
 LIMITS = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
 """The most that keys of these names take: what 64 bits hold, and what no machine is asked for."""
-
-
-def parse_overrides(defaults: dict, argv: list[str]) -> dict:
-    """Lay ``key=value`` words over ``defaults`` (nested keys with dots).
-
-    A default of ``None`` accepts any value; otherwise the value must convert to the default's
-    type, and a number must be finite. Text defaults take the word literally, so that paths need
-    no quoting. A list is written with commas (``alpha=20,20,20``); its items take the type of the
-    default's first.
-
-    Raises:
-        InputError: a word without ``=``, an unknown key, a value of the wrong type.
-    """
-    config = OmegaConf.to_container(OmegaConf.create(defaults), resolve=True)
-    refuse_repeated(argv)
-    known = ", ".join(sorted(str(key) for key in defaults))
-    for word in argv:
-        key, equals, text = word.partition("=")
-        if word.startswith("--"):
-            raise InputError(f"'{word}': keys are written without dashes, as key=value; known "
-                             f"keys: {known}")
-        if not equals:
-            raise InputError(f"'{word}' is not of the form key=value; known keys: {known}")
-        place, *names = [config, *key.split(".")]
-        for name in names[:-1]:
-            place = place.get(name) if isinstance(place, dict) else None
-        if not isinstance(place, dict) or isinstance(place.get(names[-1], {}), dict):
-            raise InputError(f"unknown key '{key}'; known keys: {known}")
-        place[names[-1]] = _convert(key, text, place[names[-1]])
-    check_counts(config)
-    return config
 
 
 def refuse_repeated(words: Iterable[str]) -> None:
@@ -68,30 +32,6 @@ def check_counts(config: Mapping[str, Any]) -> None:
     for key, most in LIMITS.items():
         if isinstance(value := config.get(key), int) and value > most:
             raise InputError(f"{key}={value} must not be above {most}")
-
-
-def _convert(key: str, text: str, old: object) -> object:
-    if isinstance(old, str):
-        return text
-    if isinstance(old, list):
-        return [_convert(key, part, old[0]) for part in text.strip("[]()").split(",")]
-    if isinstance(old, float):
-        with suppress(ValueError):
-            if math.isfinite(value := float(text)):
-                return value
-        raise InputError(f"{key}: '{text}' is no finite number; give one like {old:g}")
-    if type(old) is int:
-        # Not as YAML reads it, where 010 is 8 and 1:30 is 90: seeds are often padded.
-        with suppress(ValueError):
-            return int(text)
-        raise InputError(f"{key}: '{text}' is no whole number; give one like {old}")
-    try:
-        value = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={text}"]))["value"]
-    except (OmegaConfBaseException, YAMLError):
-        raise InputError(f"{key}={text} cannot be read; give a number or a word") from None
-    if old is None or type(value) is type(old):
-        return value
-    raise InputError(f"{key}: '{text}' is no {type(old).__name__}; give one like {old}")
 
 
 def check_density(density: float) -> None:

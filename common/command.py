@@ -6,19 +6,23 @@ top of Hydra's own command line, with its options, groups, sweeps and launchers:
 - a mistake is one line on standard error and exit code 2 (:func:`common.cli.run_command`);
 - the value of a text needs no quotes, whatever a path contains, except ``${key}``, which stands for
   the value of a key. In a sweep (``--multirun``) it is Hydra's grammar, where commas separate jobs;
-- a list of numbers needs no brackets.
+- a list of numbers needs no brackets;
+- the first word may stand for the value of a key, or choose among several commands
+  (:func:`commands`).
 """
 
 import difflib
 import functools
 import itertools
+import math
 import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import asdict, fields, is_dataclass, make_dataclass
+from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from common.cli import FULL_ERROR, check_counts, refuse_repeated, run_command
@@ -26,10 +30,11 @@ from common.configs import CONFIG_DIR, config_text, group_options, read_config
 from common.errors import InputError, one_line
 
 _QUOTES = ("'", '"')
+_GLOBAL = "# @package _global_\n"
 
 
 def command(
-    name: str, schema: type, *, check: Callable[[Any], object] | None = None
+    name: str, schema: type, *, check: Callable[[Any], object] | None = None, first: str = ""
 ) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
     """Decorator: a function of a ``schema`` object becomes the command of ``configs/NAME.yaml``.
 
@@ -38,11 +43,12 @@ def command(
 
     Args:
         check: raises InputError for settings that make no sense, before the jobs of a sweep start.
+        first: the key whose value the first word is, unless that sets a key.
     """
 
     def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
         def main(words: Sequence[str] | None = None) -> None:
-            run = functools.partial(_run, task, name, schema, check)
+            run = functools.partial(_run, task, name, schema, check, first)
             run_command(run) if words is None else run(list(words))
 
         return functools.wraps(task)(main)
@@ -50,9 +56,30 @@ def command(
     return decorate
 
 
+def commands(
+    named: Mapping[str, Callable[[list[str]], None]], *, usage: str
+) -> Callable[..., None]:
+    """A command whose first word chooses among those ``named``; without it, --help is ``usage``."""
+
+    def choose(words: list[str]) -> None:
+        name, *others = words or [""]
+        if name in ("-h", "--help"):
+            print(usage)
+        elif name in named:
+            named[name](others)
+        else:
+            unknown = f"unknown command '{name}'{_nearest(name, named)}" if name else "no command"
+            raise InputError(f"{unknown}; the first word is one of: {', '.join(named)}")
+
+    def main(words: Sequence[str] | None = None) -> None:
+        run_command(choose) if words is None else choose(list(words))
+
+    return main
+
+
 def _run(
     task: Callable[[Any], None], name: str, schema: type, check: Callable[[Any], object] | None,
-    words: list[str],
+    first: str, words: list[str],
 ) -> None:
     from hydra import main
     from hydra.core.hydra_config import HydraConfig
@@ -62,13 +89,13 @@ def _run(
     store_schema(name, schema)
     OmegaConf.register_new_resolver(
         "help", lambda: describe(name, sys.modules[task.__module__].__doc__), replace=True)
-    words, overrides, sweep = _hydra_words(name, schema, words)
+    words, overrides, sweep = _hydra_words(name, schema, first, words)
     failed: list[Exception] = []
 
     @functools.wraps(task)  # Hydra looks where the task is from
     def job(config: Any) -> None:
         try:
-            with explained(name, overrides):
+            with explained(name, schema, overrides):
                 settings = as_schema(config, schema)
             task(settings)
         except Exception as error:
@@ -77,7 +104,7 @@ def _run(
             failed.append(error)  # past Hydra, which would print its words
 
     argv, full = sys.argv, os.environ.get(FULL_ERROR, "0")
-    with explained(name, overrides, sweep=sweep):
+    with explained(name, schema, overrides, sweep=sweep):
         if sweep and check:
             check(as_schema(_compose(name, _single(overrides)), schema))
         try:  # Hydra reads the command line itself, and should raise its errors
@@ -90,7 +117,7 @@ def _run(
 
 
 def _hydra_words(
-    name: str, schema: type, words: list[str]
+    name: str, schema: type, first: str, words: list[str]
 ) -> tuple[list[str], list[str], bool]:
     """A command line for Hydra, the overrides in it, and whether it asks for a sweep.
 
@@ -101,14 +128,17 @@ def _hydra_words(
 
     def refuse(message: str) -> None:
         raise InputError(f"{message}; --hydra-help lists the options, and keys are written without "
-                         f"dashes, as key=value; {known_keys(name)}")
+                         f"dashes, as key=value; {known_keys(name, schema)}")
 
     parser = get_args_parser()
     parser.error = refuse
+    keys = keys_of(name, schema)
+    if first and words and words[0][:1] not in "-+~" and _top(words[0]) not in {*keys, "hydra"}:
+        words = [f"{first}={words[0]}", *words[1:]]  # folders of sweeps have = in their names
     options = parser.parse_intermixed_args(words)
     for word in options.overrides:
         if "=" not in word and not word.startswith("~"):
-            raise InputError(f"'{word}' is not of the form key=value; {known_keys(name)}")
+            raise InputError(f"'{word}' is not of the form key=value; {known_keys(name, schema)}")
     refuse_repeated(options.overrides)
     params = read_config(name).get("hydra", {}).get("sweeper", {}).get("params", {})
     overrides = []
@@ -158,6 +188,11 @@ def _kind(schema: type, key: str) -> Any:
     return kind
 
 
+def _top(word: str) -> str | None:
+    """The key that an override sets, the outermost of nested ones; None where there is no =."""
+    return word.partition("=")[0].partition(".")[0] if "=" in word else None
+
+
 def _quoted(text: str) -> str:
     """``text`` as a quoted value of Hydra, which takes backslashes before quotes for escapes."""
     return "'" + re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", text)) + "'"
@@ -173,6 +208,18 @@ def store_schema(name: str, schema: type) -> None:
     ConfigStore.instance().store(name=f"{name}_schema", node=schema)
 
 
+def schema_of(name: str) -> type:
+    """A schema for ``configs/NAME.yaml``, and the files that it includes, by what it holds."""
+    from omegaconf import OmegaConf
+
+    def kind(value: Any) -> Any:
+        if isinstance(value, dict):
+            return make_dataclass("Settings", [(key, kind(one)) for key, one in value.items()])
+        return list[type(value[0])] if isinstance(value, list) else type(value)
+
+    return kind(OmegaConf.to_container(_compose(name, [])))
+
+
 def compose_config(name: str, words: list[str], *, schema: type) -> Any:
     """An instance of ``schema`` from ``configs/NAME.yaml`` under the overrides ``words``.
 
@@ -180,7 +227,7 @@ def compose_config(name: str, words: list[str], *, schema: type) -> Any:
         InputError: as the command line would.
     """
     store_schema(name, schema)
-    with explained(name, words):
+    with explained(name, schema, words):
         return as_schema(_compose(name, [to_hydra(word, schema) for word in words]), schema)
 
 
@@ -207,14 +254,26 @@ def as_schema(config: Any, schema: type) -> Any:
         raise InputError(f"keys without a value: {', '.join(sorted(missing))}")
     settings = OmegaConf.to_object(typed)
     check_counts(vars(settings))
+    _require_finite(asdict(settings))
     return settings
+
+
+def _require_finite(content: dict[str, Any], inside: str = "") -> None:
+    for key, value in content.items():
+        if isinstance(value, dict):
+            _require_finite(value, f"{inside}{key}.")
+        for number in value if isinstance(value, list) else [value]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise InputError(f"{inside}{key}={number} must be a finite number, such as 3")
 
 
 # --- Complaints -----------------------------------------------------------------------------
 
 
 @contextmanager
-def explained(name: str, words: list[str], *, sweep: bool = False) -> Iterator[None]:
+def explained(
+    name: str, schema: type, words: list[str], *, sweep: bool = False
+) -> Iterator[None]:
     """Turn what Hydra has against the ``words`` for ``configs/NAME.yaml`` into an InputError."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
@@ -224,7 +283,7 @@ def explained(name: str, words: list[str], *, sweep: bool = False) -> Iterator[N
     except InputError:
         raise
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_complaint(error, name)) from error
+        raise InputError(_complaint(error, name, schema)) from error
     except Exception as error:
         if sweep:  # whatever the launcher's classes are
             raise InputError(f"a job could not be started or ended early ({one_line(error)}); what "
@@ -235,7 +294,13 @@ def explained(name: str, words: list[str], *, sweep: bool = False) -> Iterator[N
         raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from error
 
 
-def _complaint(error: Exception, name: str) -> str:
+_WANTED = {"Integer": "a whole number, such as 3", "Float": "a finite number, such as 3",
+           "bool": "true or false"}
+_CONVERSION = re.compile(  # OmegaConf's complaint
+    r"Value '(.*)' (?:of type '.*' could not be converted to|is not a valid) (\w+)")
+
+
+def _complaint(error: Exception, name: str, schema: type) -> str:
     if str(error).startswith("Error merging override ") and error.__cause__:
         error = error.__cause__  # that says why
     first, key = str(error).partition("\n")[0], getattr(error, "full_key", None)
@@ -246,11 +311,14 @@ def _complaint(error: Exception, name: str) -> str:
                    for option in group_options(group)} if group else {}
         if fitting := [word for word, content in options.items() if inner in content]:
             return f"{key} goes with {' or '.join(fitting)}"
-        inside = set(read_config(name).get(group) or ())
+        inside = _names(_kind(schema, group)) if group else set()
         if inside := inside.union(*options.values()):
             return (f"unknown key '{key}'{_nearest(inner, inside)}; keys of {group}: "
                     f"{', '.join(sorted(inside))}")
-        return f"unknown key '{key}'{_nearest(key, keys_of(name))}; {known_keys(name)}"
+        near = _nearest(key, keys_of(name, schema))
+        return f"unknown key '{key}'{near}; {known_keys(name, schema)}"
+    if (wrong := _CONVERSION.match(first)) and wrong[2] in _WANTED:
+        return f"{key}={wrong[1]} must be {_WANTED[wrong[2]]}"
     if key:
         return f"{key}: {first}"
     if word := getattr(error, "override", None):
@@ -269,25 +337,38 @@ def _complaint(error: Exception, name: str) -> str:
     return text
 
 
-def _nearest(key: str, known: set[str]) -> str:
+def _nearest(key: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(key, known, n=1)
     return f", perhaps {near[0]}" if near else ""
 
 
-def known_keys(name: str) -> str:
+def known_keys(name: str, schema: type) -> str:
     """For complaints: keys and groups of ``configs/NAME.yaml``."""
-    return f"known keys: {', '.join(sorted(keys_of(name)))}"
+    return f"known keys: {', '.join(sorted(keys_of(name, schema)))}"
 
 
-def keys_of(name: str) -> set[str]:
+def keys_of(name: str, schema: type) -> set[str]:
     """Keys and groups of ``configs/NAME.yaml``."""
-    return (groups_of(name).keys() | read_config(name).keys()) - {"hydra", "defaults"}
+    return _names(schema) | groups_of(name).keys()
+
+
+def _names(schema: Any) -> set[str]:
+    return {field.name for field in fields(schema)} if is_dataclass(schema) else set()
 
 
 def groups_of(name: str) -> dict[str, str | None]:
     """The groups of ``configs/NAME.yaml``, each with the option that it has by default."""
     return {group: option for default in read_config(name)["defaults"] if isinstance(default, dict)
             for group, option in default.items() if "override " not in group}
+
+
+def included(name: str) -> dict[str, str]:
+    """The files in the folder of ``configs/NAME.yaml`` that it includes, and the key of each."""
+    parts = [default.partition("@") for default in read_config(name)["defaults"]
+             if isinstance(default, str)]
+    files = {(Path(name).parent / file).as_posix(): key for file, _, key in parts}
+    return {file: key for file, key in files.items()
+            if file != "command" and (CONFIG_DIR / f"{file}.yaml").is_file()}
 
 
 # --- Help -----------------------------------------------------------------------------------
@@ -298,12 +379,15 @@ def describe(name: str, usage: str) -> str:
 
     Of a group's alternatives to the default option only what their files say of themselves.
     """
-    keys = re.sub(r"^(defaults|hydra):.*\n(?: .*\n|\n)*", "", config_text(name), flags=re.M)
-    parts = [usage, f"Keys (configs/{name}.yaml):\n", keys.strip()]
+    parts = [usage.rstrip()]
+    for file, under in {name: "", **included(name)}.items():
+        keys = re.sub(r"^(defaults|hydra):.*\n(?: .*\n|\n)*", "", config_text(file), flags=re.M)
+        where = f" under {under}" if under else ""
+        parts += [f"\nKeys{where} (configs/{file}.yaml):\n", keys.replace(_GLOBAL, "").strip()]
     for group, default in groups_of(name).items():
         parts.append(f"\nGroup {group} (configs/{group}):")
         for option in sorted(group_options(group), key=lambda one: (one != default, one)):
-            text = config_text(f"{group}/{option}").replace("# @package _global_\n", "")
+            text = config_text(f"{group}/{option}").replace(_GLOBAL, "")
             about = "".join(itertools.takewhile(lambda line: line[0] == "#",
                                                 text.splitlines(keepends=True)))
             shown, mark = (text, ", the default") if option == default else (about, "")

@@ -1,23 +1,22 @@
-"""Turn depth frames into a cut-out capture: ``python -m data.capture import=PATH out=DIR``.
+"""Turn depth frames into a cut-out capture.
 
-PATH is a folder with capture.yaml and frames of the whole scene, or of the cloth alone
+    python -m data.capture frames=FOLDER out=DIR
+    python -m data.capture board=board.png
+
+FOLDER has capture.yaml and frames of the whole scene, or of the cloth alone
 (docs/use.md). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
 DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes; last, the cloth
 of all frames from above, one colour a frame, turned back by turns_deg. Look at it: where the hems
 of two colours lie apart, the table was not turned as stated, or the cloth has moved.
-
-import   folder of the frames
-out      new or empty folder of the capture
-board    alone: PNG of a ChArUco board for the turntable, to print on A4 at its true size
 """
 
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.board import SQUARE, board_picture
@@ -36,19 +35,28 @@ _WIDE = 1.02  # of the specimen, the half width of the picture from above
 _AXES = (60, 60, 255), (60, 200, 60), (255, 120, 60)
 
 
-def main(argv: list[str]) -> None:
-    """The command line: ``import=PATH out=DIR``, or ``board=FILE``."""
-    config = parse_overrides({"import": "", "out": "", "board": ""}, argv)
-    if config["board"]:
-        replace_file(Path(config["board"]), board_picture())
-        print(f"board: {config['board']}; print it on A4 at 100 %: squares of "
+@dataclass
+class CaptureConfig:
+    """``configs/capture.yaml``."""
+
+    frames: str
+    out: str
+    board: str
+
+
+@command("capture", CaptureConfig)
+def main(config: CaptureConfig) -> None:
+    """Cut out, and write the capture and its picture; or write a board."""
+    if config.board:
+        replace_file(Path(config.board), board_picture())
+        print(f"board: {config.board}; print it on A4 at 100 %: squares of "
               f"{1e3 * SQUARE:g} mm")
         return
-    if not config["import"]:
-        raise InputError("import= needs the folder of the frames")
-    out = folder_named(config["out"])
+    if not config.frames:
+        raise InputError("frames= needs the folder of the frames")
+    out = folder_named(config.out)
     require_folder(out)
-    capture = read_capture(config["import"])
+    capture = read_capture(config.frames)
     cut = capture.cut or cut_out(capture.views, capture.intrinsics, Rig.from_name(capture.rig))
     write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
                   warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
@@ -125,7 +133,5 @@ def _from_above(
     return tile
 
 
-entry = partial(run_command, main, usage=__doc__)  # console script
-
 if __name__ == "__main__":
-    entry()
+    main()

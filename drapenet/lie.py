@@ -6,7 +6,7 @@ means and variations around the axis, the place on their first harmonics. The co
 ridge regressions, ``drapenet/weights/lie.json``, come from captures of a dataset's drapes, the
 scale's from depths multiplied by up to e^±0.15:
 
-    python -m drapenet.lie data=DATASET [rig=NAME captures=300 seed=1]
+    python -m drapenet.lie data=DATASET [rig=NAME]
 """
 
 import json
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.files import replace_file
 from data.cameras import CameraRig
 from data.setups import Setups
@@ -30,7 +30,16 @@ FILE = Path(__file__).parent / "weights" / "lie.json"
 _BAND = 4  # rows of a map
 _REACH = 0.15  # of the logarithm of the scale
 _RIDGE = 0.1  # of standardised features
-DEFAULTS = {"data": "", "rig": Rig().name, "captures": 300, "seed": 1}
+
+
+@dataclass
+class LieConfig:
+    """``configs/lie.yaml``."""
+
+    data: str
+    rig: str
+    captures: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -94,11 +103,11 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constan
             "deviation": float(np.std(unseen - values))}
 
 
-def main(argv: list[str]) -> None:
+@command("lie", LieConfig)
+def main(config: LieConfig) -> None:
     """Fit the coefficients of one rig, and write them beside those of others."""
-    config = parse_overrides(DEFAULTS, argv)
-    rig, setups = Rig.from_name(config["rig"]), Setups.load()
-    manifest, root = finished_manifest(config["data"]), Path(config["data"])
+    rig, setups = Rig.from_name(config.rig), Setups.load()
+    manifest, root = finished_manifest(config.data), Path(config.data)
     nominal = CameraRig.load(rig.name).intrinsics
     scales: list[tuple[np.ndarray, float, int]] = []
     offsets: list[tuple[np.ndarray, complex, int]] = []
@@ -107,7 +116,7 @@ def main(argv: list[str]) -> None:
             fabric, drift = drapes.column("fabric"), drapes.column("offset") @ [1, 1j]
             for row in np.flatnonzero(drapes.column("status") == "converged"):
                 positions, _, faces = drapes.mesh(row)
-                rng = np.random.default_rng([config["seed"], len(scales)])
+                rng = np.random.default_rng([config.seed, len(scales)])
                 seen = setups.capture(positions, faces, rng, nominal=nominal)
                 for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                     views = seen.views * np.float32(math.exp(scale))
@@ -118,9 +127,9 @@ def main(argv: list[str]) -> None:
                         turned = np.exp(1j * (seen.orientation - found.zero))
                         offsets.append((_offset_features(found), drift[row] * turned,
                                         int(fabric[row])))
-                if len(scales) >= 3 * config["captures"]:
+                if len(scales) >= 3 * config.captures:
                     break
-        if len(scales) >= 3 * config["captures"]:
+        if len(scales) >= 3 * config.captures:
             break
     features, values, groups = (np.array(part) for part in zip(*scales, strict=True))
     own = {"log_scale": fit(features, values, groups, constant=True)}
@@ -136,4 +145,4 @@ def main(argv: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(main, usage=__doc__)
+    main()

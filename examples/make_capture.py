@@ -9,12 +9,12 @@ The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.cameras import CameraRig
@@ -27,47 +27,51 @@ from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import Rig
 
-DEFAULTS = {
-    "out": "outputs/capture",    # folder; a capture made by this program is replaced
-    "alpha": [48.0, 30.0, 22.0],  # µN·m, along warp, bias, weft
-    "beta": [-96.0, -60.0, -44.0],  # nN·m², likewise: beta/alpha is -2 mm
-    "density": 210.0,            # g/m²
-    "warp_direction": 25.0,      # degrees, in the first view
-    "edge_mm": 2.0,              # edges of the mesh at the plate's rim
-    "sensor": "smooth",          # noise, a file of configs/sensor
-    "seed": 2022,                # of the folds, the camera and the noise
-}
 FILES = {"capture.yaml", "truth.json", *(f"view_{k}.png" for k in range(VIEWS))}
 
 
-def main(argv: list[str]) -> None:
-    """The command line: words ``key=value`` over :data:`DEFAULTS`."""
-    config = parse_overrides(DEFAULTS, argv)
-    out = folder_named(config["out"])
+@dataclass
+class MakeCaptureConfig:
+    """``configs/make_capture.yaml``."""
+
+    out: str
+    alpha: list[float]
+    beta: list[float]
+    density: float
+    warp_direction: float
+    edge_mm: float
+    sensor: str
+    seed: int
+
+
+@command("make_capture", MakeCaptureConfig)
+def main(config: MakeCaptureConfig) -> None:
+    """Drape, render, and write the capture and its truth."""
+    out = folder_named(config.out)
     old = list(out.iterdir()) if out.is_dir() else []
     if out.is_file() or not {file.name for file in old} <= FILES:
         raise InputError(f"{out} holds something else than a capture made here; choose another "
                          "out=")
     require_folder(out)
-    density = checked_density(config["density"])
+    density = checked_density(config.density)
     rig = CameraRig.load()
-    noise = load_sensor(config["sensor"])
+    noise = load_sensor(config.sensor)
     if isinstance(noise, StructuredLight):
         # A 16-bit capture has no 8-bit steps; they belong to the published format.
         noise = replace(noise, eight_bit_probability=0.0)
-    fabric = Fabric(alpha=np.array(config["alpha"]) * MICRO, beta=np.array(config["beta"]) * NANO,
+    fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(config.beta) * NANO,
                     density=density)
-    result = drape(fabric, rig=Rig.from_name(rig.name), edge=1e-3 * config["edge_mm"],
-                   seed=config["seed"])
+    result = drape(fabric, rig=Rig.from_name(rig.name), edge=1e-3 * config.edge_mm,
+                   seed=config.seed)
     if not result.converged:
         raise InputError(f"the drape did not converge ({result.message}); try another seed")
 
-    rng = np.random.default_rng(config["seed"])
+    rng = np.random.default_rng(config.seed)
     camera = rig.sample(rng)
-    direction = math.radians(config["warp_direction"])
+    direction = math.radians(config.warp_direction)
     views = torch.from_numpy(render_views(result.positions, result.faces, camera, direction))
     intrinsics, _ = camera_tensors([camera])
-    generator = torch.Generator().manual_seed(config["seed"])
+    generator = torch.Generator().manual_seed(config.seed)
     views = noise(views, intrinsics[0], generator).numpy()
     for file in old:
         file.unlink()
@@ -75,13 +79,13 @@ def main(argv: list[str]) -> None:
     write_capture(out, views=views, intrinsics=rig.intrinsics, density=density,
                   warp_direction=direction, rig=rig.name)
     truth = {
-        "density_g_m2": config["density"],
+        "density_g_m2": config.density,
         "moduli": {name: {"alpha_uN_m": alpha, "beta_nN_m2": beta} for name, alpha, beta in
-                   zip(DIRECTIONS, config["alpha"], config["beta"], strict=True)},
+                   zip(DIRECTIONS, config.alpha, config.beta, strict=True)},
     }
     replace_file(out / "truth.json", (json.dumps(truth, indent=1) + "\n").encode())
     print(f"capture: {out}")
 
 
 if __name__ == "__main__":
-    run_command(main, usage=__doc__)
+    main()

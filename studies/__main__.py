@@ -1,6 +1,8 @@
-"""Run studies: ``python -m studies NAME|all [key=value ...]``; keys in ``configs/study/``.
+"""Run studies.
 
-``python -m studies page`` runs nothing: it writes the page and the pictures from the reports.
+    python -m studies NAME [key=value ...]  # configs/study/NAME.yaml; NAME --help lists the keys
+    python -m studies all [key=value ...]
+    python -m studies page                  # only write the page and the pictures from the reports
 """
 
 import benchmarks.one_thread  # noqa: F401
@@ -8,14 +10,17 @@ import benchmarks.one_thread  # noqa: F401
 # isort: split
 import json
 import sys
+from dataclasses import asdict
+from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from benchmarks.common import write_figure, write_report
-from common.cli import parse_overrides, run_command
+from common.command import command, commands, schema_of
 from common.errors import InputError
 from common.files import replace_file, require_file
-from studies.study import PAGE, Report, Study, default_config, page
+from studies.study import PAGE, Report, Study, page
 
 ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
          "transfer", "recognition", "optimisers", "curves", "hung", "friction")
@@ -42,16 +47,12 @@ def write_page(*, pictures: bool = False) -> None:
     replace_file(PAGE, page([study_named(name) for name in ORDER], known).encode())
 
 
-def main(argv: list[str]) -> None:
-    """The command line."""
-    if argv == ["page"]:
-        write_page(pictures=True)
-        return
-    if not argv or argv[0] not in (*ORDER, "all"):
-        raise InputError(f"name a study: {', '.join(ORDER)}, all, or page alone")
-    for name in ORDER if argv[0] == "all" else argv[:1]:
-        study = study_named(name)
-        config = parse_overrides(default_config(name), argv[1:])
+def run_study(name: str, words: list[str]) -> None:
+    """Run the study ``name`` under the overrides ``words``; write its report and picture."""
+
+    @command(f"study/{name}", schema_of(f"study/{name}"))
+    def run(settings: Any) -> None:
+        study, config = study_named(name), asdict(settings)
         out = Path(config["out"]) if config["out"] else study.report
         require_file(out)
         report = {"settings": config, **study.run(config)}
@@ -61,6 +62,24 @@ def main(argv: list[str]) -> None:
         if out == study.report:
             write_page()
 
+    run(words)
+
+
+def run_all(words: list[str]) -> None:
+    """Run all studies, each under the overrides ``words``."""
+    for name in ORDER:
+        run_study(name, words)
+
+
+def draw_page(words: list[str]) -> None:
+    """Write the page and all pictures; there are no ``words`` to it."""
+    if words:
+        raise InputError(f"'{words[0]}': page takes no other words")
+    write_page(pictures=True)
+
+
+main = commands({**{name: partial(run_study, name) for name in ORDER}, "all": run_all,
+                 "page": draw_page}, usage=__doc__)
 
 if __name__ == "__main__":
-    run_command(main, usage=__doc__)
+    main()

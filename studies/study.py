@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ROOT, run_cases, table
 from benchmarks.figures import slug
-from common.configs import read_config
 
 PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
@@ -49,19 +48,6 @@ def over_fabrics(
                             for k in range(config["fabrics"])},
                      folder=Path(config["cases"]) / inside, workers=config["workers"],
                      sources=sources)
-
-
-def default_config(name: str) -> dict[str, Any]:
-    """The keys of ``configs/study/NAME.yaml``, and of the files that its defaults list names;
-    those of FILE@KEY under that key.
-    """
-    own = read_config(f"study/{name}")
-    config: dict[str, Any] = {}
-    for part in own.pop("defaults", ["_self_"]):
-        file, _, key = part.partition("@")
-        found = own if part == "_self_" else default_config(file)
-        config |= {key: found} if key else found
-    return config
 
 
 @dataclass(frozen=True)

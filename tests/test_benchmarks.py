@@ -24,7 +24,7 @@ from benchmarks import (
     report,
     throughput,
 )
-from benchmarks.common import ROOT, load_arrays, run_cases, table
+from benchmarks.common import ROOT, load_arrays, parse_overrides, run_cases, table
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
 from drapenet.checkpoint import read_header, save_checkpoint
@@ -375,3 +375,35 @@ def test_every_benchmark_can_be_imported():
     done = subprocess.run([sys.executable, "-c", f"import {', '.join(names)}"], cwd=ROOT,
                           capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_words_take_the_types_of_the_defaults():
+    defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None,
+                "inner": {"flag": True}}
+    words = ["name=/x y/=${z}", "count=010", "ratio=2", "list=[3,-.5]", "any=text",
+             "inner.flag=false"]
+    assert parse_overrides(defaults, words) == {
+        "name": "/x y/=${z}", "count": 10, "ratio": 2.0, "list": [3.0, -0.5], "any": "text",
+        "inner": {"flag": False}}
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("count=1.5", "count: '1.5' must be a whole number"), ("count=many", "a whole number"),
+     ("ratio=[1]", "a finite number"), ("ratio=nan", "ratio: 'nan' must be a finite number"),
+     ("ratio=.inf", "a finite number"), ("ratio=1e400", "a finite number"),
+     ("list=1,,2", "list: '' must be a finite number, such as 1"),
+     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value"),
+     ("--count=1", "without dashes, as key=value"), ("--count", "without dashes"),
+     ("count=1:30", "a whole number"), ("count.x=1", "unknown key"), ("list[0=1", "unknown key"),
+     ("=1", "unknown key"), ("count..x=1", "unknown key")],
+)
+def test_words_of_the_wrong_type_are_refused(word, said):
+    with pytest.raises(InputError, match=said):
+        parse_overrides({"count": 1, "ratio": 1.0, "list": [1.0]}, [word])
+
+
+def test_numbers_beyond_the_limits_and_repeated_keys_are_refused():
+    for words in (["seed=1", "seed=2"], ["workers=1000000"], [f"seed={10**22}"]):
+        with pytest.raises(InputError, match=words[0].partition("=")[0]):
+            parse_overrides({"seed": 0, "workers": 1}, words)

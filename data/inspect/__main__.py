@@ -1,47 +1,49 @@
-"""Looks at a dataset of drapes: ``python -m data.inspect --help``."""
+"""Check a dataset of drapes, and report what it holds.
+
+    python -m data.inspect FOLDER [out=REPORT]
+
+Checks that the shards of the dataset in FOLDER are those that its dataset.json lists, then says
+what is in it: outcomes, parameters against the prior, drapes, disk use. Writes report.json,
+histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
+"""
 
 import json
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
-from common.cli import parse_overrides, run_command
+from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots
 
-DEFAULTS = {"out": "outputs/inspect", "intersections": 500, "sheet": 48}
-
 LABEL = 22  # width of a table's first column
 
-USAGE = """\
-usage: python -m data.inspect DIR [KEY=VALUE ...]
 
-Checks that the shards of the dataset in DIR are those that its dataset.json lists, then says what
-is in it: outcomes, parameters against the prior, drapes, disk use. Writes OUT/report.json,
-OUT/histograms.png and OUT/contact_sheet.png (docs/data_format.md). Does not change DIR.
+@dataclass
+class InspectConfig:
+    """``configs/inspect.yaml``."""
 
-out=outputs/inspect  folder of the report
-intersections=500    drapes looked at for self-intersections, evenly spread; some 5 ms each, beside
-                     5 ms for each drape of the dataset
-sheet=48             drapes on the contact sheet, from the limpest to the stiffest"""
+    data: str
+    out: str
+    intersections: int
+    sheet: int
 
 
-def main(argv: list[str]) -> None:
-    """The command line: DIR and :data:`DEFAULTS`."""
-    # A folder may have "=" in its name, as those of sweeps do.
-    if not argv or any(argv[0].startswith(f"{key}=") for key in DEFAULTS):
-        raise InputError("the folder of a dataset is needed: python -m data.inspect DIR")
-    options = parse_overrides(DEFAULTS, argv[1:])
-    if options["intersections"] < 0 or options["sheet"] < 1:
+@command("inspect", InspectConfig, first="data")
+def main(config: InspectConfig) -> None:
+    """Check, print, and write the report."""
+    if not config.data:
+        raise InputError("the folder of a dataset is needed: python -m data.inspect FOLDER")
+    if config.intersections < 0 or config.sheet < 1:
         raise InputError("intersections must not be negative, sheet must be at least 1")
-    root, out = Path(argv[0]), folder_named(options["out"])
+    root, out = Path(config.data), folder_named(config.out)
     require_folder(out)
     manifest = check_dataset(root)
-    drapes = read_drapes(root, manifest, intersections=options["intersections"])
+    drapes = read_drapes(root, manifest, intersections=config.intersections)
     prior = prior_samples(manifest)
-    shots = take_shots(root, manifest, drapes, count=options["sheet"])
+    shots = take_shots(root, manifest, drapes, count=config.sheet)
     content = report(manifest, drapes, prior)
     print("\n".join(describe(content)))
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -114,7 +116,5 @@ def _self_intersections(figures: dict, converged: int) -> str:
     return line
 
 
-entry = partial(run_command, main, usage=USAGE)  # console script
-
 if __name__ == "__main__":
-    entry()
+    main()

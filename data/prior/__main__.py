@@ -2,20 +2,19 @@
 
     python -m data.prior fit fabrics=FILE [out=FILE] [model=NAME]
 
-fabrics   the table, a CSV file in the published format: density [kg.m-2], linear moduli [SI*1e9],
-          nonlinear moduli [SI*1e12], each warp, weft, diag. Rows that repeat are one fabric.
-out       where to write the prior, default outputs/prior.json. To draw a dataset's fabrics from
-          it: python -m data.generate prior.file=outputs/prior.json
-model     vae1 to vae4, gmm3 to gmm7 or gaussian, default vae4
+The table is a CSV file in the published format: density [kg.m-2], linear moduli [SI*1e9], nonlinear
+moduli [SI*1e12], each warp, weft, diag. Rows that repeat are one fabric. To draw a dataset's
+fabrics from the prior: python -m data.generate prior.file=outputs/prior.json; ``fit --help`` lists
+the keys.
 """
 
 import time
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from common.cli import parse_overrides, run_command
+from common.command import command, commands
 from common.errors import InputError
 from common.files import require_file
 from data.fabrics import read_fabric_table
@@ -24,27 +23,33 @@ from data.prior import MODELS, sample_admissible, save_prior
 SAMPLES = 1000  # of which the printed description is made
 
 
-def main(argv: list[str]) -> None:
-    """The command line: ``fit fabrics=FILE [out=FILE] [model=NAME]``."""
-    if not argv or argv[0] != "fit":
-        raise InputError("the command is: fit fabrics=FILE; see --help")
-    options = parse_overrides(
-        {"fabrics": "", "out": "outputs/prior.json", "model": "vae4"}, argv[1:])
-    if not options["fabrics"]:
+@dataclass
+class FitConfig:
+    """``configs/prior_fit.yaml``."""
+
+    fabrics: str
+    out: str
+    model: str
+
+
+@command("prior_fit", FitConfig)
+def fit(config: FitConfig) -> None:
+    """Fit, describe samples beside the table, and write the prior."""
+    if not config.fabrics:
         raise InputError("a table of fabrics is needed: fit fabrics=FILE")
-    if options["model"] not in MODELS:
-        raise InputError(f"model={options['model']} is unknown; choose from {', '.join(MODELS)}")
-    require_file(Path(options["out"]))
-    table = read_fabric_table(options["fabrics"])
+    if config.model not in MODELS:
+        raise InputError(f"model={config.model} is unknown; choose from {', '.join(MODELS)}")
+    require_file(Path(config.out))
+    table = read_fabric_table(config.fabrics)
     start = time.perf_counter()
-    prior = MODELS[options["model"]](table.theta)
+    prior = MODELS[config.model](table.theta)
     seconds = time.perf_counter() - start
     # One that cannot be sampled must not take the place of a good one.
     rng = np.random.default_rng(0)
     draws = [sample_admissible(prior, rng) for _ in range(SAMPLES)]
-    save_prior(prior, options["out"])
+    save_prior(prior, config.out)
     print(f"{len(table)} distinct fabrics in {int(table.multiplicity.sum())} rows, "
-          f"{options['model']} fitted in {seconds:.0f} s")
+          f"{config.model} fitted in {seconds:.0f} s")
     theta = np.array([draw for draw, _ in draws])
     rejected = sum(count for _, count in draws)
     print(f"{'median and 90 % range':28}{'table':>26}{'samples':>26}")
@@ -56,8 +61,8 @@ def main(argv: list[str]) -> None:
             _range(values[:, 3 + k] * 1e3) for values in (table.theta, theta)))
     print(f"{rejected / (SAMPLES + rejected):.1%} of the samples are no possible fabric and are "
           "drawn again")
-    print(f"written to {options['out']}; use it: python -m data.generate "
-          f"prior.file={options['out']}")
+    print(f"written to {config.out}; use it: python -m data.generate "
+          f"prior.file={config.out}")
 
 
 def _range(values: np.ndarray) -> str:
@@ -65,7 +70,7 @@ def _range(values: np.ndarray) -> str:
     return f"{middle:10.3g} ({low:.3g} to {high:.3g})".rjust(26)
 
 
-entry = partial(run_command, main, usage=__doc__)  # console script
+main = commands({"fit": fit}, usage=__doc__)
 
 if __name__ == "__main__":
-    entry()
+    main()

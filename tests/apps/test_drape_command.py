@@ -16,7 +16,6 @@ import pytest
 
 import apps
 from apps.drape import main
-from common.cli import parse_overrides
 from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from common.workers import worker_pool
@@ -79,32 +78,6 @@ def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):
 
     figures = json.loads((tmp_path / "drape.json").read_text(), parse_constant=refuse)
     assert figures["status"] == "not_finite" and figures["residual"] is None
-
-
-def test_words_take_the_types_of_the_defaults():
-    defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None,
-                "inner": {"flag": True}}
-    words = ["name=/x y/=${z}", "count=010", "ratio=2", "list=[3,-.5]", "any=text",
-             "inner.flag=false"]
-    assert parse_overrides(defaults, words) == {
-        "name": "/x y/=${z}", "count": 10, "ratio": 2.0, "list": [3.0, -0.5], "any": "text",
-        "inner": {"flag": False}}
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [("count=1.5", "count: '1.5' is no whole number"), ("count=many", "no whole number"),
-     ("ratio=[1]", "no finite number"), ("ratio=nan", "ratio: 'nan' is no finite number"),
-     ("ratio=.inf", "no finite number"), ("ratio=1e400", "no finite number"),
-     ("list=1,,2", "list: '' is no finite number; give one like 1"),
-     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value"),
-     ("--count=1", "without dashes, as key=value"), ("--count", "without dashes"),
-     ("count=1:30", "no whole number"), ("count.x=1", "unknown key"), ("list[0=1", "unknown key"),
-     ("=1", "unknown key"), ("count..x=1", "unknown key")],
-)
-def test_words_of_the_wrong_type_are_refused(word, said):
-    with pytest.raises(InputError, match=said):
-        parse_overrides({"count": 1, "ratio": 1.0, "list": [1.0]}, [word])
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------

@@ -4,20 +4,6 @@
 
 Every case is a function of the seed and its number, in a forked process whose time and memory are
 bounded. Interrupted, the same command goes on; more cases are added to those that are done.
-
-Keys:
-
-    corrupted   damaged inputs of each reader; fuzz_s adds as many as take so many seconds
-    fuzz_s      s of processor time, of each reader
-    kills       SIGKILLs of datasets being made, by one to four processes
-    pool_kills  of them beside, of those with worker processes of their own
-    training_kills  SIGKILLs of trainings
-    accidents   of each kind: full disks, closed folders, jumping clocks, runs in one folder
-    readers     names, with |; empty: all
-    seed        of all that is random
-    work        folder of what is done so far
-    out         the report, JSON; "" for none; tables go into docs/validation.md, too, unless it is
-                another
 """
 
 import sys
@@ -32,6 +18,7 @@ import tempfile  # noqa: E402
 import time  # noqa: E402
 from collections import Counter  # noqa: E402
 from collections.abc import Callable  # noqa: E402
+from dataclasses import dataclass  # noqa: E402
 from typing import Any  # noqa: E402
 
 import accidents  # noqa: E402
@@ -40,32 +27,45 @@ from readers import READERS, Reader, spoil  # noqa: E402
 from tables import describe, place  # noqa: E402
 
 from benchmarks.common import REPORTS, machine  # noqa: E402
-from common.cli import parse_overrides, run_command  # noqa: E402
+from common.command import command  # noqa: E402
 from common.documents import read_json  # noqa: E402
 from common.files import replace_json  # noqa: E402
 
-DEFAULTS = {
-    "corrupted": 550, "fuzz_s": 0.0, "kills": 1000, "pool_kills": 20, "training_kills": 100,
-    "accidents": 40, "readers": "", "seed": 1, "work": "outputs/campaign",
-    "out": str(REPORTS / "campaign.json"),
-}
+REPORT = REPORTS / "campaign.json"
 KEPT = 40  # findings of a reader that are listed
 EVERY = 5.0  # s between two looks at the disk
 
 
-def main(argv: list[str]) -> None:
-    """The command line."""
-    config = parse_overrides(DEFAULTS, argv)
-    work = Path(config["work"])
+@dataclass
+class CampaignConfig:
+    """``configs/campaign.yaml``."""
+
+    corrupted: int
+    fuzz_s: float
+    kills: int
+    pool_kills: int
+    training_kills: int
+    accidents: int
+    readers: str
+    seed: int
+    work: str
+    out: str
+
+
+@command("campaign", CampaignConfig)
+def main(config: CampaignConfig) -> None:
+    """Do what is missing of the campaign, and write the report."""
+    work, out = Path(config.work), Path(config.out or REPORT)
     work.mkdir(parents=True, exist_ok=True)
-    chosen = config["readers"].split("|") if config["readers"] else list(READERS)
+    chosen = config.readers.split("|") if config.readers else list(READERS)
     readers = {name: fuzz(name, READERS[name], config, work) for name in chosen}
-    killed = {name: kills(name, config, work) for name in ("kills", "pool_kills", "training_kills")}
-    hurt = {kind: hurts(kind, config, work) for kind in accidents.ACCIDENTS if config["accidents"]}
-    content = {"seed": config["seed"], "readers": readers, "kills": killed, "accidents": hurt}
-    if config["out"]:
-        replace_json(Path(config["out"]), {"machine": machine(), **content})
-    if config["out"] == DEFAULTS["out"]:
+    killed = {kind: kills(kind, count, config, work) for kind, count in (
+        ("kills", config.kills), ("pool_kills", config.pool_kills),
+        ("training_kills", config.training_kills))}
+    hurt = {kind: hurts(kind, config, work) for kind in accidents.ACCIDENTS if config.accidents}
+    content = {"seed": config.seed, "readers": readers, "kills": killed, "accidents": hurt}
+    replace_json(out, {"machine": machine(), **content})
+    if out == REPORT:
         place(content, REPORTS.parent / "validation.md")
     print(describe(content))
 
@@ -78,12 +78,12 @@ def _plain(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
 
 
-def fuzz(name: str, reader: Reader, config: dict[str, Any], work: Path) -> dict[str, Any]:
+def fuzz(name: str, reader: Reader, config: CampaignConfig, work: Path) -> dict[str, Any]:
     """Damaged inputs of a reader."""
     file = work / f"reader_{_plain(name)}.json"
     done = _resumed(file, {"cases": 0, "seconds": 0.0, "outcomes": {}, "most_seconds": 0.0,
                            "most_megabytes": 0.0, "findings": []})
-    if done["cases"] >= config["corrupted"] and done["seconds"] >= config["fuzz_s"]:
+    if done["cases"] >= config.corrupted and done["seconds"] >= config.fuzz_s:
         return done
     saved = time.monotonic()
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as root:
@@ -93,8 +93,8 @@ def fuzz(name: str, reader: Reader, config: dict[str, Any], work: Path) -> dict[
         whole = run_case(lambda: reader.read(sound))
         if whole.kind != "accepted":
             raise RuntimeError(f"{name}: what is sound is not taken: {whole}")
-        while done["cases"] < config["corrupted"] or done["seconds"] < config["fuzz_s"]:
-            _book(done, case(name, reader, sound, f"{config['seed']}:{name}:{done['cases']}"))
+        while done["cases"] < config.corrupted or done["seconds"] < config.fuzz_s:
+            _book(done, case(name, reader, sound, f"{config.seed}:{name}:{done['cases']}"))
             if time.monotonic() - saved > EVERY:
                 replace_json(file, done)
                 saved = time.monotonic()
@@ -125,17 +125,17 @@ def _book(done: dict[str, Any], found: tuple[str, str, Outcome]) -> None:
         done["findings"].append([key, hurt, outcome.kind, outcome.message])
 
 
-def kills(kind: str, config: dict[str, Any], work: Path) -> dict[str, Any]:
-    """Runs that are killed until there have been as many kills as wanted."""
+def kills(kind: str, count: int, config: CampaignConfig, work: Path) -> dict[str, Any]:
+    """Runs that are killed until there have been ``count`` kills."""
     ways: dict[str, Callable[[Path, random.Random], dict]] = {
         "kills": accidents.kill_dataset, "training_kills": accidents.kill_training,
         "pool_kills": lambda place, rng: accidents.kill_dataset(place, rng, workers=2)}
     file = work / f"{kind}.json"
     done = _resumed(file, {"kills": 0, "runs": 0, "same": 0, "failed": []})
-    while done["kills"] < config[kind]:
+    while done["kills"] < count:
         place = work / kind
         place.mkdir(exist_ok=True)
-        found = ways[kind](place, random.Random(f"{config['seed']}:{kind}:{done['runs']}"))
+        found = ways[kind](place, random.Random(f"{config.seed}:{kind}:{done['runs']}"))
         done["runs"] += 1
         done["kills"] += found["kills"]
         done["same"] += found["same"]
@@ -145,14 +145,14 @@ def kills(kind: str, config: dict[str, Any], work: Path) -> dict[str, Any]:
     return done
 
 
-def hurts(kind: str, config: dict[str, Any], work: Path) -> dict[str, Any]:
+def hurts(kind: str, config: CampaignConfig, work: Path) -> dict[str, Any]:
     """Accidents of one kind."""
     file = work / f"accident_{_plain(kind)}.json"
     done = _resumed(file, {"cases": 0, "wrong": {}})
     place = Path(tempfile.mkdtemp())
     try:
-        while done["cases"] < config["accidents"]:
-            rng = random.Random(f"{config['seed']}:{kind}:{done['cases']}")
+        while done["cases"] < config.accidents:
+            rng = random.Random(f"{config.seed}:{kind}:{done['cases']}")
             wrong = accidents.accident(kind, place, rng)
             done["cases"] += 1
             if wrong:
@@ -165,4 +165,4 @@ def hurts(kind: str, config: dict[str, Any], work: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run_command(main, usage=__doc__)
+    main()

@@ -13,24 +13,39 @@ import common.configs
 import serve
 import train
 from apps import drape
+from apps.cantilever import EstimateConfig, HangConfig
 from apps.drape import DrapeConfig
-from common.cli import parse_overrides
-from common.command import command, compose_config, groups_of, keys_of, to_hydra
+from common.command import (
+    command,
+    commands,
+    compose_config,
+    groups_of,
+    keys_of,
+    to_hydra,
+)
 from common.configs import group_options, read_config, read_option
 from common.errors import InputError
 from data import generate
+from data.capture import CaptureConfig
+from data.inspect.__main__ import InspectConfig
 from data.options import Options, config_from_options
+from data.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
+from drapenet.lie import LieConfig
 from drapenet.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
-SCHEMAS = {"drape": DrapeConfig, "evaluate": EvaluateConfig, "export": ExportConfig,
-           "generate": Options, "infer": InferConfig, "serve": Settings, "train": TrainConfig}
+SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
+           "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
+           "export": ExportConfig, "generate": Options, "infer": InferConfig,
+           "inspect": InspectConfig, "lie": LieConfig, "prior_fit": FitConfig, "serve": Settings,
+           "train": TrainConfig}
 
 
 @dataclass
 class Inner:
     text: str
+    number: float
 
 
 @dataclass
@@ -40,6 +55,8 @@ class Words:
     numbers: list[float]
     count: int
     seed: int
+    ratio: float
+    flag: bool
     inner: Inner
 
 
@@ -48,7 +65,7 @@ def run(tmp_path, monkeypatch):
     """A command with the settings of ``Words``; given words, it returns what it was called with."""
     (tmp_path / "words.yaml").write_text(
         "defaults: [words_schema, command, _self_]\nname: a\nnames: ''\nnumbers: [1.0]\n"
-        "count: 1  # of things\nseed: 0\ninner: {text: b}\n")
+        "count: 1  # of things\nseed: 0\nratio: 1.0\nflag: true\ninner: {text: b, number: 0.0}\n")
     (tmp_path / "command.yaml").write_text(
         (common.configs.CONFIG_DIR / "command.yaml").read_text())
     for module in (common.command, common.configs):
@@ -125,18 +142,22 @@ def test_quotes_lists_and_other_keys_are_hydras(run):
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["nane=a"], r"unknown key 'nane', perhaps name; known keys: count, inner, name"),
-    (["inner.txt=a"], "unknown key 'inner.txt', perhaps text; keys of inner: text"),
+    (["nane=a"], r"unknown key 'nane', perhaps name; known keys: count, flag, inner, name"),
+    (["inner.txt=a"], "unknown key 'inner.txt', perhaps text; keys of inner: number, text"),
     (["count"], "'count' is not of the form key=value"),
     (["--count=3"], "unrecognized arguments: --count=3; --hydra-help"),
     (["--cfg", "jobs"], "--cfg"),
-    (["count=1.5"], "count: Value '1.5' of type 'float'"),
+    (["count=1.5"], "^count=1.5 must be a whole number, such as 3$"),
     (["count=1,2"], "takes one value; --multirun runs a job for each"),
     (["count=1", "count=2"], "count= is given 2 times"),
     (["count=1", "+count=2"], "count= is given 2 times"),
     (["seed=12345678901234567890123"], "seed=12345678901234567890123 must not be above"),
     (["name=${nowhere}"], "nowhere"),
-    (["numbers=[1,x]"], "numbers"),
+    (["numbers=[1,x]"], r"numbers\[1\]=x must be a finite number, such as 3"),
+    (["numbers=[1,nan]"], "numbers=nan must be a finite number"),
+    (["ratio=inf"], "^ratio=inf must be a finite number, such as 3$"),
+    (["flag=maybe"], "flag=maybe must be true or false"),
+    (["inner.number=-.inf"], "inner.number=-.inf must be a finite number"),
     (["~count"], "count"),
     (["--run", "--multirun"], "Only one of --run, --multirun"),
     (["--config-dir", "/nowhere"], "'/nowhere' not found"),
@@ -163,7 +184,7 @@ def test_a_mistake_is_one_line_and_nothing_is_called(run, words, complaint):
         ("generate", "=3", "=3"),
         ("train", "optim.colour=red", "unknown key 'optim.colour'; keys of optim: batch_size"),
         ("train", "setup=rea", "real"),
-        ("serve", "port=high", "port: Value 'high'"),
+        ("serve", "port=high", "port=high must be a whole number"),
     ],
 )
 def test_complaints_about_the_groups(name, word, complaint):
@@ -209,11 +230,29 @@ def test_absurd_counts_are_refused(tmp_path, monkeypatch, main, word):
     assert not list(tmp_path.iterdir())
 
 
-def test_other_commands_refuse_the_same():
-    defaults = {"seed": 0, "workers": 1}
-    for words in (["seed=1", "seed=2"], ["workers=1000000"], [f"seed={10**22}"]):
-        with pytest.raises(InputError, match=words[0].partition("=")[0]):
-            parse_overrides(defaults, words)
+def test_the_first_word_is_the_value_of_a_key_unless_it_sets_one(run):
+    called: list[Words] = []
+    main = command("words", Words, first="name")(called.append)
+    for words in (["a b"], ["n=1"], ["/x.y/count=2"], ["name=c"], ["count=2"], ["++count=2"],
+                  ["hydra.job.name=d"], ["e", "count=2"]):
+        main(words)
+    assert [(one.name, one.count) for one in called] == [
+        ("a b", 1), ("n=1", 1), ("/x.y/count=2", 1), ("c", 1), ("a", 2), ("a", 2), ("a", 1),
+        ("e", 2)]
+    with pytest.raises(InputError, match="'b' is not of the form key=value"):
+        main(["a", "b"])
+
+
+def test_the_first_word_chooses_among_commands(capsys):
+    called: list[list[str]] = []
+    main = commands({"fit": called.append, "draw": called.append}, usage="How to fit.")
+    main(["fit", "a=1", "--help"])
+    main(["--help"])
+    assert called == [["a=1", "--help"]] and capsys.readouterr().out == "How to fit.\n"
+    for words, complaint in (([], "^no command; the first word is one of: fit, draw"),
+                             (["draw2"], "^unknown command 'draw2', perhaps draw; ")):
+        with pytest.raises(InputError, match=complaint):
+            main(words)
 
 
 # --- Hydra's own ----------------------------------------------------------------------------
@@ -283,7 +322,7 @@ def test_wrong_words_and_help_do_not_wait_for_torch(script):
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_key_has_a_comment(name):
     text = common.configs.config_text(name)
-    for key in keys_of(name) - groups_of(name).keys() - {"port", "model", "optim"}:
+    for key in keys_of(name, SCHEMAS[name]) - groups_of(name).keys() - {"port", "model", "optim"}:
         (line,) = [line for line in text.splitlines() if line.startswith(f"{key}:")]
         assert "#" in line, line
 

@@ -123,7 +123,7 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
     assert np.abs(capture.views - expected.views)[both].max() < 0.6e-3
     # Isolated depths are left out, too.
     assert both.sum() > 0.99 * (expected.views > 0).sum() and capture.cut is not None
-    main([f"import={folder}", f"out={tmp_path / 'out'}"])
+    main([f"frames={folder}", f"out={tmp_path / 'out'}"])
     again = read_capture(tmp_path / "out")
     assert again.cut is None and np.abs(again.views - capture.views).max() < 0.06e-3
     with Image.open(tmp_path / "out" / "capture.png") as picture:

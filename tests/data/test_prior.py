@@ -171,8 +171,8 @@ def test_bundled_prior_covers_the_published_fabrics(prior):
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    ([], "the command is: fit"),
-    (["learn"], "the command is: fit"),
+    ([], "no command; the first word is one of: fit"),
+    (["fitt"], "unknown command 'fitt', perhaps fit; the first word is one of: fit"),
     (["fit"], "a table of fabrics is needed"),
     (["fit", "fabrics=nowhere.csv"], "nowhere.csv cannot be read"),
     (["fit", "speed=1"], "unknown key 'speed'"),

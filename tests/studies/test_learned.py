@@ -1,11 +1,14 @@
 """Networks that studies compare: what they see, what they answer, what they learn from."""
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 import torch
 
+from common.command import schema_of
+from common.errors import InputError
 from data.prior.uniform import UniformPrior
 from drapenet.canonical import AZIMUTHS, ELEVATIONS, elevations
 from sim.drape import drape
@@ -15,7 +18,6 @@ from studies.__main__ import main
 from studies.learned import stiff_first
 from studies.networks import Classes, OnNumbers, OnViews, Outline, Regression, head
 from studies.space import linear_fit
-from studies.study import default_config
 
 RIG = Rig()
 
@@ -103,9 +105,24 @@ def test_a_linear_law_is_fitted_to_a_linear_fabrics_drape():
 
 
 def test_defaults_of_a_study_are_those_of_the_files_it_names():
-    common, nested = default_config("learned"), default_config("repeatability")
-    assert default_config("heads") == common | {"classes": [8, 16, 32, 64]}
-    assert nested["learned"] == common and nested["starts"] == 8
+    heads, nested = ({field.name: field.type for field in fields(schema_of(f"study/{name}"))}
+                     for name in ("heads", "repeatability"))
+    shared = {field.name: field.type for field in fields(nested["learned"])}
+    assert heads == shared | {"classes": list[int]}
+    assert nested["starts"] is shared["drapes"] is int and shared["edge_mm"] is float
+
+
+@pytest.mark.parametrize(("words", "complaint"), [
+    (["headz"], "unknown command 'headz', perhaps heads"),
+    (["heads", "drapse=3"], "unknown key 'drapse', perhaps drapes; known keys: batch, captures"),
+    (["heads", "steps=many"], "steps=many must be a whole number"),
+    (["repeatability", "learned.drapse=3"], "learned.drapse', perhaps drapes"),
+    (["page", "out=a"], "page takes no other words"),
+])
+def test_mistakes_are_one_line(words, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        main(words)
+    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.slow

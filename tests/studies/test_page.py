@@ -1,15 +1,17 @@
 """The page of studies and its reports."""
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
+from common.command import schema_of
 from common.configs import CONFIG_DIR
 from studies.__main__ import ORDER, main, reports, study_named
 from studies.captured import draped, ideal, read, seen, specimen
 from studies.recognition import DESCRIPTIONS, nearest
-from studies.study import PAGE, default_config, page
+from studies.study import PAGE, page
 
 
 def test_the_page_is_what_the_reports_make():
@@ -22,7 +24,8 @@ def test_every_study_has_a_config_a_report_and_a_picture(name):
     study = study_named(name)
     assert study.name == name and (CONFIG_DIR / "study" / f"{name}.yaml").is_file()
     report = json.loads(study.report.read_text(encoding="utf-8"))
-    assert set(report["settings"]) == set(default_config(name))
+    assert set(report["settings"]) == {
+        field.name for field in fields(schema_of(f"study/{name}"))}
     assert study.report.with_suffix(".png").is_file()
 
 
