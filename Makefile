@@ -9,7 +9,7 @@ DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PACKAGES := apps benchmarks common configs data drapenet examples sim studies tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu docs studies example validate clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu docs studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -52,8 +52,12 @@ serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python -m benchmarks.perturbed
 
+matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 6 GB and minutes each
+	$(BIN)/python tools/matrix.py
+
 lint: $(STAMP)  ## style, which module imports which, unused code, spelling and words
 	$(BIN)/ruff check .
+	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
 	$(BIN)/python tools/check_layers.py
 	$(BIN)/python tools/check_words.py
 	$(BIN)/python -m vulture

@@ -1,0 +1,107 @@
+"""Run the installed project on every Python that it supports: ``make matrix``.
+
+    python tools/matrix.py [PYTHON ...]  # names or paths of interpreters, else python3.10 to 3.13
+
+Each interpreter gets an environment of its own with the wheel and its pinned dependencies, imports
+every module, asks every command for help, estimates the bundled capture, and runs fast tests, all
+outside the tree. An environment takes 6 GB and is removed before the next is made. Interpreters
+that the machine lacks are listed as absent. The wheel is made from git's index.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PYTHONS = [f"python3.{minor}" for minor in range(10, 14)]
+TESTS = ["apps/test_cantilever_command.py", "common/test_documents.py", "common/test_files.py",
+         "data/test_cameras.py", "data/test_captures.py", "data/test_fabrics.py",
+         "data/test_prior.py", "drapenet/test_checkpoint.py", "drapenet/test_posterior.py",
+         "sim/test_energies.py", "sim/test_material.py", "sim/test_newton.py"]
+IMPORT = """import importlib, sys
+for name in sys.argv[1:]:
+    assert "site-packages" in (importlib.import_module(name).__file__), name"""
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    """Run a command and return what it prints; CalledProcessError where it fails."""
+    return subprocess.run(words, cwd=cwd, check=True, text=True, stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL).stdout
+
+
+def steps(python: Path, wheel: Path, source: Path, place: Path) -> Iterator[tuple[str, str]]:
+    """Names of the steps, each once it is done, with the last line that it has printed."""
+    environment, elsewhere = place / "environment", place / "elsewhere"
+    elsewhere.mkdir(parents=True)
+    own, scripts = environment / "bin" / "python", environment / "bin"
+
+    def done(step: str, *words: str | Path) -> tuple[str, str]:
+        return step, run(*words, cwd=elsewhere).strip().rpartition("\n")[2]
+
+    yield done("environment", python, "-m", "venv", environment)
+    yield done("wheel", own, "-m", "pip", "install", "-qq", "--constraint",
+               source / "constraints.txt", wheel, "pytest", "hypothesis", "httpx")
+    with zipfile.ZipFile(wheel) as content:
+        names = [Path(name).with_suffix("").parts for name in content.namelist()
+                 if name.endswith(".py")]
+    modules = [".".join(name[:-1] if name[-1] == "__init__" else name) for name in names]
+    yield done(f"{len(modules)} modules", own, "-I", "-c", IMPORT, *modules)
+    for script in sorted(scripts.glob("drapenet-*")):
+        yield done(f"{script.name} --help", script, "--help")
+    yield done("demo", scripts / "drapenet-infer", "out=demo",
+               f"capture={source / 'examples' / 'captures' / 'twill'}")
+    for folder in ("tests", "examples"):
+        shutil.copytree(source / folder, elsewhere / folder)
+    yield done("tests", own, "-m", "pytest", "-q", "-W", "ignore", "-m",
+               "not slow and not slurm and not browser", *(f"tests/{test}" for test in TESTS))
+
+
+def interpreter(name: str) -> Path | None:
+    """An interpreter on the path, or one of pyenv's, whose shims may stand for none."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
+    for path in filter(None, [shutil.which(name), *pyenv.glob(f"versions/*/bin/{name}")]):
+        if subprocess.run([path, "--version"], capture_output=True).returncode == 0:
+            return Path(path)
+    return None
+
+
+def outcome(name: str, wheel: Path, source: Path, place: Path) -> str:
+    """"passed", "FAILED" or "absent"; prints the steps."""
+    if not (python := interpreter(name)):
+        return "absent"
+    start = time.monotonic()
+    print(run(python, "--version", cwd=place.parent).strip(), flush=True)
+    try:
+        for step, said in steps(python, wheel, source, place):
+            print(f"  {time.monotonic() - start:5.0f} s  {step}"
+                  + (f": {said}" if step == "tests" else ""), flush=True)
+    except subprocess.CalledProcessError as error:
+        print(error.output, f"failed: {' '.join(map(str, error.cmd[:8]))}", sep="\n", flush=True)
+        return "FAILED"
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    return "passed"
+
+
+def main(pythons: Sequence[str]) -> int:
+    """Print the outcome on each of ``pythons``; 1 where one has failed or none is there."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "source"
+        run("git", "checkout-index", "--all", f"--prefix={source}/", cwd=ROOT)
+        run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", folder, source,
+            cwd=ROOT)
+        (wheel,) = Path(folder).glob("*.whl")
+        found = {python: outcome(python, wheel, source, Path(folder) / f"on_{number}")
+                 for number, python in enumerate(pythons)}
+    print("\n".join(f"{python}: {word}" for python, word in found.items()))
+    return int("FAILED" in found.values() or "passed" not in found.values())
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:] or PYTHONS))
