@@ -182,7 +182,7 @@ def test_a_damaged_checksum_is_refused(folder):
     file = folder / "view_1.png"
     content = bytearray(file.read_bytes())
     at = content.index(b"IDAT")
-    end = at + 4 + int.from_bytes(content[at - 4 : at])
+    end = at + 4 + int.from_bytes(content[at - 4 : at], "big")
     content[end] ^= 1  # of the checksum; the pixels are whole
     file.write_bytes(content)
     with pytest.raises(InputError, match=r"view_1\.png cannot be read"):
