@@ -120,7 +120,7 @@ def case(
         return {"failed": str(error)}
     rest, rig = captured.rest, captured.rig
     springs = plane_springs(captured.scene, captured.positions, pull=_PULL)
-    vertices = RobustPositions(captured.positions, vertices=~captured.held, sigma=2e-3, limit=1.0)
+    vertices = RobustPositions(captured.positions, vertices=~captured.held)
     unknown = {"free": THETA_NAMES, "known": Knowledge.of(load_prior("gaussian"))}
     ways: dict[str, Any] = {}
     for way in WAYS:

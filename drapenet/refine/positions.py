@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from drapenet.refine.captured import CapturedShape
 from drapenet.refine.objective import Linearised
 
 
@@ -17,7 +16,7 @@ class RobustPositions:
     Args:
         target: (V, 3) m, on the same mesh.
         vertices: (V,) bool, those that count.
-        sigma: m, standard deviation of a distance.
+        sigma: m, standard deviation of a distance; those of 2 mm already are far.
         limit: in units of ``sigma``, from which the value grows linearly.
         independent: how many of the distances are independent: of one fold, about one.
     """
@@ -26,18 +25,13 @@ class RobustPositions:
     start = scale = deviation = np.zeros(0)
 
     def __init__(
-        self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 1e-3,
-        limit: float = 2.0, independent: float = 100.0,
+        self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 2e-3,
+        limit: float = 1.0, independent: float = 100.0,
     ) -> None:
         self._target, self._vertices = target, np.flatnonzero(vertices)
         self._sigma, self._limit = sigma, limit
         self._independent = independent
         self._factor = math.sqrt(independent / len(self._vertices))
-
-    @classmethod
-    def of(cls, shape: CapturedShape) -> "RobustPositions":
-        """For a registered scan: its hanging vertices, whose distances of 2 mm already are far."""
-        return cls(shape.positions, vertices=shape.hanging, sigma=2e-3, limit=1.0)
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """Residuals (3 N,)."""

@@ -53,13 +53,12 @@ class Registered:
 
     Attributes:
         shape: the mesh, on the scan.
-        distance: m, mean over its hanging vertices, from the scanned surface.
-        reason: why it was registered; None for a scan whose own vertices serve.
+        distance: m, mean of its hanging vertices from the scanned surface; 0 for a scan whose own
+            vertices serve.
     """
 
     shape: CapturedShape
     distance: float
-    reason: str | None
 
 
 def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -> Registered:
@@ -80,7 +79,7 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
         raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
-        found = register(cloud, rig, edge=edge, held=held, reason="raw")
+        found = register(cloud, rig, edge=edge, held=held)
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
@@ -90,10 +89,10 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
         scan = read_scan(path, rig)
         own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
         if own.strain < SLID:
-            return Registered(own, 0.0, None)
+            return Registered(own, 0.0)
         found = register(
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
-            held=held, reason="vertices slid along the cloth")
+            held=held)
     if found.distance > _APART:
         raise InputError(f"{path}: a specimen of {rig.name} does not fit this surface, it "
                          f"stays {1e3 * found.distance:.0f} mm away on average; give all of the "
@@ -121,8 +120,7 @@ def flat_turn(shape: CapturedShape) -> float:
 
 
 def register(
-    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0,
-    reason: str = "raw",
+    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0
 ) -> Registered:
     """A mesh of the specimen on the scan ``cloud``; z up, the plate's centre the origin.
 
@@ -140,7 +138,7 @@ def register(
     found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
     shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
     apart = distances(cloud, shape.positions)[shape.hanging].mean()
-    return Registered(shape, float(apart), reason)
+    return Registered(shape, float(apart))
 
 
 def read_cloud(path: Path, rig: Rig) -> Cloud:
