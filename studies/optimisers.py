@@ -17,8 +17,8 @@ from drapenet.descriptor import GridSpectrum, PhaseFree, RingSpectrum
 from drapenet.refine.attraction import plane_springs
 from drapenet.refine.cloth import Cloth, Knowledge
 from drapenet.refine.optimisers import Limits, minimise
-from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem
+from drapenet.refine.surface import RobustPositions
 from sim.drape import DrapeResult
 from sim.hinge_laws import mean_modulus
 from sim.initial import interpolate_positions

@@ -23,8 +23,7 @@ from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
-from drapenet.refine.captured import CapturedShape
-from drapenet.refine.surface import Cloud, distances
+from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.scene import Rig
@@ -68,7 +67,7 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
     Raw scans are registered; so are those whose own vertices slid along the cloth.
 
     Args:
-        held: see :class:`.captured.CapturedShape`.
+        held: see :class:`.surface.CapturedShape`.
         edge: m, at the rim of the mesh that a scan is registered to.
 
     Raises:
@@ -127,7 +126,7 @@ def register(
     Args:
         edge: length of the mesh's edges at the plate's rim, m.
         turn: rad, direction of the mesh's first rest axis on the plate, which a scan does not show.
-        held: see :class:`.captured.CapturedShape`.
+        held: see :class:`.surface.CapturedShape`.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes

@@ -27,13 +27,12 @@ from drapenet.refine.attraction import (
     plane_springs,
     spring_stiffness,
 )
-from drapenet.refine.captured import CapturedShape
 from drapenet.refine.cloth import Cloth, Knowledge
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.objective import Objective, fit_nuisances
 from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Effort, Hold, Problem, Trial, Uncertainty, laplace
+from drapenet.refine.surface import CapturedShape, RobustPositions
 from sim.drape import DrapeResult
 from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions
@@ -278,7 +277,10 @@ class _Run:
         problem.value(problem.start)
         if problem.best is not None:
             self.problem = self.problem or problem  # for whoever interrupts the first round
-            self.refit(problem)
+            best = problem.best
+            nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
+            problem.value(np.concatenate([best.x[: problem.cloths],
+                                          nuisance / problem.objective.scale]))
         self.report(problem)
         return problem
 
@@ -293,13 +295,6 @@ class _Run:
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         self.status, self.message = outcome.status, outcome.message
-
-    def refit(self, problem: Problem) -> None:
-        """The objective's parameters that fit the best trial's drape."""
-        best = problem.best
-        nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
-        problem.value(np.concatenate([best.x[: problem.cloths],
-                                      nuisance / problem.objective.scale]))
 
     def conclude(self) -> None:
         """How certain the best is, how well the first start does, and the free drape."""

@@ -30,9 +30,9 @@ from drapenet.refine.cloth import (
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.objective import Linearised
 from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem, laplace
 from drapenet.refine.search import CapturedViews, Round, search
+from drapenet.refine.surface import RobustPositions
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
 from sim.newton import NewtonOptions

@@ -14,12 +14,10 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from common.errors import InputError
 from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from drapenet.refine.attraction import plane_springs
-from drapenet.refine.captured import CapturedShape
 from drapenet.refine.cloth import Cloth
-from drapenet.refine.fidelity import fidelity
 from drapenet.refine.scans import flat_turn, read_cloud, read_shape, register, scan_capture
 from drapenet.refine.search import CapturedScan, search
-from drapenet.refine.surface import Cloud
+from drapenet.refine.surface import CapturedShape, Cloud, fidelity
 from sim.drape import DrapeResult, drape
 from sim.mesh import vertex_normals
 from sim.newton import NewtonOptions

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from drapenet.refine.positions import RobustPositions
-from drapenet.refine.surface import Cloud, distances
+from drapenet.refine.surface import Cloud, RobustPositions, distances
 from sim.mesh.specimens import Specimen, make_specimen
 from sim.scene import DISC_RIG
 
