@@ -26,6 +26,7 @@ from drapenet.joint import fabric_prior
 from drapenet.predict import Draws
 from drapenet.refine.cloth import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
 from drapenet.refine.objective import fit_nuisances
+from drapenet.refine.optimisers import Status
 from drapenet.refine.scans import flat_turn
 from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, search
 from drapenet.refine.surface import Fidelity, fidelity
@@ -186,9 +187,11 @@ def _doubts(
                       "network's estimate stands")
     elif theta is None:
         doubts.append("the refinement gives no uncertainty: the network's estimate stands")
-    if scan and (away := near.displacement_mm if near else math.inf) > FAR:
-        doubts.append(f"the estimate's drape comes to rest {away:.0f} mm from the scan (sound "
-                      f"scans: up to {FAR:g} mm): check the specimen's size and the support, "
+    unsettled = scan and not near and found.status is not Status.INTERRUPTED
+    if unsettled or (near and near.displacement_mm > FAR):
+        ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
+                f"{FAR:g} mm)" if near else "does not come to rest at the scan")
+        doubts.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
                       "and that the cloth hung freely")
     return doubts
 
