@@ -13,6 +13,7 @@ Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``,
 import common.interrupt  # noqa: F401
 
 # isort: split
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
-from drapenet.output import ESTIMATE, require_output, write_estimate, write_files
+from drapenet.output import ESTIMATE, keep_estimate, require_output, write_estimate, write_files
 from drapenet.sources import header_for, read_scan_capture
 from drapenet.table import format_table
 from sim.mesh.specimens import check_edge
@@ -61,7 +62,9 @@ def main(config: InferConfig) -> None:
     if config.drapes < 0:
         options["drapes"] = DRAPES
     for (capture, seen), folder in zip(sources, folders, strict=True):
-        one = estimate_capture(capture, header, seen=seen, **options)
+        # Refinement takes minutes: what ends it must not lose the network's estimate.
+        first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
+        one = estimate_capture(capture, header, seen=seen, first=first, **options)
         write_estimate(folder, one.content, format_table(one.content))
         write_files(folder, one.files)
         found.append(one)
@@ -100,6 +103,8 @@ def check(config: InferConfig) -> None:
     for key, value in config.refine.items():
         if key != "by" and not (isinstance(value, int | float) and value > 0):
             raise InputError(f"refine.{key}={value} must be a positive number")
+        if key.endswith("_mm"):
+            check_edge(1e-3 * value)
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(given) > 1:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")

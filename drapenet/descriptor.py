@@ -159,7 +159,7 @@ class PhaseFree:
         def along(moves: np.ndarray) -> np.ndarray:
             return self._descriptor.along(positions, moves) / self._sigma
 
-        return Linearised(residuals, along, np.zeros((len(residuals), 0)))
+        return Linearised(residuals, along, np.zeros((len(residuals), 0)), len(residuals))
 
 
 @one_blas_thread

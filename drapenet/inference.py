@@ -109,6 +109,8 @@ def estimate_capture(
             anything is simulated.
         progress: of the refinement, :func:`drapenet.refine.refined.refined_capture`.
 
+    An error during refinement leaves the network's estimate, with a doubt.
+
     Raises:
         InputError: strict, and something is wrong with the capture.
     """
@@ -134,12 +136,19 @@ def estimate_capture(
     if refine and (refine is True or refine["by"] != "none"):
         from drapenet.refine.refined import refined_capture
 
-        result = refined_capture(estimate, capture, camera, rig=rig, turns=found.turns, seen=seen,
-                                 settings=None if refine is True else refine, known=known,
-                                 progress=progress)
-        if result is None:
-            doubts.append("no drape of the estimate converged; it is not refined")
-        else:
+        result = None
+        try:
+            result = refined_capture(estimate, capture, camera, rig=rig, turns=found.turns,
+                                     seen=seen, settings=None if refine is True else refine,
+                                     known=known, progress=progress)
+            if result is None:
+                doubts.append("no drape of the estimate converged; it is not refined")
+        except InputError:  # a word that is out of range
+            raise
+        except Exception as error:  # the network's estimate must not be lost for it
+            doubts.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
+                          "network's estimate is given")
+        if result:
             doubts += result.doubts
             before = interval_table(estimate, estimate.density)
             source["refined"], drape = result.content | {"before": before}, result.resimulation

@@ -22,11 +22,16 @@ def require_output(out: Path) -> None:
         require_file(out / name)
 
 
-def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
-    """Write ``content``, and print it as ``lines``; what shows an earlier one goes."""
+def keep_estimate(out: Path, content: dict[str, Any]) -> None:
+    """Write ``content``; what shows an earlier estimate goes."""
     replace_json(out / ESTIMATE, content)
     for name in SHOWN:
         remove_file(out / name)
+
+
+def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
+    """Write ``content`` (:func:`keep_estimate`), and print it as ``lines``."""
+    keep_estimate(out, content)
     print(lines)
     print(f"estimate: {out / ESTIMATE}")
 

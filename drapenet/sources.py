@@ -17,7 +17,7 @@ def read_scan_capture(
 
     Args:
         density: kg/m². held: share of the support's radius that holds the specimen
-            (:class:`drapenet.refine.captured.CapturedShape`).
+            (:class:`drapenet.refine.surface.CapturedShape`).
 
     Raises:
         InputError: no such scan, or none of a drape.

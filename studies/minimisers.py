@@ -29,11 +29,8 @@ def lbfgs(run: Run) -> tuple[Status, str]:
         residuals, jacobian = linearised
         return value / first.value, jacobian.T @ residuals / first.value
 
-    def count(_: np.ndarray) -> None:
-        run.iterations += 1
-
     result = scipy_minimise(
-        value_and_gradient, first.x, jac=True, method="L-BFGS-B", callback=count,
+        value_and_gradient, first.x, jac=True, method="L-BFGS-B",
         bounds=list(zip(problem.low, problem.high, strict=True)),
         options={"ftol": limits.decrease, "gtol": 1e-9, "maxfun": 10**6, "maxiter": 10**6})
     return (Status.CONVERGED if result.success else Status.STALLED), str(result.message)
@@ -51,7 +48,6 @@ def cma_es(run: Run) -> tuple[Status, str]:
     while not strategy.stop():
         points = strategy.ask()
         strategy.tell(points, [min(run.value(np.asarray(x)), _FAILED) for x in points])
-        run.iterations += 1
     return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
 
 

@@ -17,8 +17,8 @@ from drapenet.descriptor import GridSpectrum, PhaseFree, RingSpectrum
 from drapenet.refine.attraction import plane_springs
 from drapenet.refine.cloth import Cloth, Knowledge
 from drapenet.refine.optimisers import Limits, minimise
-from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem
+from drapenet.refine.surface import RobustPositions
 from sim.drape import DrapeResult
 from sim.hinge_laws import mean_modulus
 from sim.initial import interpolate_positions
@@ -120,7 +120,7 @@ def case(
         return {"failed": str(error)}
     rest, rig = captured.rest, captured.rig
     springs = plane_springs(captured.scene, captured.positions, pull=_PULL)
-    vertices = RobustPositions(captured.positions, vertices=~captured.held, sigma=2e-3, limit=1.0)
+    vertices = RobustPositions(captured.positions, vertices=~captured.held)
     unknown = {"free": THETA_NAMES, "known": Knowledge.of(load_prior("gaussian"))}
     ways: dict[str, Any] = {}
     for way in WAYS:

@@ -150,13 +150,13 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
     ("edge_mm=0.3", "edge=0.3 mm"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
     ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
-    ("refine=scan", "none or depth"),
+    ("refine=scan", "none or depth"), ("refine=depth refine.edge_mm=100", "edge=100 mm"),
     ("refine.starts=2", "refine.starts"), ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["infer.py", *words(capture, checkpoint, word)])
+    monkeypatch.setattr(sys, "argv", ["infer.py", *words(capture, checkpoint, *word.split())])
     with pytest.raises(SystemExit) as ending:
         run_command(infer.main)
     assert ending.value.code == 2
@@ -339,6 +339,40 @@ def test_refinement_says_what_has_changed(tmp_path: Path, capsys: pytest.Capture
         assert refined["before"][name]["alpha_uN_m"]["median"] != alpha
     assert content["resimulation"]["silhouette_overlap"] > 0.95
     assert "alpha before refinement" in capsys.readouterr().out
+
+
+def test_a_refinement_that_fails_leaves_the_network_its_answer(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, kept = capture.parent / "out", []
+    infer.main(words(capture, checkpoint, "drapes=0"))
+    alone = json.loads((out / "estimate.json").read_text())
+
+    def fail(*_: object, **__: object) -> None:
+        kept.append(json.loads((out / "estimate.json").read_text()))
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    (out / "estimate.json").unlink()
+    monkeypatch.setattr("drapenet.refine.refined.refined_capture", fail)
+    infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
+    content = json.loads((out / "estimate.json").read_text())
+    assert kept == [alone]
+    assert content.pop("warnings") == [*alone.pop("warnings"), (
+        "refinement failed: LinAlgError, Eigenvalues did not converge; the network's estimate is "
+        "given")]
+    assert content == alone
+
+
+def test_an_interrupted_refinement_leaves_the_network_its_answer(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drapenet.refine.refined.refined_capture", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
+    assert "refined" not in json.loads((capture.parent / "out" / "estimate.json").read_text())
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")

@@ -73,13 +73,12 @@ def captured_shape(
     *,
     rig: Rig,
     edge: float,
-    topology: int = 0,
 ) -> DrapeResult:
     """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
 
     Args:
         points, normals: (N, 3) m and (N, 3), specimen's axes.
-        edge, topology: of the mesh (:func:`sim.mesh.specimens.make_specimen`); coarser ones go
+        edge: m, of the mesh at the rim (:func:`sim.mesh.specimens.make_specimen`); coarser ones go
             before.
 
     Returns:
@@ -91,7 +90,7 @@ def captured_shape(
     began = time.perf_counter()
     for level in coarse_to_fine(edge):
         last = level == edge
-        specimen = make_specimen(rig, edge=level, topology=topology)
+        specimen = make_specimen(rig, edge=level)
         rest = specimen.mesh.rest
         scene = scene_on(specimen, rig)
         if coarse is None:

@@ -33,10 +33,11 @@ SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 50 * MICRO, 3.0, 3.0, 4e-3,
 """(U,) of each: what counts as 1."""
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
 RATIO_RANGE = (-10e-3, 2e-3)  # m; 99 of 100 fabrics of the prior lie within
-_RANGES = np.array(
+BOUNDS = np.array(
     [np.log(ALPHA_RANGE)] * 3 + [RATIO_RANGE] * 3
     + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)), (0.0, 400 * MICRO),
        (-15.0, 15.0), (-15.0, 15.0), (-0.02, 0.02), (-0.02, 0.02), (-math.inf, math.inf)])
+"""(U, 2) limits of each."""
 DRIFT = 4e-3  # m, deviation of the offset, along warp and weft
 _STEPS = {"membrane": 1e-3, "shear": 1e-3, "friction": 1e-5, "curl_warp": 0.1, "curl_weft": 0.1}
 
@@ -98,11 +99,6 @@ def _turned(points: np.ndarray, warp: float) -> np.ndarray:
     """Points (V, 2) in the axes of a warp that lies at the angle ``warp``, rad."""
     c, s = math.cos(warp), math.sin(warp)
     return points @ np.array([[c, -s], [s, c]])
-
-
-def bounds() -> np.ndarray:
-    """(U, 2) limits of :data:`UNKNOWNS`."""
-    return _RANGES.copy()
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ class DepthViews:
             parts += [(factor * part[0], factor * part[1], *part[2:]) for part in group]
         residuals = np.concatenate([part[0] for part in parts])
         if not derivatives:
-            return Linearised(residuals, None, None)
+            return Linearised(residuals, None, None, sum(self._measurements))
         corners = np.concatenate([self._faces[part[2].face] for part in parts])
         weights = np.concatenate([part[2].weights for part in parts])
         vectors = np.concatenate([part[1] for part in parts])

@@ -18,6 +18,7 @@ AZIMUTHS, ELEVATIONS = 120, 72
 CENTRE = -0.06  # m, height of the point that the drape is seen from
 STEP = 2e-3  # m, along the traced curves
 _LOWEST = -np.pi / 3  # elevation of the lowest direction
+_ROWS = _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
 def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,12 +57,10 @@ def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndarray:
     """Positions (V, 3), m, of rest points (V, 2) laid on the surface through points (N, 3)."""
     distance, hem = radial_map(points)
-    elevations, plate = _elevations(), rig.plate_radius
+    plate = rig.plate_radius
     longest = np.linalg.norm(rest, axis=1).max() - plate
     arcs = np.arange(0, longest + 2 * STEP, STEP)
-    curves = np.empty((AZIMUTHS, len(arcs), 2))
-    for k in range(AZIMUTHS):
-        curves[k] = _curve(distance[k], elevations, float(hem[k]), plate, arcs)
+    curves = np.stack([_curve(*one, plate, arcs) for one in zip(distance, hem, strict=True)])
     # Around the circle, with the first azimuth repeated behind the last.
     grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
     look_up = RegularGridInterpolator(
@@ -76,17 +75,11 @@ def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndar
     return placed
 
 
-def _elevations() -> np.ndarray:
-    return _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
-
-
-def _curve(
-    distance: np.ndarray, elevations: np.ndarray, hem: float, plate: float, arcs: np.ndarray
-) -> np.ndarray:
+def _curve(distance: np.ndarray, hem: float, plate: float, arcs: np.ndarray) -> np.ndarray:
     """Radius and height (A, 2), m, at arc lengths (A,) from the rim along one azimuth."""
-    radius = distance * np.cos(elevations)
-    height = distance * np.sin(elevations) + CENTRE
-    down = (radius > plate) & (elevations > hem) & (elevations < np.arctan2(-CENTRE, plate))
+    radius = distance * np.cos(_ROWS)
+    height = distance * np.sin(_ROWS) + CENTRE
+    down = (radius > plate) & (_ROWS > hem) & (_ROWS < np.arctan2(-CENTRE, plate))
     radius = np.concatenate([[plate], radius[down][::-1]])
     height = np.concatenate([[0.0], np.minimum(height[down][::-1], 0.0)])
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(height)))])

@@ -32,19 +32,14 @@ class Linearised(NamedTuple):
         residuals: (N,) without unit: divided by their standard deviations.
         along: their derivatives along moves of the vertices, see :data:`Along`.
         by_nuisance: (N, K) their derivatives by the objective's own parameters.
-        independent: how many independent measurements they are; None: all N. Neighbouring pixels
-            err alike, which matters for the uncertainty of what is found.
+        independent: how many independent measurements they are: errors of neighbouring pixels are
+            alike, which matters for the uncertainty of what is found.
     """
 
     residuals: np.ndarray
     along: Along
     by_nuisance: np.ndarray
-    independent: float | None = None
-
-    @property
-    def count(self) -> float:
-        """How many independent measurements the residuals are."""
-        return len(self.residuals) if self.independent is None else self.independent
+    independent: float
 
 
 class Objective(Protocol):

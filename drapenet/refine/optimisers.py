@@ -8,7 +8,6 @@ than the start, and hand it back when they are interrupted.
 """
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -18,6 +17,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from common.ctrl_c import require_interruption
+
+LONGEST = 1.0
+"""Longest step, in a problem's units: further away a linearised drape says little."""
 
 
 class LeastSquares(Protocol):
@@ -57,24 +59,18 @@ class Limits:
         evaluations: of the value, each a simulation.
         step: smallest step, in the problem's units.
         decrease: smallest decrease worth a step, relative to the value.
-        target: value that is good enough.
-        longest: longest step, in the problem's units; further away a linearised drape says
-            little. Of Levenberg-Marquardt.
     """
 
     evaluations: int = 25
     step: float = 1e-3
     decrease: float = 1e-4
-    target: float = 0.0
-    longest: float = 1.0
 
 
 @dataclass(frozen=True)
 class Point:
-    """An improvement: after how many evaluations and seconds, where, and how good."""
+    """An improvement: after how many evaluations, where, and how good."""
 
     evaluations: int
-    seconds: float
     x: np.ndarray
     value: float
 
@@ -85,7 +81,7 @@ class Outcome:
 
     Attributes:
         x: (n,), value: there.
-        evaluations: of the value; iterations: steps taken, or generations.
+        evaluations: of the value.
         status, message: how it ended.
         trace: all improvements, the start first.
     """
@@ -93,7 +89,6 @@ class Outcome:
     x: np.ndarray
     value: float
     evaluations: int
-    iterations: int
     status: Status
     message: str
     trace: list[Point] = field(default_factory=list)
@@ -126,8 +121,8 @@ def minimise(
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
         status, message = Status.INTERRUPTED, "interrupted; the best so far"
-    best = run.trace[-1] if run.trace else Point(0, 0.0, problem.start, math.inf)
-    return Outcome(best.x, best.value, run.evaluations, run.iterations, status, message, run.trace)
+    best = run.trace[-1] if run.trace else Point(0, problem.start, math.inf)
+    return Outcome(best.x, best.value, run.evaluations, status, message, run.trace)
 
 
 Method = Callable[["Run"], tuple[Status, str]]
@@ -145,10 +140,9 @@ class Run:
         self, problem: LeastSquares, limits: Limits, report: Report | None
     ) -> None:
         self.problem, self.limits = problem, limits
-        self.evaluations = self.iterations = 0
+        self.evaluations = 0
         self.trace: list[Point] = []
         self._report = report
-        self._began = time.perf_counter()
 
     def value(self, x: np.ndarray) -> float:
         """The problem's value, counted."""
@@ -158,12 +152,9 @@ class Run:
         value = value if math.isfinite(value) else math.inf
         self.evaluations += 1
         if value < (self.trace[-1].value if self.trace else math.inf):
-            self.trace.append(Point(self.evaluations, time.perf_counter() - self._began,
-                                    np.array(x), value))
+            self.trace.append(Point(self.evaluations, np.array(x), value))
         if self._report and self.trace:
             self._report(self.trace[-1], self.evaluations)
-        if value <= self.limits.target:
-            raise Done(Status.CONVERGED, "the value is as small as asked for")
         return value
 
     @property
@@ -180,11 +171,11 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
     """
     problem, limits = run.problem, run.limits
     x, value = run.best.x, run.best.value
-    radius = 0.5 * limits.longest
+    radius = 0.5 * LONGEST
     while True:
         linearised = problem.linearised(x)
         if linearised is None:
-            return ((Status.STALLED if run.iterations else Status.FAILED),
+            return ((Status.STALLED if len(run.trace) > 1 else Status.FAILED),
                     "the drape has no derivatives here")
         residuals, jacobian = linearised
         gradient, curvature = jacobian.T @ residuals, jacobian.T @ jacobian
@@ -204,12 +195,11 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
             trial = run.value(x + step)
             gain = (value - trial) / promised
             if gain > 0.75 and not whole:
-                radius = min(2 * radius, limits.longest)
+                radius = min(2 * radius, LONGEST)
             elif gain < 0.25:
                 radius = 0.3 * length
             if trial < value:
                 x, value = x + step, trial
-                run.iterations += 1
                 break
 
 

@@ -6,19 +6,17 @@ where it has to go; so the fold configuration stays, and an equilibrium costs a 
 """
 
 import math
-import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from data.fabrics import from_theta
-from drapenet.refine.cloth import SCALE, UNKNOWNS, Cloth, Knowledge, bounds, cloth_moves
+from drapenet.refine.cloth import BOUNDS, SCALE, UNKNOWNS, Cloth, Knowledge, cloth_moves
 from drapenet.refine.objective import NUISANCE_REACH, Objective, value
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.material import is_admissible
-from sim.newton import NewtonOptions
 from sim.potential import forces
 from sim.sensitivity import Sensitivities, Tangent, follow
 
@@ -57,13 +55,10 @@ class Effort:
     Attributes:
         solves: equilibria computed.
         failures: messages of simulations that did not converge.
-        seconds: wall time in simulations, in derivatives, in the objective.
     """
 
     solves: int = 0
     failures: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(
-        default_factory=lambda: {"simulation": 0.0, "derivatives": 0.0, "objective": 0.0})
 
 
 class Problem:
@@ -82,8 +77,6 @@ class Problem:
         hold: the springs; None for none.
         doubt: by which the objective's residuals are divided: where the best cloth meets them
             worse than their errors say.
-        afresh: whether every simulation begins at ``near``.
-        options: of simulations.
         effort: to count in; a new one unless given.
 
     Attributes:
@@ -106,22 +99,19 @@ class Problem:
         nuisance: np.ndarray | None = None,
         hold: Hold | None = None,
         doubt: float = 1.0,
-        afresh: bool = False,
-        options: NewtonOptions | None = None,
         effort: Effort | None = None,
     ) -> None:
         self.objective, self.known, self.doubt = objective, known, doubt
         self.effort = effort or Effort()
-        self._near, self._hold, self._options = near, hold, options
+        self._near, self._hold, self._cloth = near, hold, cloth
         self._rest = near.rest if rest is None else rest
-        self._afresh, self._cloth = afresh, cloth
         self._free = np.array([name in free for name in UNKNOWNS])
         own = objective.start if nuisance is None else np.asarray(nuisance, dtype=np.float64)
         self.names = (*(name for name in UNKNOWNS if name in free), *objective.nuisances)
         self.scale = np.concatenate([SCALE[self._free], objective.scale])
         reach = NUISANCE_REACH * np.asarray(objective.scale)
         low, high = (np.concatenate([limits[self._free], own + sign * reach]) / self.scale
-                     for limits, sign in zip(bounds().T, (-1, 1), strict=True))
+                     for limits, sign in zip(BOUNDS.T, (-1, 1), strict=True))
         self.low, self.high = low, high
         start = np.concatenate([cloth.values[self._free], own]) / self.scale
         self.start = np.clip(start, low, high)
@@ -147,9 +137,7 @@ class Problem:
         drape = self._drape(cloth, nuisance)
         if drape is None:
             return math.inf
-        began = time.perf_counter()
         misfit = value(self.objective.residuals(drape.positions, nuisance))
-        self.effort.seconds["objective"] += time.perf_counter() - began
         trial = Trial(np.array(x), cloth, nuisance, drape, math.inf, misfit)
         trial = self.last = replace(trial, value=self.total(trial))
         if math.isfinite(trial.value) and (self.best is None or trial.value < self.best.value):
@@ -160,7 +148,7 @@ class Problem:
         """Set :attr:`doubt` by how well the best trial meets the objective, and its value anew."""
         best = self.best
         found = self.objective.linearised(best.drape.positions, best.nuisance)
-        freedom = max(found.count - len(best.x), 1.0)
+        freedom = max(found.independent - len(best.x), 1.0)
         self.doubt = math.sqrt(max(2 * best.misfit / freedom, 1.0))
         self.best = self.last = replace(best, value=self.total(best))
 
@@ -175,14 +163,12 @@ class Problem:
         moves = None if trial is None else self._moves(trial)
         if moves is None:
             return None
-        began = time.perf_counter()
         found = self.objective.linearised(trial.drape.positions, trial.nuisance)
-        self.measurements = found.count
+        self.measurements = found.independent
         number = self.cloths
         jacobian = found.along(moves)
         jacobian[:, number:] += found.by_nuisance
         jacobian /= self.doubt
-        self.effort.seconds["objective"] += time.perf_counter() - began
         roots = []
         if self.known is not None:
             own = np.zeros((len(UNKNOWNS), len(x)))
@@ -207,17 +193,15 @@ class Problem:
                 return trial.drape
         if not is_admissible(*from_theta(cloth.theta)):
             return None
-        near = self._near if self._afresh or self.best is None else self.best.drape
+        near = self._near if self.best is None else self.best.drape
         here = (self._tangent and self._tangent[0] is near and self._tangent[2]) or None
         rest = cloth.rest(self._rest, near.rig)
         if not np.array_equal(rest, near.mesh.rest):
             near, here = replace(near, mesh=near.mesh.with_rest(rest)), None
         self.effort.solves += 1
-        began = time.perf_counter()
         drape = follow(near, cloth.fabric, keep=True, laws=cloth.laws,
                        extra=[self._hold(nuisance)] if self._hold else [],
-                       options=self._options, sensitivities=here)
-        self.effort.seconds["simulation"] += time.perf_counter() - began
+                       sensitivities=here)
         if not drape.converged:
             self.effort.failures.append(f"{drape.status.value}: {drape.message}")
             return None
@@ -226,7 +210,6 @@ class Problem:
     def _moves(self, trial: Trial) -> np.ndarray | None:
         """Derivatives (n, V, 3) of the vertices by the unknowns; None: none exist."""
         if self._tangent is None or self._tangent[0] is not trial.drape:
-            began = time.perf_counter()
             tangent = Tangent.of(trial.drape)
             if tangent.ok:
                 moves, by_moduli = cloth_moves(tangent, trial.cloth, trial.drape.rig,
@@ -236,7 +219,6 @@ class Problem:
             else:
                 self.effort.failures.append(tangent.message)
                 self._tangent = trial.drape, None, None
-            self.effort.seconds["derivatives"] += time.perf_counter() - began
         return self._tangent[1]
 
     def _pulled(self, tangent: Tangent, nuisance: np.ndarray) -> np.ndarray:

@@ -25,10 +25,11 @@ from drapenet.estimate import Estimate
 from drapenet.joint import fabric_prior
 from drapenet.predict import Draws
 from drapenet.refine.cloth import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
-from drapenet.refine.fidelity import fidelity
 from drapenet.refine.objective import fit_nuisances
+from drapenet.refine.optimisers import Status
 from drapenet.refine.scans import flat_turn
 from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, search
+from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
 from sim.material import MICRO, is_admissible
@@ -111,8 +112,10 @@ def refined_capture(
         draws = Draws(theta[kept], np.full(int(kept.sum()), turn), float(1 - possible.mean()))
     shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
                    positions=positions, statuses=[drape.status.value])
-    return Refined(draws, _content(found, source), found, shown,
-                   tuple(_doubts(found, theta, source)))
+    near = fidelity(seen.shape, found.released) if seen and found.released else None
+    scan = seen is not None
+    return Refined(draws, _content(found, near, scan=scan), found, shown,
+                   tuple(_doubts(found, theta, near, scan=scan)))
 
 
 def _search(
@@ -169,7 +172,10 @@ def _samples(found: Found) -> np.ndarray | None:
     return rng.multivariate_normal(found.best.cloth.theta, found.uncertainty.theta, size=_DRAWS)
 
 
-def _doubts(found: Found, theta: np.ndarray | None, seen: Seen) -> list[str]:
+def _doubts(
+    found: Found, theta: np.ndarray | None, near: Fidelity | None, *, scan: bool
+) -> list[str]:
+    """What to say of a search, a line each; ``near``: of the drape let go at a ``scan``."""
     doubts = []
     if theta is not None and found.uncertainty.reduced_chi2 >= WORST:
         doubts.append("no simulated cloth fits the captured surface (squared misfit "
@@ -181,28 +187,27 @@ def _doubts(found: Found, theta: np.ndarray | None, seen: Seen) -> list[str]:
                       "network's estimate stands")
     elif theta is None:
         doubts.append("the refinement gives no uncertainty: the network's estimate stands")
-    if isinstance(seen, CapturedScan):
-        away = (fidelity(seen.shape, found.released).displacement_mm if found.released
-                else math.inf)
-        if away > FAR:
-            doubts.append(f"the estimate's drape comes to rest {away:.0f} mm from the scan (sound "
-                          f"scans: up to {FAR:g} mm): check the specimen's size and the support, "
-                          "and that the cloth hung freely")
+    unsettled = scan and not near and found.status is not Status.INTERRUPTED
+    if unsettled or (near and near.displacement_mm > FAR):
+        ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
+                f"{FAR:g} mm)" if near else "does not come to rest at the scan")
+        doubts.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
+                      "and that the cloth hung freely")
     return doubts
 
 
-def _content(found: Found, seen: Seen) -> dict[str, Any]:
+def _content(found: Found, near: Fidelity | None, *, scan: bool) -> dict[str, Any]:
     """The part ``refined`` of ``estimate.json``."""
     content = {
-        "by": "scan" if isinstance(seen, CapturedScan) else "depth",
+        "by": "scan" if scan else "depth",
         "misfit_before": found.start_value, "misfit": found.best.value,
         "simulations": found.effort.solves, "failed_simulations": len(found.effort.failures),
         "status": found.status.value, "message": found.message, "specimen": _specimen(found),
     }
     if found.uncertainty is not None:
         content["reduced_chi2"] = found.uncertainty.reduced_chi2
-    if isinstance(seen, CapturedScan) and found.released is not None:
-        content["fidelity"] = asdict(fidelity(seen.shape, found.released))
+    if near:
+        content["fidelity"] = asdict(near)
     return content
 
 

@@ -23,8 +23,7 @@ from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
-from drapenet.refine.captured import CapturedShape
-from drapenet.refine.surface import Cloud, distances
+from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.scene import Rig
@@ -53,13 +52,12 @@ class Registered:
 
     Attributes:
         shape: the mesh, on the scan.
-        distance: m, mean over its hanging vertices, from the scanned surface.
-        reason: why it was registered; None for a scan whose own vertices serve.
+        distance: m, mean of its hanging vertices from the scanned surface; 0 for a scan whose own
+            vertices serve.
     """
 
     shape: CapturedShape
     distance: float
-    reason: str | None
 
 
 def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -> Registered:
@@ -69,7 +67,7 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
     Raw scans are registered; so are those whose own vertices slid along the cloth.
 
     Args:
-        held: see :class:`.captured.CapturedShape`.
+        held: see :class:`.surface.CapturedShape`.
         edge: m, at the rim of the mesh that a scan is registered to.
 
     Raises:
@@ -80,7 +78,7 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
         raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
-        found = register(cloud, rig, edge=edge, held=held, reason="raw")
+        found = register(cloud, rig, edge=edge, held=held)
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
@@ -90,10 +88,10 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
         scan = read_scan(path, rig)
         own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
         if own.strain < SLID:
-            return Registered(own, 0.0, None)
+            return Registered(own, 0.0)
         found = register(
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
-            held=held, reason="vertices slid along the cloth")
+            held=held)
     if found.distance > _APART:
         raise InputError(f"{path}: a specimen of {rig.name} does not fit this surface, it "
                          f"stays {1e3 * found.distance:.0f} mm away on average; give all of the "
@@ -121,15 +119,14 @@ def flat_turn(shape: CapturedShape) -> float:
 
 
 def register(
-    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0,
-    reason: str = "raw",
+    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0
 ) -> Registered:
     """A mesh of the specimen on the scan ``cloud``; z up, the plate's centre the origin.
 
     Args:
         edge: length of the mesh's edges at the plate's rim, m.
         turn: rad, direction of the mesh's first rest axis on the plate, which a scan does not show.
-        held: see :class:`.captured.CapturedShape`.
+        held: see :class:`.surface.CapturedShape`.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes
@@ -140,7 +137,7 @@ def register(
     found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
     shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
     apart = distances(cloud, shape.positions)[shape.hanging].mean()
-    return Registered(shape, float(apart), reason)
+    return Registered(shape, float(apart))
 
 
 def read_cloud(path: Path, rig: Rig) -> Cloud:

@@ -27,15 +27,14 @@ from drapenet.refine.attraction import (
     plane_springs,
     spring_stiffness,
 )
-from drapenet.refine.captured import CapturedShape
 from drapenet.refine.cloth import Cloth, Knowledge
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.objective import Objective, fit_nuisances
 from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Effort, Hold, Problem, Trial, Uncertainty, laplace
+from drapenet.refine.surface import CapturedShape, RobustPositions
 from sim.drape import DrapeResult
-from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import follow
@@ -98,17 +97,14 @@ class CapturedViews:
         rig: with a plate.
         edge: m, at the rim of the specimen's mesh in the last round; coarse: in those before, which
             find folds, pose and most of the fabric.
-        seed: of the meshes.
-        weights: of the pixels; on coarser meshes they count less (:meth:`.DepthWeights.on_mesh`).
     """
 
     def __init__(
         self, views: np.ndarray, camera: Camera, *, turns: Sequence[float], turn: float, rig: Rig,
-        edge: float, coarse: float, seed: int = 0, weights: DepthWeights | None = None,
+        edge: float, coarse: float,
     ) -> None:
         self._views, self._camera, self._rig = views, camera, rig
-        self._turns, self._turn, self._topology = turns, turn, seed % TOPOLOGIES
-        self._weights = weights or DepthWeights()
+        self._turns, self._turn = turns, turn
         self._objectives: dict[float, DepthViews] = {}
         coarse = max(edge, coarse)
         self.rounds = (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
@@ -117,19 +113,17 @@ class CapturedViews:
     def objective(self, edge: float) -> DepthViews:
         """The objective of the mesh with these edges at the rim."""
         if edge not in self._objectives:
-            mesh = make_specimen(self._rig, edge=edge, topology=self._topology).mesh
+            mesh = make_specimen(self._rig, edge=edge).mesh
             self._objectives[edge] = DepthViews(
                 self._views, self._camera, mesh.faces, turns=self._turns, turn=self._turn,
-                weights=self._weights.on_mesh(edge))
+                weights=DepthWeights().on_mesh(edge))
         return self._objectives[edge]
 
     def held(self, level: Round, cloth: Cloth, nuisance: np.ndarray | None) -> Held:
         """See :class:`Seen`."""
         objective = self.objective(level.edge)
         points = objective.points(objective.start if nuisance is None else nuisance)
-        shape = captured_shape(cloth.fabric, *points, rig=self._rig, edge=level.edge,
-                               topology=self._topology)
-
+        shape = captured_shape(cloth.fabric, *points, rig=self._rig, edge=level.edge)
         near, at = nearest_points(shape.scene, shape.positions, *points, reach=REACH)
 
         def springs(pull: float) -> Hold:
@@ -150,7 +144,8 @@ class CapturedScan:
     rounds = (Round(0.0, (0.05,), 6),)  # of its own mesh
 
     def __init__(self, shape: CapturedShape) -> None:
-        self.shape, self._objective = shape, RobustPositions.of(shape)
+        self.shape = shape
+        self._objective = RobustPositions(shape.positions, vertices=shape.hanging)
 
     def held(self, level: Round, cloth: Cloth, nuisance: np.ndarray | None) -> Held:
         """See :class:`Seen`."""
@@ -282,7 +277,10 @@ class _Run:
         problem.value(problem.start)
         if problem.best is not None:
             self.problem = self.problem or problem  # for whoever interrupts the first round
-            self.refit(problem)
+            best = problem.best
+            nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
+            problem.value(np.concatenate([best.x[: problem.cloths],
+                                          nuisance / problem.objective.scale]))
         self.report(problem)
         return problem
 
@@ -297,13 +295,6 @@ class _Run:
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         self.status, self.message = outcome.status, outcome.message
-
-    def refit(self, problem: Problem) -> None:
-        """The objective's parameters that fit the best trial's drape."""
-        best = problem.best
-        nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
-        problem.value(np.concatenate([best.x[: problem.cloths],
-                                      nuisance / problem.objective.scale]))
 
     def conclude(self) -> None:
         """How certain the best is, how well the first start does, and the free drape."""

@@ -1,14 +1,83 @@
-"""A captured surface whose points belong to no known points of the cloth."""
+"""Captured surfaces: registered drapes, whose vertices belong to points of the flat specimen, and
+clouds of points that belong to no known points of the cloth; the objective of the former.
+"""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from common.errors import InputError
-from sim.mesh import edges_of, vertex_normals
+from drapenet.refine.objective import Linearised, huber
+from sim.drape import DrapeResult, scene_on
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.measures import drape_coefficient
+from sim.mesh import Mesh, edges_of, vertex_normals
+from sim.mesh.specimens import Specimen
+from sim.newton import Status
+from sim.scene import Rig
+from sim.sensitivity.tangent import possible_contact
 
+_ON_PLATE = 1.003  # of the plate's radius: vertices on its rim are held
 NEIGHBOURS = 20  # that a raw point's normal is taken from
+
+
+@dataclass(frozen=True)
+class CapturedShape:
+    """A registered drape.
+
+    Attributes:
+        positions: (V, 3) m, on the rig's axes.
+        rest: (V, 2) m, in any material axes.
+        faces: (F, 3), counter-clockwise at rest.
+        rig: with a plate.
+        held_share: of the plate's radius, within which the plate holds the cloth; further out
+            cloth lies on it, may lift and slide, and turns over the rim as it likes.
+    """
+
+    positions: np.ndarray
+    rest: np.ndarray
+    faces: np.ndarray
+    rig: Rig
+    held_share: float = 1.0
+
+    @property
+    def held(self) -> np.ndarray:
+        """(V,) bool, vertices that the plate holds."""
+        return self._within(self.held_share)
+
+    @property
+    def hanging(self) -> np.ndarray:
+        """(V,) bool, vertices beyond the plate."""
+        return ~self._within(1.0)
+
+    @property
+    def strain(self) -> float:
+        """By how much the hanging edges differ from their rest lengths, root mean square."""
+        edges = edges_of(self.faces)[0]
+        edges = edges[self.hanging[edges].any(axis=1)]
+        length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
+                        for p in (self.positions, self.rest))
+        return float(np.sqrt(np.mean((length / rest - 1) ** 2)))
+
+    def _within(self, share: float) -> np.ndarray:
+        return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * share * self.rig.plate_radius
+
+    def as_drape(self, fabric: Fabric) -> DrapeResult:
+        """The shape as a drape of ``fabric`` that has not settled yet."""
+        mesh = Mesh(self.rest, self.faces)
+        ends = mesh.rest[mesh.edges]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        state = scene_on(Specimen(mesh, self.held), self.rig).state(self.positions)
+        drape = DrapeResult(
+            fabric=fabric, rig=self.rig, mesh=mesh, held=self.held, state=state, laws=Laws(),
+            extra=(), touches=False, edge=float(lengths.mean()), status=Status.MAX_ITERATIONS,
+            message="captured", residual=math.inf, step=math.inf, positive_definite=False,
+            self_intersections=0, iterations=0, seconds=0.0, time_spent={})
+        contact = possible_contact(drape).value(state.q)
+        return replace(drape, touches=0 < contact < math.inf)
 
 
 @dataclass(frozen=True)
@@ -55,3 +124,82 @@ def distances(cloud: Cloud, positions: np.ndarray) -> np.ndarray:
     # Next to a point of the surface only what lies across counts, beyond the hem all of it.
     spacing = cKDTree(cloud.points).query(cloud.points, 2)[0][:, 1].max()
     return np.where(distance < spacing, across, distance)
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """A settled drape beside the captured shape it began at (Feng et al. 2022, section 7.2).
+
+    Attributes:
+        displacement_mm: mean distance of a hanging vertex from where it was captured.
+        surface_mm: the same from the captured surface, wherever on it.
+        coefficient, captured_coefficient: drape coefficients, percent.
+    """
+
+    displacement_mm: float
+    surface_mm: float
+    coefficient: float
+    captured_coefficient: float
+
+
+def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
+    """How far ``drape``, settled from ``shape`` on the same mesh, is from it."""
+    hanging, settled = shape.hanging, drape.positions
+    surface = Cloud.of_mesh(shape.positions, shape.faces)
+    return Fidelity(
+        1e3 * float(np.linalg.norm(settled - shape.positions, axis=1)[hanging].mean()),
+        1e3 * float(distances(surface, settled[hanging]).mean()),
+        *(100 * drape_coefficient(x, shape.faces, shape.rig) for x in (settled, shape.positions)))
+
+
+class RobustPositions:
+    """Objective: distances between vertices and their captured places, far ones counting less.
+
+    Value: that of Huber's function of the distances in units of ``sigma``, half its mean over
+    ``vertices`` times ``independent``.
+
+    Args:
+        target: (V, 3) m, on the same mesh.
+        vertices: (V,) bool, those that count.
+        sigma: m, standard deviation of a distance; those of 2 mm already are far.
+        limit: in units of ``sigma``, from which the value grows linearly.
+        independent: how many of the distances are independent: of one fold, about one.
+    """
+
+    nuisances = ()
+    start = scale = deviation = np.zeros(0)
+
+    def __init__(
+        self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 2e-3,
+        limit: float = 1.0, independent: float = 100.0,
+    ) -> None:
+        self._target, self._vertices = target, np.flatnonzero(vertices)
+        self._sigma, self._limit = sigma, limit
+        self._independent = independent
+        self._factor = math.sqrt(independent / len(self._vertices))
+
+    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """Residuals (3 N,)."""
+        return self._bent(positions)[0].ravel()
+
+    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+        """The same with derivatives."""
+        residuals, scale, across = self._bent(positions)
+
+        def along(moves: np.ndarray) -> np.ndarray:
+            chosen = moves[:, self._vertices]
+            inward = (across * chosen).sum(-1, keepdims=True)
+            return (scale[:, None] * chosen + residuals * inward).reshape(len(moves), -1).T
+
+        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)),
+                          self._independent)
+
+    def _bent(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (N, 3), their factor (N,), and its relative derivative by the gap (N, 3)."""
+        gap = (positions - self._target)[self._vertices]
+        distance = np.maximum(np.linalg.norm(gap, axis=1) / self._sigma, 1e-12)
+        bent, slope = huber(distance, self._limit)
+        scale = bent / distance * self._factor / self._sigma
+        # d log(bent/d)/dd, along the gap's direction
+        across = ((slope / bent - 1 / distance) / distance)[:, None] * gap / self._sigma**2
+        return scale[:, None] * gap, scale, across

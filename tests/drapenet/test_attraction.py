@@ -47,7 +47,7 @@ def test_soft_cloth_takes_the_captured_folds() -> None:
     truth = drape(fabric, edge=4e-3, seed=3)
     camera, turn = CameraRig.load().nominal(), 0.4
     views = render_views(truth.positions, truth.faces, camera, turn)
-    specimen = {"rig": Rig(), "edge": 4e-3, "topology": 5}
+    specimen = {"rig": Rig(), "edge": 4e-3}
     objective = DepthViews(views, camera, make_specimen(**specimen).mesh.faces, turn=turn)
     shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
     seen = objective.render(shape.positions, objective.start)

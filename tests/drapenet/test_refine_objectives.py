@@ -146,7 +146,7 @@ def test_an_interruption_while_the_pose_is_fitted_is_passed_on() -> None:
             return nuisance - 3.0
 
         def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-            return Linearised(nuisance - 3.0, lambda moves: moves, np.ones((1, 1)))
+            return Linearised(nuisance - 3.0, lambda moves: moves, np.ones((1, 1)), 1)
 
     with pytest.raises(KeyboardInterrupt):
         fit_nuisances(Interrupted(), np.zeros((1, 3)), np.zeros(1))

@@ -66,7 +66,7 @@ def test_bounded_linear_problems_are_solved(method: str, seed: int) -> None:
 def test_a_bent_valley_is_followed_to_its_end(method: str, most: int) -> None:
     problem = Valley()
     found = minimise(problem, method=METHODS[method],
-                     limits=Limits(evaluations=2000, step=1e-8, decrease=1e-12, target=1e-8))
+                     limits=Limits(evaluations=2000, step=1e-8, decrease=1e-12))
     assert np.abs(found.x - 1).max() < 1e-2
     assert found.evaluations == problem.asked <= most
     assert found.status is Status.CONVERGED

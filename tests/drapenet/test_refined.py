@@ -1,6 +1,7 @@
 """What a refinement makes of the network's estimate."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from drapenet.refine.cloth import LAWS, OFFSET, Cloth
 from drapenet.refine.optimisers import Status
 from drapenet.refine.problem import Effort, Trial, Uncertainty
 from drapenet.refine.search import CapturedViews, Found
+from drapenet.refine.surface import Fidelity
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
 from sim.scene import Rig
@@ -95,3 +97,18 @@ def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
     result, _ = run(draped, monkeypatch, start_value=10.2)
     assert result.draws is None
     assert any("the network's estimate stands" in line for line in result.doubts)
+
+
+@pytest.mark.parametrize(("near", "status", "doubt"), [
+    (3.0, Status.CONVERGED, None), (12.0, Status.CONVERGED, "12 mm from the scan"),
+    (None, Status.CONVERGED, "does not come to rest"), (None, Status.INTERRUPTED, None)])
+def test_cloth_let_go_at_a_scan_stays_there(
+    draped: DrapeResult, near: float | None, status: Status, doubt: str | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After an interruption nothing was let go, so nothing is said."""
+    found, _ = run(draped, monkeypatch)
+    ended = replace(found.found, status=status)
+    doubts = refined._doubts(ended, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
+                             scan=True)
+    assert len(doubts) == (doubt is not None) and (doubt or "") in "".join(doubts)
