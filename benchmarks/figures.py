@@ -75,7 +75,7 @@ def claims() -> str:
 
     found = report("elastica")
     add("Hanging strips have the shape of the elastica", "Strips against the heavy elastica",
-        f"drop over reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to 1000, "
+        f"ratio of drop to reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to 1000, "
         "on four triangulations", "0.5 %", "elastica", met=found["passed"])
 
     found = report("strips")
@@ -98,7 +98,7 @@ def claims() -> str:
 
     found = report("meshes")
     midedge, hinge = (found["summary"][law]["largest_mean_mm"] for law in ("midedge", "hinge"))
-    add("A fine mesh does not decide the drape †", "Mesh independence",
+    add("On fine meshes a drape does not depend on the mesh †", "Mesh independence",
         f"three kinds of meshes agree within {midedge:.2f} mm (hinge model {hinge:.1f} mm)",
         f"{found['limit_mm']} mm", "meshes", met=found["passed"])
 
@@ -142,13 +142,13 @@ def claims() -> str:
         "sensitivity", met=found["passed"])
 
     found = report("throughput")
-    add("Two cores make twice the drapes †", "Many drapes at once",
+    add("Two cores double the throughput †", "Speed",
         f"{found['ratio']:.2f} times; {found['ratio_from_their_start']:.2f} with the start of the "
         "processes", "2", "throughput", met=found["ratio_from_their_start"] >= 2)
 
     agreement = report("render")["agreement"]["rasteriser"]
     speeds = report("render")["views_per_second"]["240x180"]
-    add("The rasteriser sees what ray casting sees †", "Rendering",
+    add("The rasteriser agrees with ray casting †", "Rendering",
         f"{agreement['silhouette_pixels_that_differ']} of "
         f"{1e-6 * agreement['cloth_pixels']:.1f} million pixels differ, depth within "
         f"{agreement['largest_mm']:.3f} mm; {speeds['rasteriser'] / speeds['rays']:.1f} times as "
@@ -157,7 +157,7 @@ def claims() -> str:
     bounds = report("information")["rms"]
     bound = bounds["all nuisances unknown"]
     ideal = bounds["no nuisances"]
-    add("What four views of a drape can determine at best", "What a drape determines",
+    add("Smallest possible error with four views of a drape", "What a drape determines",
         f"log α to {ideal['log_alpha']:.2f} and β/α to {1e3 * ideal['beta_over_alpha']:.1f} mm "
         f"without nuisances; {bound['log_alpha']:.2f} and {1e3 * bound['beta_over_alpha']:.1f} mm "
         "with all unknown", "–", "information")
@@ -185,7 +185,7 @@ def claims() -> str:
             *ratios, nearest["right"], nearest["of"]), "1.10; 1.18; 33", "real_captures",
         met=ratios[0] <= 1.10 and ratios[1] <= 1.18 and nearest["right"] >= 33)
     folds, coefficient = (found["prediction"][name] for name in ("folds", "coefficient"))
-    add("Drapes of an estimate look like other samples of the fabric",
+    add("Drapes of an estimate resemble other samples of the fabric",
         "Real drapes through the network",
         f"median difference {coefficient['off']:.1f} points of drape coefficient, "
         f"{folds['off']:.2f} folds (two samples differ by {coefficient['scans']:.1f} and "
@@ -210,9 +210,9 @@ def claims() -> str:
     found = dict(report("faults")["found"])
     sound = found.pop("sound")
     share = sum(found.values()) / len(found)
-    add("Faulty captures are noticed", "Whole scenes and faulty captures",
-        f"{percent(share, 1)} of {len(found)} kinds corrected, refused or named; {percent(sound)} "
-        "of sound captures have a warning", "95 %; 2 %", "faults",
+    add("Faults of captures are detected", "Whole scenes and faulty captures",
+        f"{percent(share, 1)} of {len(found)} kinds corrected, refused or reported; "
+        f"{percent(sound)} of sound captures have a warning", "95 %; 2 %", "faults",
         met=share >= 0.95 and sound <= 0.02)
 
     names = ("refine_views", "refine_views_real")
@@ -232,14 +232,14 @@ def claims() -> str:
     found = report("repeats")["summary"]
     add("Repeated drapes of one fabric", "Repeated drapes",
         "error of log α {:.3f}, {:.3f}, {:.3f} with 1, 2, 5 captures (bound {:.3f}, {:.3f}, "
-        "{:.3f}); inside, with 5: {}".format(
+        "{:.3f}); inside with 5: {}".format(
             *(found[n][key] for key in ("log_alpha", "bound") for n in "125"),
             inside(found["5"])),
         "0.081 with 5", "repeats", met=found["5"]["log_alpha"] <= 1.2 * 0.081)
 
     found = report("service")
     many, bad = found["many_at_once"], found["malformed"]
-    add("The service bears a crowd and malformed requests", "The service",
+    add("The service handles simultaneous and malformed requests", "The service",
         f"{many['with_their_own_result']} of {many['uploads']} simultaneous uploads answered with "
         f"their own result; {bad['requests']} malformed requests, {bad['tracebacks']} tracebacks, "
         f"answers within {bad['longest_seconds']:.0f} s", "all; 0; 10 s", "service",
@@ -281,18 +281,6 @@ def views() -> str:
               [["error of log α", *(f"{one['log_alpha']:.2f}" for one in joined.values())]])))
 
 
-def elastica() -> str:
-    """Strips of the default law and of hinges beside the elastica."""
-    found = report("elastica")
-    laws, gammas = found["deviations"], found["settings"]["gammas"]
-    meshes = list(laws["midedge"])
-    chosen = [k for k in range(len(gammas)) if k in (0, 3, 6, 8, 11)]
-    rows = [[f"{gammas[k]:.4g}",
-             *(f"{100 * laws['midedge'][mesh][k]:+.2f}" for mesh in meshes),
-             *(f"{100 * laws['hinge_linear'][mesh][k]:+.1f}" for mesh in meshes)] for k in chosen]
-    return table(["Γ", *meshes, *(f"hinges, {mesh}" for mesh in meshes)], rows)
-
-
 def testers() -> str:
     """Errors of the cantilever estimators."""
     def share(value: float) -> str:
@@ -324,20 +312,6 @@ def default_mesh() -> str:
                   "within 0.8 mm", "CPU-seconds a drape"], rows)
 
 
-def locking() -> str:
-    """Drape coefficients, and distances from the fine mesh, over membrane and mesh."""
-    rows = []
-    for alpha, found in report("membranes")["fabrics"].items():
-        for name in dict.fromkeys(row["membrane"] for row in found["locking"]):
-            own = [row for row in found["locking"] if row["membrane"] == name]
-            rows.append([f"{alpha} µN·m", name,
-                         *(f"{row['drape_coefficient']:.3f}" for row in own),
-                         *(f"{row['from_own_fine_mesh_mm']:.2f}" for row in own[:-1])])
-    edges = [f"{row['edge_mm']:g} mm" for row in own]
-    return table(["α", "membrane", *(f"coefficient, {edge}" for edge in edges),
-                  *(f"distance, {edge}" for edge in edges[:-1])], rows)
-
-
 def cutouts() -> str:
     """Cut-outs by sensor, medians and worst."""
     rows = [[name, f"{found['iou'][1]:.3f}",
@@ -358,7 +332,7 @@ def information() -> str:
              f"{found['standardised_log_alpha']:.3f}",
              f"{found['standardised_beta_over_alpha']:.3f}"]
             for name, found in report("information")["rms"].items()
-            if name not in ("shear", "size", "plate", "cut")]
+            if name not in ("shear", "curl_warp", "curl_weft", "size", "plate", "cut")]
     return table(["unknown", "log α", "β/α, mm", "log α, of the spread", "β/α, of the spread"],
                  rows)
 
@@ -374,7 +348,8 @@ def cells() -> str:
                 f"{found['beta_over_alpha']['rmse']:.2f}", inside(found)]
 
     rows = [[name, *columns("squares", name), *columns("discs", name)]
-            for name in report(f"evaluation_{RIGS['discs']}")["cells"]]
+            for name in report(f"evaluation_{RIGS['discs']}")["cells"]
+            if name.split()[0] not in ("sensor", "pitch", "distance")]
     return table(["condition", *(f"{kind}: {what}" for kind in RIGS
                                  for what in ("log α (95 %)", "β/α", "inside"))], rows)
 
@@ -447,13 +422,13 @@ def accuracy() -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     block.__name__: block for block in (
-        demo, accuracy, views, claims, elastica, testers, default_mesh, locking, cutouts,
+        demo, accuracy, views, claims, testers, default_mesh, cutouts,
         information, cells, refinement, scans, prior)
 }
 
 
 def filled(text: str) -> str:
-    """``text`` with all its blocks made anew.
+    """``text`` with all its blocks filled in again.
 
     Raises:
         InputError: an unknown block.

@@ -9,8 +9,9 @@ from benchmarks.common import table
 from common.files import replace_file
 
 BEGIN, END = "<!-- campaign -->\n", "\n<!-- end of campaign -->"
-KILLS = {"kills": "datasets, one to four processes", "pool_kills": "datasets, worker processes",
-         "training_kills": "trainings"}
+KILLS = {"kills": "SIGKILL: datasets, one to four processes",
+         "pool_kills": "SIGKILL: datasets, worker processes",
+         "training_kills": "SIGKILL: trainings"}
 
 
 def describe(content: dict[str, Any]) -> str:
@@ -24,11 +25,10 @@ def describe(content: dict[str, Any]) -> str:
                   "most memory [MB]"], rows)
     rows = [[KILLS[name], found["kills"], found["runs"], found["same"]]
             for name, found in content["kills"].items()]
-    text += "\n\n" + table(["SIGKILLs of", "number", "runs", "with the bytes of one in peace"],
-                           rows)
-    rows = [[name, found["cases"], found["cases"] - sum(found["wrong"].values())]
-            for name, found in content["accidents"].items()]
-    return text + "\n\n" + table(["accident to a dataset", "cases", "right"], rows)
+    rows += [[f"dataset: {name}", found["cases"], found["cases"],
+              found["cases"] - sum(found["wrong"].values())]
+             for name, found in content["accidents"].items()]
+    return text + "\n\n" + table(["accident", "number", "runs", "correct result"], rows)
 
 
 def place(content: dict[str, Any], page: Path) -> None:
