@@ -406,18 +406,20 @@ def accuracy() -> str:
     real = report("real_captures")["agreement"]
     return "\n".join([
         f"- **Simulated fabrics** that the network has never seen, with the variation of real "
-        f"specimens and cameras: typical error of α {percent(error['squares'])} for squares and "
-        f"{percent(error['discs'])} for discs ({percent(four['squares'])} and "
-        f"{percent(four['discs'])} with four views); the 68 % intervals contain "
+        f"specimens and cameras: the typical error of α is {percent(error['squares'])} for "
+        f"squares and {percent(error['discs'])} for discs ({percent(four['squares'])} and "
+        f"{percent(four['discs'])} with four views). The 68 % intervals contain "
         f"{percent(squares['inside']['68%']['mean'])} and "
         f"{percent(discs['inside']['68%']['mean'])} of the true moduli.",
-        f"- **Repeats of real fabrics** (60 scans, nine fabrics, true moduli unknown): α of two "
-        f"captures of a sample agrees within a factor of {real['captures']['median']:.2f}, of two "
-        f"samples within {real['samples']['median']:.2f} (medians).",
-        f"- **Limits**: β/α is poorly constrained by a drape (error "
-        f"{squares['beta_over_alpha']['rmse']:.2f} and {discs['beta_over_alpha']['rmse']:.2f} of "
-        "its spread over fabrics); no comparison with a laboratory tester has been made on real "
-        "cloth; friction between yarns acts as stiffness."])
+        f"- **Repeats of real fabrics** (60 scans of nine fabrics, true moduli unknown): the "
+        f"estimates of α from two captures of a sample agree within a factor of "
+        f"{real['captures']['median']:.2f}, those from two samples of a fabric within "
+        f"{real['samples']['median']:.2f} (medians).",
+        f"- **Limits**: β/α is poorly constrained by a drape: its error is "
+        f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
+        f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics. No estimate "
+        "has been compared with a laboratory tester on real cloth. Friction between yarns acts as "
+        "stiffness."])
 
 
 BLOCKS: dict[str, Callable[[], str]] = {
