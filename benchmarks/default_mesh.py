@@ -35,9 +35,9 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.comparison import Draped, compare, same_folds
 from benchmarks.speed import prior_fabrics
 from common.cli import run_command
-from drapenet.comparison import Draped, compare, same_folds
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
@@ -81,7 +81,7 @@ def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
 
 
 class Shape:
-    """A specimen at positions (V, 3), m (:class:`drapenet.comparison.Draped`)."""
+    """A specimen at positions (V, 3), m (:class:`benchmarks.comparison.Draped`)."""
 
     def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
         self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions

@@ -1,6 +1,6 @@
 """How well a drape determines its fabric at best: ``python -m benchmarks.information [key=value]``.
 
-The posterior bound of the six moduli (:mod:`drapenet.information`) of fabrics of the prior ``vae``,
+The posterior bound of the six moduli (:mod:`benchmarks.bound`) of fabrics of the prior ``vae``,
 each draped twice: as a specimen with nuisances of configs/nuisances/real.yaml, and without any.
 Four depth views of 240 × 180 pixels are taken by the nominal camera. Unknown in every row are the
 specimen's turn and offset on the plate and the camera's pose. A row is the root mean square, over
@@ -27,6 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from benchmarks.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
 from benchmarks.common import (
     REPORTS,
     parse_settings,
@@ -44,7 +45,6 @@ from data.options import Options, config_from_options
 from data.prior import load_prior
 from data.sampling import SamplingConfig, Stream, plan_drape, stream
 from data.setups import Setups
-from drapenet.information import CAMERA, SETUP, SPECIMEN, bounds, depth_information
 from sim.drape import drape
 from sim.scene import Rig
 

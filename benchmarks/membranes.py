@@ -40,9 +40,9 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.comparison import compare, same_folds
 from common.cli import run_command
 from data.picture import shade
-from drapenet.comparison import compare, same_folds
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric

@@ -11,7 +11,7 @@ mesh and under every law, without coarser meshes before it. Compared are
   remains between the two are minima that the mesh itself makes.
 
 Two drapes have the same fold configuration when they have as many folds and each lies within a
-quarter of the mean fold distance of its partner (:func:`drapenet.comparison.same_folds`).
+quarter of the mean fold distance of its partner (:func:`benchmarks.comparison.same_folds`).
 
 Keys (``key=value``):
 
@@ -44,6 +44,7 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.comparison import compare, same_folds
 from benchmarks.mesh_cases import (
     DEFAULT_LAW,
     FABRICS,
@@ -58,7 +59,6 @@ from benchmarks.mesh_cases import (
 )
 from common.cli import run_command
 from data.picture import shade
-from drapenet.comparison import compare, same_folds
 from sim.measures import fold_outline
 from sim.scene import Rig
 

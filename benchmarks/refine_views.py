@@ -38,6 +38,7 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.comparison import same_folds
 from benchmarks.known import CLEAN, known_drape
 from common.cli import run_command
 from data.cameras import CameraRig
@@ -45,7 +46,6 @@ from data.captures import Capture
 from data.nuisances import NAMES
 from data.setups import Setups
 from drapenet.checkpoint import bundled, read_header
-from drapenet.comparison import same_folds
 from drapenet.convention import LINEAR, RATIO, SWAPPED
 from drapenet.coverage import LEVELS, covered, ranks
 from sim.drape import drape

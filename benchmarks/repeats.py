@@ -4,7 +4,7 @@ Fabrics of the prior are draped several times: one cloth, each time another spec
 capture. Each capture is estimated, and the first 1, 2, ... of a fabric together
 (:mod:`drapenet.joint`). The errors of two captures of one fabric are correlated, for friction and
 membrane belong to the cloth; this correlation is what ``drapenet.joint.SHARED`` states. Beside them
-stands the bound (:mod:`drapenet.information`) of these drapes, also for friction and curl.
+stands the bound (:mod:`benchmarks.bound`) of these drapes, also for friction and curl.
 
 Keys (``key=value``):
 
@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from benchmarks.common import (
     ESTIMATOR,
     REPORTS,
@@ -46,7 +47,6 @@ from data.setups import Setups
 from drapenet.checkpoint import bundled, read_header
 from drapenet.convention import LINEAR, SWAPPED, WARP_WEFT
 from drapenet.estimate import Estimate
-from drapenet.information import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from drapenet.joint import SHARED, joined
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
@@ -70,8 +70,8 @@ CURL = ("curl_warp", "curl_weft")
 
 def case(*, number: int, rig: str, drapes: int, refine: bool, truth_mm: float, seed: int) -> dict:
     """Estimates of all drapes of one fabric; samples along the true warp, bias and weft."""
+    from benchmarks.bound import depth_information
     from drapenet.inference import estimate_capture
-    from drapenet.information import depth_information
 
     words = ["nuisances=real", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0",
              f"dataset.starts_per_fabric={drapes}"]

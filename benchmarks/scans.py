@@ -34,11 +34,11 @@ from benchmarks.common import (
     write_figure,
     write_report,
 )
+from benchmarks.comparison import best_turn
 from common.cli import run_command
 from common.errors import InputError
 from data.picture import shade
 from data.scans import Scan, read_scans
-from drapenet.comparison import best_turn
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import tick_short_scales
+from benchmarks.comparison import compare
 from benchmarks.testers import LENGTHS, shake
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
-from drapenet.comparison import compare
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.table import match
 from sim.cantilever.tester import bending_length

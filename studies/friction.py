@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, tick_short_scales
+from benchmarks.comparison import compare
 from benchmarks.guides import level_rulings
 from benchmarks.known import planned
 from benchmarks.photographs import estimated
@@ -16,7 +17,6 @@ from data.fabrics import fabric_from_theta
 from data.sampling import STARTS
 from data.scans import read_scan
 from drapenet.checkpoint import bundled, read_header
-from drapenet.comparison import compare
 from drapenet.convention import LINEAR
 from sim.cantilever.fabric import estimate
 from sim.cantilever.tester import bending_length, simulate_strips

@@ -13,7 +13,6 @@ from common.errors import InputError
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
 from data.prior import load_prior
 from data.sampling import DrapePlan
-from drapenet.descriptor import GridSpectrum, PhaseFree, RingSpectrum
 from drapenet.refine.attraction import plane_springs
 from drapenet.refine.cloth import Cloth, Knowledge
 from drapenet.refine.optimisers import Limits, minimise
@@ -27,6 +26,7 @@ from sim.material import REFERENCE_DENSITY, Fabric, is_admissible, torque
 from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
 from sim.sensitivity import follow
 from studies.captured import draped, rms, specimen
+from studies.descriptors import GridSpectrum, PhaseFree, RingSpectrum
 from studies.minimisers import METHODS
 from studies.study import Report, Study, over_fabrics
 from studies.transfer import ratio
@@ -37,7 +37,7 @@ WAYS = {
     "lm": "vertices, Levenberg–Marquardt", "lbfgs": "vertices, L-BFGS-B",
     "cmaes": "vertices, CMA-ES", "grid": "2-D spectrum (000, Eq. 9), Levenberg–Marquardt",
     "rings": "spectrum along rings, Levenberg–Marquardt"}
-_SOURCES = ("sim", "drapenet/refine", "drapenet/descriptor.py", "benchmarks/style3d.py",
+_SOURCES = ("sim", "drapenet/refine", "studies/descriptors.py", "benchmarks/style3d.py",
             "studies/minimisers.py")
 _PULL = 0.05  # of the springs at 1 mm, over the cloth's weight, as scans are held
 _CURVATURE = 50.0  # 1/m, of the secant that is compared

@@ -7,19 +7,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR
+from benchmarks.comparison import mean_curvature
 from benchmarks.photographs import estimated
 from data.cameras import CameraRig
 from data.sampling import STARTS
 from data.scans import read_scan
 from data.setups import Setups
 from drapenet.checkpoint import bundled, read_header
-from drapenet.comparison import mean_curvature
 from drapenet.convention import LINEAR
-from drapenet.descriptor import GridSpectrum, RingSpectrum
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
 from sim.scene import DISC_RIG, Rig
 from studies.captured import RIG, draped, fabric_and_sample, ideal, over_scans, read, seen, specimen
+from studies.descriptors import GridSpectrum, RingSpectrum
 from studies.study import Report, Study, over_fabrics
 
 DESCRIPTIONS = {

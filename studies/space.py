@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import run_cases, table, tick_short_scales
+from benchmarks.comparison import compare
 from data.fabrics import fabric_from_theta
-from drapenet.comparison import compare
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.sensitivity import follow, sensitivities

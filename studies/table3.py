@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
+from benchmarks.comparison import Draped, compare
 from benchmarks.real_captures import Specimen
 from benchmarks.testers import LENGTHS, shake
 from common.errors import InputError
@@ -16,7 +17,6 @@ from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
 from data.setups import SyntheticCapture
 from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.comparison import Draped, compare
 from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
@@ -367,7 +367,7 @@ STUDY = Study(
     "*Displacement* is the mean over the cloth's area of the distance between the two positions of "
     "a material point, the area on the plate included (a third of the disc). *Curvature*, in "
     "parentheses, is the mean over the area of |H - H of the true drape| over that of the latter's "
-    "|H|, with the mean curvature H (`drapenet/comparison.py`); flat cloth has 100 %. The paper "
+    "|H|, with the mean curvature H (`benchmarks/comparison.py`); flat cloth has 100 %. The paper "
     "does not define its relative difference. On scans it does not distinguish the estimates: "
     "folds that shift by some millimetres change it as much as flat cloth would, and scanned "
     "surfaces are rougher than drapes. Simulated specimens vary in moduli and friction only. The "

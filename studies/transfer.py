@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from benchmarks import style3d
 from benchmarks.common import next_to, tick_short_scales
+from benchmarks.comparison import compare
 from data.fabrics import fabric_from_theta
-from drapenet.comparison import compare
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.drape import DrapeResult
 from sim.laws import Laws

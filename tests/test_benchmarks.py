@@ -25,10 +25,10 @@ from benchmarks import (
     throughput,
 )
 from benchmarks.common import ROOT, load_arrays, parse_overrides, run_cases, table
+from benchmarks.comparison import compare
 from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
 from common.errors import InputError
 from drapenet.checkpoint import read_header, save_checkpoint
-from drapenet.comparison import compare
 from drapenet.network import MapNet
 from sim.cloth import Cloth
 from sim.drape import drape

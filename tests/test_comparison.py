@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.comparison import best_turn, compare, mean_curvature, same_folds
 from common.errors import InputError
-from drapenet.comparison import best_turn, compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
 from sim.mesh.specimens import make_specimen

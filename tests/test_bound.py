@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from data.cameras import CameraRig
-from data.fabrics import THETA_NAMES
-from data.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
-from data.prior import load_prior
-from data.render import render_views
-from drapenet.information import (
+from benchmarks.bound import (
     CAMERA,
     SETUP,
     SPECIMEN,
@@ -19,6 +14,11 @@ from drapenet.information import (
     depth_information,
     joint_covariance,
 )
+from data.cameras import CameraRig
+from data.fabrics import THETA_NAMES
+from data.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
+from data.prior import load_prior
+from data.render import render_views
 from drapenet.refine.cloth import law_moves
 from sim.drape import drape
 from sim.material import Fabric

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from drapenet.descriptor import GridSpectrum, PhaseFree, RingSpectrum, interpolation
 from sim.mesh.specimens import Specimen, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
+from studies.descriptors import GridSpectrum, PhaseFree, RingSpectrum, interpolation
 
 
 def waves(
