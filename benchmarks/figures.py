@@ -75,8 +75,8 @@ def claims() -> str:
 
     found = report("elastica")
     add("Hanging strips have the shape of the elastica", "Strips against the heavy elastica",
-        f"ratio of drop to reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to 1000, "
-        "on four triangulations", "0.5 %", "elastica", met=found["passed"])
+        f"ratio of drop to reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to "
+        "1000, on four triangulations", "0.5 %", "elastica", met=found["passed"])
 
     found = report("strips")
     bent = max(abs(row["deviation"]) for row in found["nonlinear"])
