@@ -145,8 +145,8 @@ def answer(report: Report) -> str:
              else f"without noise in {better(noise)}" for noise in noises]
     worst = max(KINDS, key=lambda kind: found[kind, "parabola", noises[-1]]["drape"][0])
     one, two = (found[worst, name, noises[-1]]["drape"][0] for name in FITS)
-    return (f"Of {len(KINDS)} kinds of torque the spline drapes nearer the true fabric "
-            f"{', '.join(parts)}. The parabola fits the {KINDS[worst]} torque worst: its drapes "
+    return (f"Of {len(KINDS)} kinds of torque, the spline gives drapes closer to the true fabric's "
+            f"{', '.join(parts)}. The parabola is worst for the {KINDS[worst]} torque: its drapes "
             f"lie {one:.2f} mm (median) from the true fabric's, the spline's {two:.2f} mm "
             f"({noises[-1]:g} mm of noise).")
 
@@ -195,13 +195,14 @@ def draw(report: Report) -> Figure:
 
 
 STUDY = Study(
-    "curves", "A free curve of torque", "004 (Miguel et al. 2012), section 5",
-    "Is the parabola of α and β enough, or does a spline of torque against curvature, fitted to "
-    "the same noisy strips, drape nearer the true fabric?", run, answer, rows, draw,
-    "fits splines of up to five points to every component, because linear models fit badly, and "
-    "leaves 21 and 22 mm (root mean square) of a knit's bent strips in warp and weft. Not "
-    "comparable: theirs are real cloths of 100 mm pushed over a table's edge, with hysteresis.",
-    "Isotropic fabrics, because the spline has no anisotropic law yet, and computed strips that "
-    "bend as cylinders, of 1.5 and 2.5 bending lengths; the longer one that is predicted has 3.5. "
-    "Drapes are equilibria next to the true fabric's, so that folds are the same. Torque is "
-    "compared up to the largest curvature that a fit has read from the strips.")
+    "curves", "A free curve of torque", "004, section 5",
+    "Is the parabola of α and β sufficient, or does a spline of torque over curvature, fitted to "
+    "the same noisy strips, give better drapes?",
+    run, answer, rows, draw,
+    "fits splines of up to five points to every component and leaves 21 and 22 mm (root mean "
+    "square) of a knit's bent strips in warp and weft; not comparable, because its strips are "
+    "real, 100 mm long, pushed over a table's edge, with hysteresis.",
+    "Fabrics are isotropic, because the spline has no anisotropic law. Strips bend as cylinders "
+    "and have 1.5 and 2.5 bending lengths; the predicted *longer strip* has 3.5. Drapes are "
+    "equilibria nearest to the true one, so that folds are the same. Torques are compared up to "
+    "the largest curvature in the strips.")

@@ -178,15 +178,14 @@ def answer(report: Report) -> str:
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
              for name, values in _estimates(report, rig).items()}
     by = {name: precision(report, rig, name) for name in MEASURES}
-    by = {name: precision(report, rig, name) for name in MEASURES}
     sentences = [
-        f"{torque[last]:g} µN·m per metre change the network's α by "
-        f"{ratio['above, log_alpha'] - 1:+.0%} of a drape that is lowered from flat and by "
-        f"{ratio['below, log_alpha'] - 1:+.0%} of one that is raised from below (given the "
-        f"friction, by {ratio['above, given'] - 1:+.0%} and {ratio['below, given'] - 1:+.0%}; a "
-        f"cantilever tester's by {ratio['tester'] - 1:+.0%}). One drape of each kind identifies "
-        f"friction to ± {by['log_alpha']:.0f} µN·m per metre by the network's α, and to ± "
-        f"{by['coefficient']:.0f} by the drape coefficient, which other folds change as much."]
+        f"{torque[last]:g} µN·m per metre change the network's α of a drape lowered from flat by "
+        f"{ratio['above, log_alpha'] - 1:+.0%}, of one raised from below by "
+        f"{ratio['below, log_alpha'] - 1:+.0%} (with known friction "
+        f"{ratio['above, given'] - 1:+.0%} and {ratio['below, given'] - 1:+.0%}), and that of a "
+        f"cantilever tester by {ratio['tester'] - 1:+.0%}. One drape of each kind identifies "
+        f"friction to ± {by['log_alpha']:.0f} µN·m per metre with the network's α and to ± "
+        f"{by['coefficient']:.0f} with the drape coefficient, which other folds change as much."]
     if "scans" in report and DISC_RIG.name in report["rigs"]:
         scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
         both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
@@ -196,18 +195,18 @@ def answer(report: Report) -> str:
                      for k in (0, last)]
         enough = [f"{np.interp(scans[name], sizes[name], torque):.0f}" for name in MEASURES]
         sentences.append(
-            f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of the "
+            f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of "
             f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
-            "square); a simulated disc from above and one from below, in other folds, by "
-            f"{' and '.join(simulated)}. Had the captures such different histories, friction of "
-            f"{' and '.join(enough)} µN·m per metre would explain how far they scatter.")
+            "square); a simulated disc from above and one from below, in other folds, differ by "
+            f"{' and '.join(simulated)}. If the captures had such different histories, friction of "
+            f"{' and '.join(enough)} µN·m per metre would explain their variation.")
     return " ".join(sentences)
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """By rig and torque; then the scans."""
-    head = ["specimen", "friction, µN·m per metre", "α from above, times (given it)",
-            "α from below (given it)", "α by cantilever", "above and below: mm", "points",
+    head = ["specimen", "friction, µN·m per metre", "α from above, times (friction known)",
+            "α from below (friction known)", "α by cantilever", "above and below: mm", "points",
             "α, times", "other start: points", "α, times"]
     lines = []
     for rig in report["rigs"]:
@@ -270,17 +269,16 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "friction", "Friction", "002, section 7.7 (hysteresis as a main source of errors)",
-    "What does friction of bending do to an estimate, and do a drape that is lowered and one that "
-    "is raised, or repeats of real drapes, identify it?", run, answer, rows, draw,
-    "names hysteresis as a main source of errors in simulation, estimation and evaluation, without "
-    "a figure. Not comparable.",
-    "One step of Coulomb friction (docs/physics.md): from flat for a drape from above, from where "
-    "the cloth hangs under twice its weight for one from below, which may add folds. A real "
-    "specimen swings, and may come to rest short of it or beyond. Friction of the cloth on its "
-    "support, and in shear, is not in it. How much a pair differs by a given friction depends on "
-    "the fabric; the precision is that of the median one. How the scans' specimens were placed is "
-    "not documented: if alike each time, captures share their history, and their difference says "
-    "nothing of friction. α by the network is the mean over directions, without faults of the "
-    "set-up; the network was trained with 0 to 200 µN·m per metre from flat and assumes the mean "
-    "where friction is not given. Six denims of α = 14 to 22 µN·m have 500 to 1000 ([source]"
-    "(physics.md#natural-curvature-and-friction)).")
+    "How does bending friction change an estimate, and can it be identified from a lowered and a "
+    "raised drape, or from repeats of real drapes?",
+    run, answer, rows, draw,
+    "names hysteresis as a main source of errors, without a figure; not comparable.",
+    "Friction is one step of Coulomb friction "
+    "([physics](physics.md#natural-curvature-and-friction)), from the flat specimen for a drape "
+    "from above and from the shape under twice its weight for one from below, which may add "
+    "folds. A real specimen swings and may stop elsewhere. Friction on the support and in shear "
+    "is not modelled. The precision is that of the median fabric. How the scans' specimens were "
+    "placed is not documented: if alike each time, their captures share a history, and their "
+    "difference does not measure friction. The network's α is the mean over directions; it was "
+    "trained with 0 to 200 µN·m per metre from flat and assumes the mean where friction is "
+    "unknown. Six denims of α = 14 to 22 µN·m have 500 to 1 000 µN·m per metre.")

@@ -47,10 +47,10 @@ def draw(report: Report) -> Figure:
 
 
 STUDY = Study(
-    "heads", "Answers of a network", "002, Figure 18 and Eq. 10",
-    "Should a network answer with classes, numbers or a posterior?", run, answer, rows, draw,
-    "Figure 18: regression is better than classification with 8 to 64 classes. The same question "
-    "on other data; figures are not comparable.",
-    "Short trainings, one seed each; classes divide five standard deviations of a modulus evenly, "
-    "and the estimate is the middle of the likeliest class. Intervals are those over unseen "
-    "fabrics.")
+    "heads", "Output of a network", "002, Figure 18 and Eq. 10",
+    "Should a network predict classes, numbers or a posterior?", run, answer, rows, draw,
+    "finds regression better than classification with 8 to 64 classes (Figure 18); figures are "
+    "not comparable.",
+    "Trainings are short, with one seed each. Classes divide five standard deviations of a "
+    "modulus evenly, and the estimate is the middle of the likeliest class. Intervals are over "
+    "unseen fabrics.")

@@ -242,39 +242,37 @@ def answer(report: Report) -> str:
                                 if "start" in one]))
     text = (f"From the vertices of the plate's drape on another mesh, Levenberg–Marquardt finds α "
             f"to {of('plate')}, CMA-ES to {of('plate', 'cmaes')}, L-BFGS-B to "
-            f"{of('plate', 'lbfgs')}; starts are {begun:.0f} % away. From a drape of hinges "
-            f"Levenberg–Marquardt finds it to {of('hinges')}. Without registered vertices and in "
-            f"folds of its own, the spectrum along rings gives {of('plate', 'rings')}. ")
+            f"{of('plate', 'lbfgs')}, from starts {begun:.0f} % away. From a drape of hinges "
+            f"Levenberg–Marquardt finds it to {of('hinges')}. Without registered vertices, the "
+            f"spectrum along rings gives {of('plate', 'rings')}. ")
     if "style3d" not in report["targets"]:
         return text + (f"Drapes of Newton's Style3D are left out: it was not installed "
                        f"(`{style3d.INSTALL}`).")
     motion = max(one["motion"] for one in report["targets"]["style3d"].values()
                  if "motion" in one)
     bent = found["style3d", "lm"]
-    return text + (f"From drapes of Style3D it is {of('style3d')}: cloth without β is taken for "
-                   f"stiffer cloth that softens, whose secant at {_CURVATURE:g} m⁻¹ is wrong by "
-                   f"{bent['secant']:.0f} %. In the last quarter of their time these drapes moved "
-                   f"by at most {motion:.2f} mm.")
+    return text + (f"From drapes of Style3D Levenberg–Marquardt gives {of('style3d')}: cloth "
+                   "without β is estimated as stiffer cloth that softens, with an error of "
+                   f"{bent['secant']:.0f} % in the secant at {_CURVATURE:g} m⁻¹. These drapes "
+                   f"moved by at most {motion:.2f} mm in the last quarter of the simulation.")
 
 
 STUDY = Study(
     "optimisers", "Moduli of another simulator's drape",
     "001, section 6 (Tables 2 and 3), and 000, section 5",
-    "Which search finds the moduli of a drape that another simulator made, and what does it cost?",
+    "Which search finds the moduli of another simulator's drape, and at what cost?",
     run, answer, rows, draw,
-    "DiffCloth's T-shirt (six parameters, 001, Table 3) took 4 500 time steps by L-BFGS-B and "
-    "53 500 by CMA-ES to converge; by CMA-ES its other examples took 1.1 to 14 times as many. "
-    "Comparable in kind: theirs are motions of its own simulator. 000 finds the bending stiffness "
-    "of its own simulator's shapes within 4 % after 13 iterations and reproduces Houdini's cloth "
-    "within 2.4 to 6 mm at worst; its moduli there have no truth to compare with.",
-    "Isotropic fabrics, the mean of fabrics of the prior over all directions: hinges blur the "
-    "directions. Six moduli are unknown all the same, begin at the truth times factors between 0.5 "
-    "and 2, and have the fabric prior. The truth of hinges is their modulus over the ratio of "
-    "docs/exports.md, and β/α = 0 for Style3D, which has no β. Vertices are known exactly; springs "
-    "of 0.05 of the cloth's weight at 1 mm hold the cloth to their surface, as scans are held. "
-    "Style3D's drapes come down from this project's drape of twice the stiffness. Friction between "
-    "cloth and cylinder was left out: this project's contact has none, and in Style3D it acts on "
-    "the slip between the projections of one step, so that with one projection a step, as here, "
-    "three drapes with a coefficient of 0.4 were equal to those without to the last bit; more "
-    "projections double the time. *drape*: distance of a drape of the moduli found, let go at the "
-    "registered one (medians over fabrics, as are simulations and CPU time).")
+    "DiffCloth's T-shirt (six parameters, 001, Table 3) took 4 500 time steps with L-BFGS-B and "
+    "53 500 with CMA-ES, which took 1.1 to 14 times as many in its other examples; comparable in "
+    "kind, as motions of its own simulator. 000 finds the bending stiffness of its own shapes "
+    "within 4 % after 13 iterations and reproduces Houdini's cloth within 2.4 to 6 mm at worst, "
+    "without true moduli to compare with.",
+    "Fabrics are isotropic, because hinges do not separate the directions. The six unknown moduli "
+    "start at the truth times 0.5 to 2 and have the fabric prior. For drapes of hinges, the true "
+    "modulus is the hinge modulus divided by the ratio in [exports](exports.md); for Style3D, β/α "
+    "= 0. Vertices are known exactly, and springs of 0.05 of the cloth's weight at 1 mm hold the "
+    "cloth to them. Style3D starts from this project's drape of twice the stiffness, without "
+    "friction on the cylinder: with its one projection a step, a coefficient of 0.4 changed no "
+    "bit of three drapes, and more projections double the time. *drape*: displacement of a drape "
+    "of the estimated moduli, released at the registered one. Drape, simulations and CPU time are "
+    "medians over fabrics.")

@@ -109,10 +109,10 @@ def answer(report: Report) -> str:
     for name, one in report["sets"].items():
         shares = one["shares"]
         best = max((key for key in shares if key != "network"), key=shares.get)
-        parts.append(f"{name}, {shares[best]:.0%} by the best description without a network "
-                     f"({DESCRIPTIONS[best]}), {shares['network']:.0%} by the network's α, "
+        parts.append(f"{name}, {shares[best]:.0%} with the best descriptor without a network "
+                     f"({DESCRIPTIONS[best]}), {shares['network']:.0%} with the network's α, "
                      f"{one['chance']:.0%} by chance")
-    return "Drapes whose nearest neighbour is of the same fabric: " + "; ".join(parts) + "."
+    return "The nearest neighbour of a drape is of the same fabric: " + "; ".join(parts) + "."
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
@@ -144,9 +144,8 @@ STUDY = Study(
     "recognition", "Recognition without a network", "000, Figure 7; 002, Figure 20",
     "How well do drape coefficient, folds, curvature and spectra identify a fabric?",
     run, answer, rows, draw,
-    "Figure 7 of 000: distances of spectra are larger between fabrics than within one; "
-    "Figure 20 of 002: a network on boundary curves alone is worse than on depth. Comparable in "
-    "kind, not in figures.",
-    "Simulated fabrics have no friction and are captured without faults. Of a scan, only "
-    "neighbours from another sample count, because two captures of one sample share its cut and "
-    "its history. With 60 scans, a share has a standard error of about 6 points.")
+    "finds distances of spectra larger between fabrics than within one (000, Figure 7); a network "
+    "worse on boundary curves alone than on depth (002, Figure 20). Comparable in kind only.",
+    "Simulated fabrics have no friction and captures no faults. Neighbours of a scan must be of "
+    "another sample, because two captures of one sample share its cut and history. With 60 scans, "
+    "a share has a standard error of about 6 points.")

@@ -118,13 +118,12 @@ def answer(report: Report) -> str:
     """In sentences."""
     found = {way: np.median(values) for way, values in variations(report).items()}
     small = _of_networks(report)
-    return (f"The coefficient of variation of α is {found['starts']:.1f} % over starts (median "
-            f"over fabrics), {found['orientations']:.1f} % over orientations of one drape and "
+    return (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
+            f"over starts, {found['orientations']:.1f} % over orientations of one drape and "
             f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
             f"error of {100 * _common(report):.0f} % (root mean square): most of the error is "
-            "common to all drapes of a fabric, and more drapes do not remove it. A small network "
-            "trained on drapes from one start varies by "
-            f"{small['one start']['starts']:.1f} % over starts, one trained on several starts by "
+            "common to all drapes of a fabric. A small network trained on one start varies by "
+            f"{small['one start']['starts']:.1f} % over starts, one trained on several by "
             f"{small['several starts']['starts']:.1f} %; trained on one orientation it varies by "
             f"{small['one orientation']['orientations']:.1f} % over orientations, on all by "
             f"{small['any orientation']['orientations']:.1f} %.")
@@ -173,10 +172,11 @@ def draw(report: Report) -> Figure:
 STUDY = Study(
     "repeatability", "Repeatability", "002, Figures 22 and 23",
     "How much do estimates of one fabric vary with its folds, its orientation and the camera's "
-    "position?", run, answer, rows, draw,
-    "low coefficients of variation, five points higher for a network trained on one start; no "
-    "table. Not comparable: theirs are of real fabrics draped by hand.",
-    "Simulated fabrics without friction, which in real cloth adds to the scatter. The small "
-    "networks were trained for minutes (`studies/learned.py`); they shrink towards the mean, so "
-    "that their variation is smaller than their error. They see the captures of the first table; "
-    "their variation is that of the stiffer and the softer yarns.", more=small_networks)
+    "position?",
+    run, answer, rows, draw,
+    "reports low coefficients of variation, five points higher for a network trained on one "
+    "start, without a table; not comparable, because its fabrics are real and draped by hand.",
+    "The fabrics have no friction, which adds to the variation of real cloth. The small networks "
+    "were trained for minutes (`studies/learned.py`) and shrink towards the mean, so that they "
+    "vary less than their error; their variation is that of the stiffer and the softer yarns.",
+    more=small_networks)

@@ -117,10 +117,10 @@ def answer(report: Report) -> str:
               for value, one in values.items()
               if one["error"] > 1.5 * plain and one["doubted"] < 0.5]
     noted = (f"the checks report fewer than half of the captures with {', '.join(silent)}"
-             if silent else "the checks report each of these in at least half of the captures")
+             if silent else "the checks report each of them in at least half of the captures")
     return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
-            f"half: {', '.join(hard) or 'none'}; {noted}. An error of 5 % in the density "
-            "changes all moduli by 5 %, because they are proportional to it.")
+            f"half: {', '.join(hard) or 'none'}; {noted}. An error of the density changes all "
+            "moduli in proportion.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
@@ -161,9 +161,9 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "robustness", "Robustness", "002, section 7.3.2",
-    "How much does each single fault of a set-up change an estimate, and do the checks of captures "
-    "report it?", run, answer, rows, draw,
-    "reliable whatever the orientation; no figures for other faults.",
-    "Simulated fabrics, one fault at a time, four views. The specimens have no bending friction. "
-    "The network does not know this and attributes part of their stiffness to friction: hence the "
-    "bias without faults. It was trained on pitches of 25° to 50° and distances of 0.4 m to 0.7 m.")
+    "How much does each fault of a set-up change an estimate, and do the checks report it?",
+    run, answer, rows, draw,
+    "reports reliable estimates in every orientation, without figures for other faults.",
+    "Faults are tested one at a time with four views. The bias without faults arises because the "
+    "network attributes part of the stiffness to friction, which these specimens do not have. It "
+    "was trained on pitches of 25° to 50° and distances of 0.4 m to 0.7 m.")

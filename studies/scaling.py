@@ -83,9 +83,9 @@ def draw(report: Report) -> Figure:
 
 
 STUDY = Study(
-    "scaling", "How much to learn from", "002, section 5.2",
-    "What are more fabrics, more drapes of each, and longer training worth?", run, answer, rows,
-    draw,
-    "6 000 fabrics, eight drapes of each, twelve captures of each drape, without a curve.",
-    "Small sets and one seed: intervals are those over the unseen fabrics, not over trainings. "
-    "Sixteen and 48 thousand fabrics were not made.")
+    "scaling", "Amount of training data", "002, section 5.2",
+    "How much do more fabrics, more drapes of each, and longer training reduce the error?",
+    run, answer, rows, draw,
+    "uses 6 000 fabrics, eight drapes of each, twelve captures of each drape, without a curve.",
+    "Sets are small and trained with one seed; intervals are over unseen fabrics, not over "
+    "trainings. 16 000 and 48 000 fabrics were not tried.")

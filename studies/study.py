@@ -19,12 +19,14 @@ PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
 _HEAD = """# Studies
 
-Experiments of the papers, repeated with this system. Each has a command that resumes where it was
-interrupted and writes its section of this page; `make studies` runs all, `python -m studies page`
-writes the page and its pictures from the reports alone. Errors of log α and β/α are root mean
-squares of the difference between the posterior's mean and the truth, in units of the standard
-deviation over fabrics, unless stated otherwise. 002 is Feng et al. 2022, 000 is Larionov et al.
-Timings and validations of the simulator are in [validation.md](validation.md).
+Experiments of published papers, repeated with this system. Each has a command that can be resumed
+and writes its section of this page; `make studies` runs all, `python -m studies page` writes page
+and pictures from the stored reports. Unless stated otherwise, errors of log α and β/α are root mean
+squares of posterior mean minus truth, in units of the standard deviation over fabrics, and
+displacements are distances between the positions of the same material point in two drapes, averaged
+over the specimen including its part on the plate.
+002 is Feng et al. 2022, 000 Larionov et al., 001 DiffCloth, 004 Miguel et al. 2012.
+[validation.md](validation.md) validates and times the simulator.
 """
 
 Report = dict[str, Any]
@@ -101,9 +103,8 @@ class Study:
 def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
     """The page with a section for every study that has a report."""
     there = [study for study in studies if study.name in reports]
-    contents = table(["study", "after", "question"],
-                     [[f"[{study.title}](#{slug(study.title)})", study.after, study.question]
-                      for study in there])
+    contents = table(["study", "after"], [[f"[{study.title}](#{slug(study.title)})", study.after]
+                                          for study in there])
     sections = [study.section(reports[study.name]) for study in there]
     return "\n".join([_HEAD, contents, "", "\n\n".join(sections), ""])
 

@@ -270,30 +270,27 @@ def _median(report: Report, where: str, way: str) -> str:
 
 def answer(report: Report) -> str:
     """In sentences."""
-    parts = ["Distances are medians with 95 % intervals."]
+    parts = ["Displacements are medians with 95 % intervals."]
     friction = f"{report['settings']['friction_un']:g} µN·m per metre"
-    for group, name in zip(GROUPS, ("Without bending friction", f"With {friction} of it"),
-                           strict=True):
+    for group, name in zip(GROUPS, ("Without bending friction", f"With {friction}"), strict=True):
         by = {way: _median(report, f"{group} drape", way) for way in WAYS}
-        parts.append(f"{name}, drapes of the network's estimate lie {by[NETWORK]} from the true "
-                     f"fabric's on the cylinder, of the refined one {by[REFINED]}, of strips read "
-                     f"by table {by[TABLE]}, of the prior's mean {by[PRIOR]}; two drapes of the "
-                     f"true fabric from different starts lie {by[TRUTH]} apart.")
+        parts.append(f"{name}, on the cylinder: network {by[NETWORK]}, refined {by[REFINED]}, "
+                     f"strips by table {by[TABLE]}, mean of the prior {by[PRIOR]}; another drape "
+                     f"of the true fabric {by[TRUTH]}.")
     found = [np.median(values) for group in GROUPS
              if (values := [one["friction_un"] for one in report["fabrics"].values()
                             if one["group"] == group and "friction_un" in one])]
     if len(found) == len(GROUPS):
-        parts.append(f"There, even the true moduli give {by[PLAIN]} when simulated without "
-                     f"friction; the refined estimate with the friction that the refinement finds "
-                     f"gives {by[OWN_FRICTION]} (median {found[1]:.0f} µN·m per metre, but "
-                     f"{found[0]:.0f} where there is none).")
+        parts.append(f"There, the true moduli without friction give {by[PLAIN]}, the refined "
+                     f"estimate with its estimated friction {by[OWN_FRICTION]} (median "
+                     f"{found[1]:.0f} µN·m per metre; {found[0]:.0f} where there is none).")
     if report["scans"]:
         at = {f"{where} {way}": _median(report, where, way) for where in SCANS for way in WAYS}
-        parts.append(f"Cloth let go at {len(report['scans'])} scans of real fabrics comes to rest "
-                     f"{at[f'other {NETWORK}']} away with the network's estimate of another "
-                     f"sample, {at[f'other {REFINED}']} with the refined one, "
-                     f"{at[f'own {REFINED}']} with that of the same scan and "
-                     f"{at[f'other {PRIOR}']} with the prior's mean.")
+        parts.append(f"Cloth released at the shapes of {len(report['scans'])} scans of real "
+                     f"fabrics moves by {at[f'other {NETWORK}']} with the network's estimate of "
+                     f"another sample, {at[f'other {REFINED}']} with the refined one, "
+                     f"{at[f'own {REFINED}']} with the refined one of the same scan and "
+                     f"{at[f'other {PRIOR}']} with the mean of the prior.")
     return " ".join(parts)
 
 
@@ -356,32 +353,22 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "table3", "Four ways to the moduli", "002, Table 3, Figures 21 and 25",
-    "Which way to a fabric's moduli makes simulated cloth lie where the true fabric's lies?",
+    "Which estimate of a fabric's moduli gives simulated cloth closest to the true fabric's?",
     run, answer, rows, draw,
-    "1.36 mm and 4.0 % over ten real fabrics by VAE and non-linear law, 2.1 mm and 8.5 % by "
-    "cantilever. The columns of scans follow its procedure, cloth is let go at the captured shape, "
-    "with other fabrics, another support and another scanner; only the last of them has estimate "
-    "and shape from one specimen, as Table 3 has. The simulated columns are not comparable with "
-    "it: they compare two simulated drapes, on the cylinder from a start other than that of the "
-    "captured drape.",
-    "*Displacement* is the mean over the cloth's area of the distance between the two positions of "
-    "a material point, the area on the plate included (a third of the disc). *Curvature*, in "
-    "parentheses, is the mean over the area of |H - H of the true drape| over that of the latter's "
-    "|H|, with the mean curvature H (`benchmarks/comparison.py`); flat cloth has 100 %. The paper "
-    "does not define its relative difference. On scans it does not distinguish the estimates: "
-    "folds that shift by some millimetres change it as much as flat cloth would, and scanned "
-    "surfaces are rougher than drapes. Simulated specimens vary in moduli and friction only. The "
-    "groups without and with friction are different fabrics: their columns do not compare one with "
-    "the other. They are small, as is the number of scans, and intervals nearly the range. On "
-    "the cylinder, small changes of the moduli may select other folds: distances of several "
-    "millimetres are of such drapes. Hung cloth starts from the true fabric's hung shape, so that "
-    "folds are the same; in the last row both drapes have different starts. The last row of scans "
-    "is the other sample's scan.",
-    "Strips have the density, lengths of 1.5 and 2.5 true bending lengths and curves with noise; "
-    "they are free, so that they twist and curve across, and are read without the simulated "
-    "correction. Network and refinement have the density and four depth views without faults; of "
-    "scans, four views of the surface or the surface itself, and 300 g/m² in place of the unknown "
-    "density. Membrane, shear, curl and friction are unknown to all methods, except for friction "
-    "in the row that says so. Estimates are simulated without friction, except in this row and in "
-    "that of the refinement with the friction that it finds. Scans do not mark the yarns: their "
-    "direction is that of the scan's own estimate, also for the moduli of the other sample.")
+    "finds 1.36 mm and 4.0 % over ten real fabrics with VAE and non-linear law, 2.1 mm and 8.5 % "
+    "with the cantilever. The columns of scans follow its procedure with other fabrics, support "
+    "and scanner; only the last has estimate and shape from one specimen, as in Table 3. The "
+    "simulated columns are not comparable.",
+    "Percentages are mean differences of the mean curvature, relative to the true drape's mean "
+    "|H| (`benchmarks/comparison.py`); flat cloth has 100 %. The paper does not define its "
+    "percentage. On scans it does not distinguish the estimates, because folds shift by some "
+    "millimetres and scanned surfaces are rough. Simulated specimens vary in moduli and friction "
+    "only; the groups with and without friction have different fabrics. On the cylinder a small "
+    "change of the moduli may change the folds, which causes the displacements of several "
+    "millimetres; hung cloth starts from the true shape, so that its folds are the same. In the "
+    "last row both drapes have different starts; its scan is that of the other sample.",
+    "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and read without the "
+    "simulated correction. Network and refinement have four depth views without faults. The "
+    "density is known; scans have 300 g/m² instead, and the yarn direction of their own estimate. "
+    "Membrane, shear, curl and friction are unknown except where a row says so, and estimates are "
+    "simulated without friction except in those rows.")

@@ -128,21 +128,21 @@ def answer(report: Report) -> str:
     """In sentences."""
     plain, equal = (_median(report, f"hinges along the edge, {way}")
                     for way in ("α as estimated", "equivalent α"))
-    text = (f"Drapes by hinges, each with the modulus across its edge, lie {plain:.2f} mm (median) "
-            f"from those by the plate's law with α as estimated, and {equal:.2f} mm with the "
-            f"equivalent modulus ({report['ratio']:.3f} α, docs/exports.md); the plate's law on "
-            f"another mesh lies {_median(report, OTHER_MESH):.2f} mm away. ")
+    text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "
+            f"(median) from those of the plate law with α as estimated and {equal:.2f} mm with the "
+            f"equivalent modulus ({report['ratio']:.3f} α, [exports](exports.md)); the plate law "
+            f"on another mesh lies {_median(report, OTHER_MESH):.2f} mm away. ")
     if "style3d" not in report:
         return text + ("Rows of Newton's Style3D are left out: it was not installed "
                        f"(`{style3d.INSTALL}`).")
     plain, equal, secant = (_median(report, way) for way in _by_way(report)
                             if way.startswith("Style3D"))
     motion = max(max(one["motion"]) for one in report["style3d"].values())
-    return text + (f"In Style3D, which has no β, the drape lies {plain:.2f} mm away with α as "
-                   f"estimated, {equal:.2f} mm with the equivalent one and {secant:.2f} mm with "
-                   f"the secant at {_SECANT:g} m⁻¹; leaving β out moves the plate's own drape by "
-                   f"{_median(report, LINEAR):.2f} mm. In the last quarter of its time no drape "
-                   f"there moved by more than {motion:.2f} mm.")
+    return text + (f"In Style3D, which has no β, drapes lie {plain:.2f} mm away with α as "
+                   f"estimated, {equal:.2f} mm with the equivalent modulus and {secant:.2f} mm "
+                   f"with the secant at {_SECANT:g} m⁻¹; without β the plate's drape itself moves "
+                   f"by {_median(report, LINEAR):.2f} mm. Style3D's drapes moved by at most "
+                   f"{motion:.2f} mm in the last quarter of the simulation.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
@@ -173,12 +173,12 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "transfer", "Transfer to hinges", "002, Figure 24 and section 7.4",
-    "Does a fabric drape alike in a simulator that bends at hinges, as ARCSim and many games do?",
+    "Does a fabric have the same drape in a simulator with hinges, such as ARCSim?",
     run, answer, rows, draw,
-    "at most 0.1 mm between three simulators with the same bending model and parameters. Not "
-    "comparable: there all three have one discrete law on one mesh; here two laws are compared.",
-    "Equilibria next to the plate's drape on its mesh, so that folds are the same; Style3D starts "
-    "there and integrates in time, without friction and without contact of the cloth with itself. "
-    "The modulus is scaled as for unstructured meshes. Style3D takes the modulus by the direction "
-    "of the edge, with powers of its own, and halves the stiffness of the row of hinges at the "
-    "rim, of which one side is held; its membrane has 200 N/m along the yarns and 77 N/m in shear.")
+    "finds at most 0.1 mm between three simulators that share one discrete law and mesh; not "
+    "comparable, because here two laws are compared.",
+    "Drapes are the equilibria nearest to the plate's, so that folds are the same; Style3D starts "
+    "there and integrates in time without friction and self-contact. The modulus is scaled as for "
+    "unstructured meshes. Style3D interpolates the modulus over directions differently, halves "
+    "the stiffness of the hinges at the rim and has a membrane of 200 N/m along the yarns and 77 "
+    "N/m in shear.")

@@ -62,9 +62,9 @@ def answer(report: Report) -> str:
     """In sentences."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
     return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
-            f"four and {eight:.3f} with eight. Most of the gain comes from the first three views; "
-            f"from four to eight the error falls by {100 * (1 - eight / four):.0f} %. The "
-            f"posterior bound of four views by a good sensor is {report['bound']:.3f} "
+            f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
+            "with four). The posterior bound of four views with a good sensor is "
+            f"{report['bound']:.3f} "
             "([validation](validation.md#what-a-drape-determines)).")
 
 
@@ -96,10 +96,10 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "views", "Number of views", "002, Figure 19",
-    "How much does each view add where specimens and captures vary as real ones do?",
+    "How much does each additional view reduce the error, with realistic nuisances?",
     run, answer, rows, draw,
-    "Figure 19 chooses four views; its losses are of a network without intervals, on other data. "
-    "The order is the same: one view is much worse, four are nearly as good as eight.",
-    "One network for all numbers of views, trained with one to eight. Simulated fabrics of the "
-    "prior, without the tenth of very soft ones that the training and `make evaluate` add; errors "
-    "are therefore smaller than there.")
+    "chooses four views (Figure 19); the order is the same, but its losses are of another network "
+    "on other data.",
+    "One network, trained with one to eight views, is used for all numbers. The fabrics are of "
+    "the prior, without the tenth of very soft ones in training and `make evaluate`; errors are "
+    "therefore smaller than there.")
