@@ -55,11 +55,12 @@ perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m
 matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 6 GB and minutes each
 	$(BIN)/python tools/matrix.py
 
-lint: $(STAMP)  ## style, which module imports which, unused code, spelling and words
+lint: $(STAMP)  ## style, which module imports which, units in docstrings, unused code, spelling, words
 	$(BIN)/ruff check .
 	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
 	$(BIN)/python tools/check_layers.py
 	$(BIN)/python tools/check_words.py
+	$(BIN)/python tools/check_docstrings.py
 	$(BIN)/python -m vulture
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 

@@ -183,7 +183,7 @@ def write_capture(
 
     Args:
         views: (K, H, W) z-depth in metres, background 0.
-        density: kg/m2; warp_direction: radians in the first view; depth_unit: metres per count.
+        density: kg/m²; warp_direction: radians in the first view; depth_unit: metres per count.
         turns: (K,) nominal turns of the table, rad; None: K-ths of a turn.
 
     Raises:
@@ -310,7 +310,10 @@ def checked_capture(
     rig: str,
     warnings: tuple[str, ...],
 ) -> Capture:
-    """The capture without specks, once its pictures have shown a piece of cloth within reach."""
+    """The capture without specks, once its pictures have shown a piece of cloth within reach.
+
+    Views (K, H, W), m, turns (K,) and the warp's direction, rad, density, kg/m².
+    """
     views = views.copy()
     for k, view in enumerate(views):
         warnings += _remove_isolated(view, f"view {k}")

@@ -181,7 +181,7 @@ def make_record(
     solver: Solver | None = None,
     effort: Effort | None = None,
 ) -> dict[str, np.ndarray]:
-    """The record of drape ``index``, for :func:`data.shards.write_shard`.
+    """The record of drape ``index``: arrays by field, such as positions (V, 3).
 
     A drape of which no measures can be taken fails, and keeps its mesh.
 

@@ -80,10 +80,10 @@ def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
 
 
 def normal(shape: tuple[int, ...], like: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Standard normal numbers, float32, on the device of ``like``."""
+    """Standard normal numbers (*shape), float32, on the device of ``like``."""
     return torch.randn(shape, generator=generator, device=like.device)
 
 
 def uniform(shape: tuple[int, ...], like: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Numbers in [0, 1), float32, on the device of ``like``."""
+    """Numbers (*shape) in [0, 1), float32, on the device of ``like``."""
     return torch.rand(shape, generator=generator, device=like.device)

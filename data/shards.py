@@ -317,7 +317,7 @@ class Shard:
 
     @_of_whole_file
     def column(self, name: str) -> np.ndarray:
-        """All rows of a field, as stored; text as str."""
+        """All rows (N, ...) of a field, as stored; text as str."""
         rows = self._file[name][:]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 

@@ -58,7 +58,10 @@ def to_json(
 
 
 def interval_table(estimate: Estimate, density: float) -> dict[str, dict[str, Any]]:
-    """Medians and intervals of the moduli by direction, in the units that people see."""
+    """Medians and intervals of the moduli by direction, in the units that people see.
+
+    ``density``: kg/m².
+    """
     alpha, beta = estimate.moduli(density)
     units = {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO,
              "beta_over_alpha_mm": 1e3 * beta / alpha}

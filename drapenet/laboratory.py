@@ -43,13 +43,14 @@ def bending_length(alpha: np.ndarray, beta: np.ndarray, density: float) -> np.nd
 
 
 def flexural_rigidity(length: np.ndarray, density: float) -> np.ndarray:
-    """G, N·m, that laboratories compute from a bending length, m: rho g c³ (Peirce)."""
+    """G, N·m, that laboratories compute from a bending length, m, and a density, kg/m²: rho g c³
+    (Peirce)."""
     return density * GRAVITY * length**3
 
 
 def kes_bending(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """B of KES-FB2, N·m: secant of the torque between 0.5 and 1.5 cm⁻¹; alpha + 200/m beta where
-    the parabola holds.
+    the parabola holds. ``alpha``, N·m, and ``beta``, N·m², of the same shape.
     """
     low, high = (torque(np.asarray(at), alpha, beta) for at in KES_CURVATURES)
     return (high - low) / (KES_CURVATURES[1] - KES_CURVATURES[0])
@@ -57,7 +58,8 @@ def kes_bending(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
 
 def outside_law(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Where the torque alpha kappa + beta kappa² has its peak within KES's range: beyond it no law
-    of these moduli says what a tester would read.
+    of these moduli says what a tester would read. ``alpha``, N·m, and ``beta``, N·m², of the same
+    shape.
     """
     return alpha + 2 * beta * KES_CURVATURES[1] < 0
 

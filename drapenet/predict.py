@@ -47,7 +47,7 @@ def sample_targets(
 
     Args:
         network: of ``header``, in evaluation mode.
-        distance, weight, known: (N, ...) as the network takes them.
+        distance, weight, known: (N, ...), scaled, as for :class:`drapenet.network.MapNet`.
     """
     symmetry, many = Symmetry.all(), len(distance)
     disc = len(header.scale.mean) > MODULI

@@ -110,7 +110,7 @@ def resimulate(
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points (N, 3) turned by ``angle``, rad, about the table's axis, counter-clockwise."""
+    """Points (N, 3), m, turned by ``angle``, rad, about the table's axis, counter-clockwise."""
     cos, sin = math.cos(angle), math.sin(angle)
     return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 

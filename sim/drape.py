@@ -242,7 +242,8 @@ def drape_result(
     extra: Sequence[Energy] = (), iterations: int, seconds: float, time_spent: dict[str, float],
     coarse: tuple[Status, ...] = (), keep: bool = False
 ) -> DrapeResult:
-    """The drape whose last minimisation ended with ``found``; ``keep``: with its factor."""
+    """The drape, on triangles with sides of ``edge``, m, whose last minimisation ended with
+    ``found``; ``keep``: with its factor."""
     scene, newton = found.cloth.scene, found.newton
     return DrapeResult(
         fabric=fabric, rig=rig, mesh=scene.mesh, held=scene.held, state=found.state, laws=laws,

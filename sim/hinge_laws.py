@@ -84,7 +84,8 @@ HINGE_LAWS = {
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Moduli in directions ``angle`` (rad from warp, any shape) of (warp, bias, weft) (3,).
+    """Moduli in directions ``angle`` (rad from warp, any shape) of (warp, bias, weft) (3,), N·m or
+    N·m².
 
     Feng et al. 2022, Eq. 7 and 8: between two neighbouring sample directions the moduli follow
     cos², sin²; warp and weft are axes of symmetry. With c = cos 2 phi this is
@@ -99,7 +100,8 @@ def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def mean_modulus(moduli: np.ndarray) -> float:
-    """Mean of :func:`modulus_along` over all directions: (1 - 2/pi) bias + (warp + weft)/pi."""
+    """Mean of :func:`modulus_along` over all directions: (1 - 2/pi) bias + (warp + weft)/pi.
+    ``moduli`` (3,), N·m or N·m²."""
     return float((1 - 2 / np.pi) * moduli[BIAS] + (moduli[WARP] + moduli[WEFT]) / np.pi)
 
 

@@ -27,7 +27,7 @@ def covers(cloth: Cloth) -> bool:
 
 
 def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
-    """Normals (E, 3) after displacements (V, 3) and turns (E,); see :mod:`sim.state`."""
+    """Normals (E, 3) after displacements (V, 3), m, and turns (E,), rad; see :mod:`sim.state`."""
     ends = (y[edges] for y in (x, x + move))
     before, after = (torch.nn.functional.normalize(y[:, 1] - y[:, 0], dim=1) for y in ends)
     lean = (n * after).sum(-1) / (1 + (before * after).sum(-1))

@@ -81,13 +81,13 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
 
 
 def spread(items: np.ndarray, count: int) -> np.ndarray:
-    """At most ``count`` of ``items``, evenly spread, the first and the last among them."""
+    """At most ``count`` of ``items`` (N, ...), evenly spread, the first and the last among them."""
     chosen = np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)
     return items[chosen]
 
 
 def prior_samples(manifest: dict) -> tuple[np.ndarray, float]:
-    """Fabrics theta (:data:`PRIOR_SAMPLES`, 6) of the dataset's prior, and the share of its
+    """Fabrics theta (n, 6), n :data:`PRIOR_SAMPLES`, of the dataset's prior, and the share of its
     samples that are impossible."""
     prior = prior_from_content(manifest["config"]["prior"], origin="the dataset's prior")
     rng = np.random.default_rng(0)
@@ -114,7 +114,10 @@ def draped_fabrics(drapes: Drapes) -> np.ndarray:
 
 
 def report(manifest: dict, drapes: Drapes, prior: tuple[np.ndarray, float]) -> dict:
-    """The figures, in JSON's types; nothing in them depends on the folder or the machine."""
+    """The figures, in JSON's types; nothing in them depends on the folder or the machine.
+
+    ``prior``: fabrics (n, 6) and the rejected share, of :func:`prior_samples`.
+    """
     columns, converged = drapes.columns, drapes.converged
     rejected = columns["rejected"][np.unique(columns["fabric"], return_index=True)[1]]
     looked_at = drapes.crossings >= 0

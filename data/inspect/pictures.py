@@ -106,7 +106,8 @@ def _window(views: list[np.ndarray]) -> tuple[int, int, int, int]:
 
 
 def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
-    """PNG: parameters against the prior, and what the drapes are like, by initial state."""
+    """PNG: parameters against samples (n, 6) of the prior, and what the drapes are like, by initial
+    state."""
     figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
     panels = figure.subplots(3, 4)
     fabrics = for_people(draped_fabrics(drapes))

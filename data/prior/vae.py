@@ -107,7 +107,7 @@ class VaePrior:
         return np.concatenate(bound) + self.coordinates.log_volume(theta)
 
     def posterior(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and deviation (n, L) of q(z | fabric) for coordinates (n, 6)."""
+        """Mean and deviation (n, L) of q(z | fabric) for ``points`` (n, 6), standardised."""
         mean, log_variance = np.split(run_layers(self.encoder, points), 2, axis=-1)
         return mean, np.exp(0.5 * log_variance)
 

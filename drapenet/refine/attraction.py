@@ -138,7 +138,10 @@ def pulled(
     laws: Laws,
     pulls: Sequence[float],
 ) -> Equilibrium:
-    """``state`` under springs, whose ends are sought again for each of ``pulls``."""
+    """``state`` under springs to ``points`` (N, 3), m, with their unit normals (N, 3).
+
+    The springs' ends are sought again for each of ``pulls``.
+    """
     for pull in pulls:
         near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
         springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))

@@ -145,7 +145,7 @@ class Run:
         self._report = report
 
     def value(self, x: np.ndarray) -> float:
-        """The problem's value, counted."""
+        """The problem's value at unknowns (n,), counted."""
         if self.evaluations >= self.limits.evaluations:
             raise Done(Status.EXHAUSTED, f"{self.evaluations} simulations, as many as allowed")
         value = float(self.problem.value(x))

@@ -61,7 +61,7 @@ def arc_lengths(points: np.ndarray) -> np.ndarray:
 
 
 def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tuple[Bezier, float]:
-    """Least-squares Bézier curve that leaves the clamp's edge, 0, in the clamp's direction.
+    """Least-squares Bézier curve of points (N, 2), m, that leaves the clamp's edge, 0, along it.
 
     Each point's parameter is moved to the nearest point of the fitted curve, and the fit
     repeated. ``degree`` 0 stands for the one in :data:`DEGREES` with the least Bayesian

@@ -58,7 +58,8 @@ def heavy_elastica(
 ) -> np.ndarray:
     """Shape (points, 2), m, of a strip whose torque is that of :func:`sim.material.torque`.
 
-    ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip.
+    ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip,
+    ``alpha`` in N·m and ``beta`` in N·m².
     InputError where gamma = weight length³/alpha is out of range.
     """
     gamma = weight * length**3 / alpha

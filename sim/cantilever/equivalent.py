@@ -39,7 +39,8 @@ def equivalent_modulus(
     """Hinge modulus with which a strip hangs as the heavy elastica of ``gamma`` does.
 
     Args:
-        mesh, held: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
+        mesh, held: a strip along +x, and its vertices (V,) clamped at x <= 0; see
+            :func:`sim.mesh.strip`.
         gamma: rho g L³/alpha of the physical strip, L its free length. 10 hangs down by about
             its reach, as the cloth of a drape does.
         laws, tolerance: linear hinges by default; of the stiffness, relative.

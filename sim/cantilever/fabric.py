@@ -44,8 +44,10 @@ def estimate(
 
 
 def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
-    """The fabric with the estimated moduli of the three directions; InputError where one is
-    missing, or no plate has these moduli."""
+    """The fabric with the estimated moduli of the three directions and a density, kg/m².
+
+    InputError where a direction is missing, or no plate has these moduli.
+    """
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
         raise InputError(f"a fabric needs strips of all three directions; {missing[0]} is missing")

@@ -56,14 +56,15 @@ def torque_and_curvature(bezier: Bezier, *, weight: float) -> tuple[np.ndarray, 
 
 
 def moment_beyond(points: np.ndarray) -> np.ndarray:
-    """(N,) integral of x(s) - x_i over the curve points (N, 2) beyond each point i (Eq. 6)."""
+    """(N,) integral, m², of x(s) - x_i over the curve points (N, 2), m, beyond each i (Eq. 6)."""
     x, s = points[:, 0], arc_lengths(points)
     passed = cumulative_trapezoid(x, s, initial=0)
     return passed[-1] - passed - x * (s[-1] - s)
 
 
 def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
-    """alpha, beta and relative misfit of the torque law through samples (N,) each.
+    """alpha, beta and relative misfit of the torque law through curvatures, 1/m, and torques,
+    N·m per metre of width or any unit of theirs, (N,) each.
 
     The law is proportional to alpha for a given beta/alpha, so that only this ratio is searched.
     InputError where the torque does not grow with the curvature.

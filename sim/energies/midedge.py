@@ -112,11 +112,12 @@ class MidEdgeBending(Energy):
         return _mapped(self.maps, self.angles(q))
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
-        """(N,) energies, J/m², of the shape operators (N, 3)."""
+        """(N,) energies, J/m², of the shape operators (N, 3), 1/m."""
         return plate_law.energies(curvatures, self.law)
 
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First (N, 3) and second (N, 3, 3) derivatives of :meth:`density`."""
+        """First (N, 3), N, and second (N, 3, 3), N·m, derivatives of :meth:`density` by the shape
+        operators (N, 3), 1/m."""
         return plate_law.stresses(curvatures, self.law)
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:

@@ -38,6 +38,7 @@ class PardisoSolver:
         self._refined = False
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
+        """See :meth:`sim.linear.solvers.CholeskySolver.factorise`."""
         if not np.isfinite(data).all():
             return False
         rough = rough and self._single_serves
@@ -56,6 +57,7 @@ class PardisoSolver:
         return definite
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        """See :meth:`sim.linear.solvers.CholeskySolver.solve`."""
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:

@@ -39,6 +39,7 @@ class SuperLUSolver:
         self._factor = None
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
+        """See :meth:`sim.linear.solvers.CholeskySolver.factorise`."""
         if not np.isfinite(data).all():
             return False
         matrix = sparse.csc_matrix(self._pattern.symmetric(data))
@@ -52,6 +53,7 @@ class SuperLUSolver:
         return diagonal_pivots and bool((self._factor.U.diagonal() > 0).all())
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        """See :meth:`sim.linear.solvers.CholeskySolver.solve`."""
         return self._factor.solve(rhs)
 
 

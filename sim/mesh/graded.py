@@ -69,8 +69,8 @@ def rim_radius(outline: Outline) -> tuple[float, int]:
 
 
 def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
-    """The mesh of ``outline``, and how many of its vertices lie on the plate: the first ones, the
-    rim's before the others."""
+    """The mesh of ``outline``, and how many of its vertices (V, 2) lie on the plate: the first
+    ones, the rim's before the others."""
     radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
     parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
              _rings(outline, rng, radius, 1), _border(outline, rng)]

@@ -77,7 +77,8 @@ class Mesh:
 
 
 def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Twice the areas (F,) of triangles (F, 3) between points (V, 2); negative if clockwise."""
+    """Twice the areas (F,) of triangles (F, 3) between points (V, 2), m; negative if
+    clockwise."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     u, v = b - a, c - a
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

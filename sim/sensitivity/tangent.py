@@ -75,8 +75,8 @@ class Tangent:
         return 3 * len(self.cloth.scene.mesh.rest)
 
     def response(self, force: np.ndarray) -> np.ndarray:
-        """(U,) moves H⁻¹ f under a force (U,), zero where the cloth is held; what acts there has no
-        effect. NaN where the tangent is not ok."""
+        """(U,) moves H⁻¹ f under a force (U,), N, zero where the cloth is held; what acts there has
+        no effect. NaN where the tangent is not ok."""
         if not self.ok:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential
