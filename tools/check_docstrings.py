@@ -59,7 +59,8 @@ def complaints(path: Path) -> list[str]:
         for argument, kind in zip(arguments, kinds, strict=False):
             parts = argument.arg.split("_")
             unit = UNITS.get(parts[-1]) if not SUFFIXES & set(parts) else None
-            if unit and re.search("float|ndarray|Tensor", kind) and not re.search(f"{unit}|standardised", text):
+            if unit and re.search("float|ndarray|Tensor", kind) and not re.search(
+                    f"{unit}|standardised", text):
                 lines.append(f"{place}: no unit of {argument.arg}")
         if any(re.search(r"ndarray|Tensor\b", kind) for kind in kinds) and not SHAPE.search(text):
             lines.append(f"{place}: no shape of its arrays, such as (V, 3)")
