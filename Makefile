@@ -50,7 +50,7 @@ serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
-	$(BIN)/python -m benchmarks.perturbed
+	$(BIN)/python tests/perturbed.py
 
 matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 6 GB and minutes each
 	$(BIN)/python tools/matrix.py
@@ -68,7 +68,7 @@ sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
 	$(BIN)/python -m apps.drape
 
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
-	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks.prior)
+	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks prior)
 
 dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
 	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
@@ -86,19 +86,17 @@ evaluate: $(STAMP)  ## errors and coverage of the bundled networks on fabrics th
 	$(BIN)/python -m drapenet.evaluate rig=disc300_support180
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
-	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks speed
 
-bench: $(STAMP)  ## all timings on this machine, one JSON: docs/validation/bench.json
-	for name in speed render throughput report; do \
-	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
+	for name in speed render throughput; do $(BIN)/python -m benchmarks $$name || exit 1; done
 
-bench-gpu: $(STAMP)  ## views rendered on the GPU against the CPU, into the same JSON
-	$(BIN)/python -m benchmarks.render device=cuda out=docs/validation/render_gpu.json
-	$(BIN)/python -m benchmarks.report
+bench-gpu: $(STAMP)  ## views rendered on the GPU against the CPU
+	$(BIN)/python -m benchmarks render device=cuda out=docs/validation/render_gpu.json
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
-	  $(BIN)/python -m benchmarks.$$name || exit 1; done
+	  $(BIN)/python -m benchmarks $$name || exit 1; done
 
 docs: $(STAMP)  ## figures of README.md and docs/*.md, from the demo and the reports
 	mkdir -p outputs

@@ -1,1 +1,1 @@
-"""Timings, printed as JSON with the hardware and versions they were taken on."""
+"""Claims of docs/validation.md, each measured by a command; figures are written by figures.py."""

@@ -3,23 +3,17 @@
 import hashlib
 import inspect
 import json
-import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import as_completed
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
-from common.cli import check_counts, refuse_repeated
 from common.errors import InputError
-from common.files import replace_file, replacing, require_file, require_folder
+from common.files import replace_file, replace_json, replacing
 from common.provenance import package_versions, processor
 from common.workers import worker_pool
 from sim.drape import FINE_OPTIONS, scene_on
@@ -39,74 +33,15 @@ ESTIMATOR = ("sim", "data", "drapenet")
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
 
-
-def parse_settings(defaults: dict, argv: list[str]) -> dict:
-    """Words ``key=value`` over ``defaults`` (:func:`parse_overrides`).
-
-    Raises:
-        InputError: a wrong word; a place of results, ``out`` or a folder of unfinished work, that
-            cannot be written to.
-    """
-    config = parse_overrides(defaults, argv)
-    require_file(Path(config["out"]))
-    for folder in {"cases", "work"} & set(config):
-        require_folder(Path(config[folder]))
-    return config
+Config = dict[str, Any]
+"""Settings of a benchmark, those of ``configs/benchmark/NAME.yaml`` and the command line."""
 
 
-def parse_overrides(defaults: dict, argv: list[str]) -> dict:
-    """Lay ``key=value`` words over ``defaults`` (nested keys with dots).
+class Result(NamedTuple):
+    """What a benchmark finds: its report, in JSON's types, and its picture."""
 
-    A default of ``None`` accepts any value; otherwise the value must convert to the default's
-    type, and a number must be finite. Text defaults take the word literally, so that paths need
-    no quoting. A list is written with commas (``alpha=20,20,20``); its items take the type of the
-    default's first.
-
-    Raises:
-        InputError: a word without ``=``, an unknown key, a value of the wrong type.
-    """
-    config = OmegaConf.to_container(OmegaConf.create(defaults), resolve=True)
-    refuse_repeated(argv)
-    known = ", ".join(sorted(str(key) for key in defaults))
-    for word in argv:
-        key, equals, text = word.partition("=")
-        if word.startswith("--"):
-            raise InputError(f"'{word}': keys are written without dashes, as key=value; known "
-                             f"keys: {known}")
-        if not equals:
-            raise InputError(f"'{word}' is not of the form key=value; known keys: {known}")
-        place, *names = [config, *key.split(".")]
-        for name in names[:-1]:
-            place = place.get(name) if isinstance(place, dict) else None
-        if not isinstance(place, dict) or isinstance(place.get(names[-1], {}), dict):
-            raise InputError(f"unknown key '{key}'; known keys: {known}")
-        place[names[-1]] = _convert(key, text, place[names[-1]])
-    check_counts(config)
-    return config
-
-
-def _convert(key: str, text: str, old: object) -> object:
-    if isinstance(old, str):
-        return text
-    if isinstance(old, list):
-        return [_convert(key, part, old[0]) for part in text.strip("[]()").split(",")]
-    if isinstance(old, float):
-        with suppress(ValueError):
-            if math.isfinite(value := float(text)):
-                return value
-        raise InputError(f"{key}: '{text}' must be a finite number, such as {old:g}")
-    if type(old) is int:
-        # Not as YAML reads it, where 010 is 8 and 1:30 is 90: seeds are often padded.
-        with suppress(ValueError):
-            return int(text)
-        raise InputError(f"{key}: '{text}' must be a whole number, such as {old}")
-    try:
-        value = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={text}"]))["value"]
-    except (OmegaConfBaseException, YAMLError):
-        raise InputError(f"{key}={text} cannot be read; give a number or a word") from None
-    if old is None or type(value) is type(old):
-        return value
-    raise InputError(f"{key}: '{text}' must be a {type(old).__name__}, such as {old}")
+    report: dict[str, Any]
+    figure: "Figure | None" = None
 
 
 def machine() -> dict:
@@ -121,8 +56,7 @@ def machine() -> dict:
 
 def write_report(path: Path, content: dict) -> None:
     """Write ``content`` and the machine's description as JSON."""
-    text = json.dumps({"machine": machine(), **content}, indent=2, allow_nan=False)
-    replace_file(path, (text + "\n").encode())
+    replace_json(path, {"machine": machine(), **content})
 
 
 def write_figure(path: Path, figure: "Figure") -> None:

@@ -69,9 +69,9 @@ def claims() -> str:
 
     def add(claim: str, section: str, figure: str, target: str, command: str, *,
             met: bool = True) -> None:
+        module = "" if command.startswith("drapenet.") else "benchmarks "
         rows.append([f"[{claim}](#{slug(section)})", figure,
-                     target if met else f"{target}: {MISSED}",
-                     f"`{command if '.' in command else 'benchmarks.' + command}`"])
+                     target if met else f"{target}: {MISSED}", f"`{module}{command}`"])
 
     found = report("elastica")
     add("Hanging strips have the shape of the elastica", "Strips against the heavy elastica",
@@ -215,14 +215,16 @@ def claims() -> str:
         f"{percent(sound)} of sound captures have a warning", "95 %; 2 %", "faults",
         met=share >= 0.95 and sound <= 0.02)
 
-    names = ("refine_views", "refine_views_real")
-    for name, text in zip(names, ("without", "with"), strict=True):
+    for name, text, words in (
+            ("refine_views", "without", ""),
+            ("refine_views_real", "with",
+             " variation=real out=docs/validation/refine_views_real.json")):
         before, after = (report(name)["summary"]["all"][who] for who in ("network", "refined"))
         worst = after["log_alpha_worst_fabric"]
         met = round(after["log_alpha"], 2) <= 0.10 and worst <= 0.35
         add(f"Refinement of views {text} nuisances", "Refinement",
             f"error of log α {after['log_alpha']:.3f} (network {before['log_alpha']:.3f}), worst "
-            f"fabric {worst:.2f}", "0.10; 0.35", "refine_views", met=met)
+            f"fabric {worst:.2f}", "0.10; 0.35", f"refine_views{words}", met=met)
     found = report("refine_scans")
     ratios = [found["summary"]["agreement"][name]["median"] for name in ("captures", "samples")]
     add("Refinement of scans", "Refinement",

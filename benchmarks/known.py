@@ -1,14 +1,26 @@
-"""Known fabrics: planned from the prior, draped, and a set-up that captures them without faults."""
+"""Known fabrics: planned from the prior, draped, captured without faults, and estimated."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from common.command import compose_config
 from common.errors import InputError
+from data.cameras import Intrinsics
+from data.captures import Capture, whole_turns
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
 from data.options import Options, config_from_options
 from data.sampling import DrapePlan, plan_drape
+from drapenet.checkpoint import Header
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
+
+if TYPE_CHECKING:
+    from drapenet.estimate import Estimate
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
@@ -54,3 +66,20 @@ def known_drape(
     """A fabric of the prior and specimen of it, and its drape."""
     plan = planned(number, rig=rig, nuisances=nuisances, seed=seed)
     return plan, draped(plan, rig=rig, edge=1e-3 * edge_mm)
+
+
+def estimated(
+    views: np.ndarray, intrinsics: Intrinsics, header: Header, *, friction: float | None = None
+) -> "Estimate":
+    """What the network of ``header`` says of a capture, as ``infer.py`` does, of 300 g/m².
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0; the table turned by whole K-ths of a turn.
+        intrinsics: of these pictures.
+        friction: N·m per metre, where the network is given it.
+    """
+    from drapenet.inference import infer_capture
+
+    capture = Capture(views, intrinsics, whole_turns(len(views)), REFERENCE_DENSITY, None,
+                      header.rig, Path(), ())
+    return infer_capture(capture, header, friction=friction).estimate

@@ -20,7 +20,7 @@ from drapenet.estimate import Estimate, modulus_names
 from sim.material import is_admissible
 
 SHARED = 0.6
-"""Correlation of the errors of two captures of one fabric (``python -m benchmarks.repeats``)."""
+"""Correlation of the errors of two captures of one fabric (``python -m benchmarks repeats``)."""
 APART = 3.0
 """Deviations by which a capture may differ from the joint estimate before it is doubted."""
 _DRAWS = 4000

@@ -3,7 +3,7 @@
 A wrong intrinsic, a wrong depth unit or a badly cut out cloth changes moduli by 20 to 40 % and
 still looks like a drape. But cloth does not stretch, the plate is flat, and all views show the same
 cloth. The limits are those that few sound simulated captures pass
-(``python -m benchmarks.faults``).
+(``python -m benchmarks faults``).
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import tick_short_scales
 from benchmarks.comparison import compare
-from benchmarks.testers import LENGTHS, shake
+from benchmarks.physics.testers import LENGTHS, shake
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from sim.cantilever.elastica import strip_shape, tabulated_law

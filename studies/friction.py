@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, tick_short_scales
 from benchmarks.comparison import compare
-from benchmarks.guides import level_rulings
-from benchmarks.known import planned
-from benchmarks.photographs import estimated
+from benchmarks.known import estimated, planned
+from benchmarks.physics.guides import level_rulings
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta

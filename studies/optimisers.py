@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import style3d
 from benchmarks.common import tick_short_scales
+from benchmarks.physics import style3d
 from common.errors import InputError
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
 from data.prior import load_prior
@@ -37,7 +37,7 @@ WAYS = {
     "lm": "vertices, Levenberg–Marquardt", "lbfgs": "vertices, L-BFGS-B",
     "cmaes": "vertices, CMA-ES", "grid": "2-D spectrum (000, Eq. 9), Levenberg–Marquardt",
     "rings": "spectrum along rings, Levenberg–Marquardt"}
-_SOURCES = ("sim", "drapenet/refine", "studies/descriptors.py", "benchmarks/style3d.py",
+_SOURCES = ("sim", "drapenet/refine", "studies/descriptors.py", "benchmarks/physics/style3d.py",
             "studies/minimisers.py")
 _PULL = 0.05  # of the springs at 1 mm, over the cloth's weight, as scans are held
 _CURVATURE = 50.0  # 1/m, of the secant that is compared

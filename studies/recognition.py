@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR
 from benchmarks.comparison import mean_curvature
-from benchmarks.photographs import estimated
+from benchmarks.known import estimated
 from data.cameras import CameraRig
 from data.sampling import STARTS
 from data.scans import read_scan

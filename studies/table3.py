@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
 from benchmarks.comparison import Draped, compare
-from benchmarks.real_captures import Specimen
-from benchmarks.testers import LENGTHS, shake
+from benchmarks.estimation.real_captures import Specimen
+from benchmarks.physics.testers import LENGTHS, shake
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances

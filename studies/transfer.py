@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import style3d
 from benchmarks.common import next_to, tick_short_scales
 from benchmarks.comparison import compare
+from benchmarks.physics import style3d
 from data.fabrics import fabric_from_theta
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.drape import DrapeResult
@@ -104,7 +104,7 @@ def run(config: dict[str, Any]) -> Report:
     if not style3d.left_out("rows of Style3D are"):
         report["style3d"] = over_fabrics(
             style3d_case, own | {"fabrics": other.pop("style3d_fabrics")} | other,
-            sources=("sim", "benchmarks/style3d.py"), inside="style3d")
+            sources=("sim", "benchmarks/physics/style3d.py"), inside="style3d")
     return report
 
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from benchmarks.prior import Split, compare, coverage, distance, main, mean_and_error, split_rows
+from benchmarks.__main__ import main
+from benchmarks.estimation.prior import (
+    Split,
+    compare,
+    coverage,
+    distance,
+    mean_and_error,
+    split_rows,
+)
 from common.errors import InputError
 from data.fabrics import FabricTable, from_theta
 from data.prior import load_prior
@@ -54,7 +62,7 @@ def test_rows_leak_and_fabrics_do_not(theta):
     assert by_row["log_likelihood_fitted"][0] - by_row["log_likelihood_unseen"][0] < 0.5 * gap
 
 
-@pytest.mark.parametrize("words", [["models=oracle"], ["splits=0"], ["fabrics=nowhere.csv"]])
+@pytest.mark.parametrize("words", [["models=[oracle]"], ["splits=0"], ["fabrics=nowhere.csv"]])
 def test_mistakes_are_refused(words):
     with pytest.raises(InputError):
-        main(words)
+        main(["prior", *words])

@@ -3,30 +3,24 @@
 import json
 import subprocess
 import sys
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+import perturbed
 import pytest
 import torch
 from cloths import skirt
 
-from benchmarks import (
-    common,
-    default_mesh,
-    figures,
-    information,
-    meshes,
-    perturbed,
-    real_captures,
-    refine_views,
-    render,
-    report,
-    throughput,
-)
-from benchmarks.common import ROOT, load_arrays, parse_overrides, run_cases, table
+from benchmarks import common
+from benchmarks.__main__ import FILES, FOLDERS, main, usage
+from benchmarks.common import ROOT, load_arrays, run_cases, table
 from benchmarks.comparison import compare
-from benchmarks.scans import DEFAULTS, Search, rounded, turn_cloth
+from benchmarks.estimation import information, real_captures, refine_views
+from benchmarks.physics import default_mesh, meshes
+from benchmarks.physics.scans import Search, rounded, turn_cloth
+from common.configs import group_options, read_config
 from common.errors import InputError
 from drapenet.checkpoint import read_header, save_checkpoint
 from drapenet.network import MapNet
@@ -70,25 +64,50 @@ def test_no_workers_are_refused(tmp_path):
         run_cases(count_calls, {"a": {"log": "", "value": 1}}, folder=tmp_path, workers=0)
 
 
-def test_places_that_cannot_be_written_to_are_told_before_the_work(tmp_path):
+def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
-    free = str(tmp_path / "new" / "report.json")
-    defaults = {"count": 1, "cases": str(tmp_path / "cases"), "work": "", "out": free}
-    assert common.parse_settings(defaults, ["count=2"]) == defaults | {"count": 2}
-    for word in ("out=/proc/report.json", f"out={tmp_path}", f"out={tmp_path}/file/report.json",
-                 f"cases={tmp_path}/file", "work=/proc/runs"):
+    for words in ("out=/proc/report.json", f"out={tmp_path}", f"out={tmp_path}/file/report.json",
+                  f"cases={tmp_path}/file"):
         with pytest.raises(InputError, match="cannot write"):
-            common.parse_settings(defaults, [word])
+            main(["convergence", words])
+    with pytest.raises(InputError, match="cannot write"):
+        main(["tree", "work=/proc/runs"])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("path", sorted({*Path(common.__file__).parent.glob("*.py")}
-                                        - {Path(figures.__file__)}), ids=lambda path: path.stem)
-def test_commands_print_their_usage_and_look_at_their_places(path):
-    text = path.read_text(encoding="utf-8")
-    if "run_command(" in text:
-        assert "run_command(main, usage=__doc__)" in text
-        assert "config = parse_settings(DEFAULTS, argv)" in text
+def test_every_benchmark_has_a_folder_keys_and_a_line():
+    assert set(FILES) == set(group_options("benchmark"))
+    assert {file.parent.name for file in FILES.values()} == set(FOLDERS)
+    lines = usage().splitlines()
+    for name, file in FILES.items():
+        assert callable(import_module(f"benchmarks.{file.parent.name}.{name}").run)
+        keys = read_config(f"benchmark/{name}").keys()
+        assert "out" in keys
+        assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
+        (line,) = (line for line in lines if line.split()[:1] == [name])
+        assert line.endswith(".") and len(line) <= 120
+
+
+def test_a_benchmark_shows_its_keys_and_refuses_others(capfd):
+    with pytest.raises(SystemExit) as ended:
+        main(["information", "--help"])
+    assert ended.value.code in (0, None)
+    text = capfd.readouterr().out
+    assert text.startswith(information.__doc__.splitlines()[0]) and "\npixels: 100.0  #" in text
+    with pytest.raises(InputError, match="unknown key 'pixel', perhaps pixels"):
+        main(["information", "pixel=1"])
+
+
+def test_the_list_and_mistakes_of_the_command_line():
+    def run(*words: str) -> subprocess.CompletedProcess:
+        return subprocess.run([sys.executable, "-m", "benchmarks", *words], cwd=ROOT,
+                              capture_output=True, text=True)
+
+    listed = run()
+    assert listed.returncode == 0 and listed.stdout.startswith("Run a benchmark.")
+    for words in (["elastika"], ["elastica", "gammas=many"], ["meshes", "fabrics=[silk]"]):
+        done = run(*words)
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
 
 
 def test_table_is_aligned():
@@ -98,7 +117,7 @@ def test_table_is_aligned():
 
 
 def fake_search(coefficients: dict[float, float]) -> Search:
-    search = Search(DEFAULTS)
+    search = Search({"edge_mm": 3.5, "start": "sine", "seed": 0, "cases": "", "workers": 1})
     search.drapes = {a: {"alpha_uN_m": a, "coefficient": c, "status": "converged"}
                      for a, c in coefficients.items()}
     return search
@@ -141,7 +160,7 @@ def test_turning_the_cloth_moves_its_points_along():
 @pytest.mark.slow
 def test_worker_processes_are_timed_against_one_core(tmp_path):
     out = tmp_path / "throughput.json"
-    throughput.main(["drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
+    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
     found = json.loads(out.read_text())
     assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
     rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
@@ -189,27 +208,13 @@ def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_gpu_figures_need_a_gpu(tmp_path):
     with pytest.raises(InputError, match="no GPU"):
-        render.main(["device=cuda", f"out={tmp_path / 'render.json'}"])
+        main(["render", "device=cuda", f"out={tmp_path / 'render.json'}"])
     assert not list(tmp_path.iterdir())
 
 
-def test_reports_are_collected(tmp_path):
-    settings = [f"folder={tmp_path}", f"out={tmp_path / 'bench.json'}"]
-    with pytest.raises(InputError, match="no report"):
-        report.main(settings)
-    (tmp_path / "render.json").write_text('{"views": 2}')
-    (tmp_path / "speed.json").write_text('{"drapes": 1}')
-    report.main(settings)
-    found = json.loads((tmp_path / "bench.json").read_text())
-    assert found == {"speed": {"drapes": 1}, "render": {"views": 2}}
-
-
-def test_the_axes_of_bounds_can_be_read(tmp_path, monkeypatch):
-    pictures = []
-    monkeypatch.setattr(information, "write_figure", lambda _, figure: pictures.append(figure))
+def test_the_axes_of_bounds_can_be_read():
     found = json.loads((common.REPORTS / "information.json").read_text(encoding="utf-8"))
-    information.draw(found, tmp_path / "information.png")
-    for axes in pictures[0].axes:
+    for axes in information.draw(found).axes:
         low, high = axes.get_ylim()
         assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
 
@@ -229,8 +234,8 @@ def test_posteriors_are_judged_by_errors_and_coverage():
 
 def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
     out = tmp_path / "meshes.json"
-    meshes.main(["fabrics=stiff", "laws=midedge", "edge_mm=4", "refinement_mm=8,4", "start_mm=4",
-                 f"cases={tmp_path / 'cases'}", f"out={out}"])
+    main(["meshes", "fabrics=[stiff]", "laws=[midedge]", "edge_mm=4", "refinement_mm=8,4",
+          "start_mm=4", f"cases={tmp_path / 'cases'}", f"out={out}"])
     content = json.loads(out.read_text(encoding="utf-8"))
     coarse, fine = content["spacings"][:3], content["spacings"][3:]
     assert fine == content["meshes"]
@@ -355,11 +360,11 @@ def test_scans_are_estimated_and_their_estimates_draped(
         np.savez(tmp_path / "scans" / f"fabric_{fabric}_sample_{sample}.npz",
                  vertices=scan.positions, rest=scan.rest, faces=scan.faces)
     out = tmp_path / "real.json"
-    words = [f"scans={tmp_path / 'scans'}", f"cases={tmp_path / 'cases'}", f"out={out}",
-             "captures=2", "drapes=1", "edge_mm=10", "nuisances=real", "refined="]
+    words = ["real_captures", f"scans={tmp_path / 'scans'}", f"cases={tmp_path / 'cases'}",
+             f"out={out}", "captures=2", "drapes=1", "edge_mm=10", "variation=real", "refined="]
     with pytest.raises(InputError, match="knows drapes on square"):
-        real_captures.main([*words, f"checkpoint={untrained_checkpoint}"])
-    real_captures.main([*words, f"checkpoint={disc_checkpoint}"])
+        main([*words, f"checkpoint={untrained_checkpoint}"])
+    main([*words, f"checkpoint={disc_checkpoint}"])
     text, found = capsys.readouterr().out, json.loads(out.read_text())
     for line in ("median ratio of alpha between samples of a fabric: ", "nearest neighbour right: ",
                  "drape coefficient of other samples off by: ", "fold count of other samples off"):
@@ -368,42 +373,3 @@ def test_scans_are_estimated_and_their_estimates_draped(
     assert len(found["scans"]) == 4 and found["refine_scan"] is None
     assert found["prediction"]["count"] == {"pairs": 4, "drapes": 4, "converged": 4}
     assert out.with_suffix(".png").stat().st_size > 10_000
-
-
-def test_every_benchmark_can_be_imported():
-    names = sorted(f"benchmarks.{file.stem}" for file in (ROOT / "benchmarks").glob("*.py"))
-    done = subprocess.run([sys.executable, "-c", f"import {', '.join(names)}"], cwd=ROOT,
-                          capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_words_take_the_types_of_the_defaults():
-    defaults = {"name": "a", "count": 1, "ratio": 1.0, "list": [1.0, 2.0], "any": None,
-                "inner": {"flag": True}}
-    words = ["name=/x y/=${z}", "count=010", "ratio=2", "list=[3,-.5]", "any=text",
-             "inner.flag=false"]
-    assert parse_overrides(defaults, words) == {
-        "name": "/x y/=${z}", "count": 10, "ratio": 2.0, "list": [3.0, -0.5], "any": "text",
-        "inner": {"flag": False}}
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [("count=1.5", "count: '1.5' must be a whole number"), ("count=many", "a whole number"),
-     ("ratio=[1]", "a finite number"), ("ratio=nan", "ratio: 'nan' must be a finite number"),
-     ("ratio=.inf", "a finite number"), ("ratio=1e400", "a finite number"),
-     ("list=1,,2", "list: '' must be a finite number, such as 1"),
-     ("nothing=1", "known keys: count, list, ratio"), ("count", "not of the form key=value"),
-     ("--count=1", "without dashes, as key=value"), ("--count", "without dashes"),
-     ("count=1:30", "a whole number"), ("count.x=1", "unknown key"), ("list[0=1", "unknown key"),
-     ("=1", "unknown key"), ("count..x=1", "unknown key")],
-)
-def test_words_of_the_wrong_type_are_refused(word, said):
-    with pytest.raises(InputError, match=said):
-        parse_overrides({"count": 1, "ratio": 1.0, "list": [1.0]}, [word])
-
-
-def test_numbers_beyond_the_limits_and_repeated_keys_are_refused():
-    for words in (["seed=1", "seed=2"], ["workers=1000000"], [f"seed={10**22}"]):
-        with pytest.raises(InputError, match=words[0].partition("=")[0]):
-            parse_overrides({"seed": 0, "workers": 1}, words)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from benchmarks.bound import (
+from benchmarks.estimation.bound import (
     CAMERA,
     SETUP,
     SPECIMEN,

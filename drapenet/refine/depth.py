@@ -55,7 +55,7 @@ class DepthWeights:
         jump: m, depths further apart within 3 x 3 pixels are a jump.
         patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
             :data:`EDGE` at the rim: noise of neighbours is alike, and what a mesh does to folds
-            even more so. With this value intervals hold (``python -m benchmarks.refine_views``).
+            even more so. With this value intervals hold (``python -m benchmarks refine_views``).
     """
 
     sigma: float = 1e-3

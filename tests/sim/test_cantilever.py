@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from benchmarks.cylinders import cylinder_moduli, cylinder_torque, free_modulus
-from benchmarks.guides import LevelSides, TiedRows, level_rulings
+from benchmarks.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from benchmarks.physics.guides import LevelSides, TiedRows, level_rulings
 from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,

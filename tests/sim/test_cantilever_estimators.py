@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of
 
-from benchmarks.guides import level_rulings
+from benchmarks.physics.guides import level_rulings
 from common.errors import InputError
 from sim.cantilever.bezier import Bezier, fit_bezier
 from sim.cantilever.fabric import correct, estimate, fabric_of

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import style3d
+from benchmarks.physics import style3d
 from common.errors import InputError
 from data.fabrics import from_theta, to_theta
 from sim.drape import drape

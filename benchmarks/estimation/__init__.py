@@ -1,0 +1,1 @@
+"""What a drape determines, and how well network and refinement estimate it."""

@@ -1,0 +1,183 @@
+"""Refinement of captures of known fabrics.
+
+Fabrics of the prior are draped on a finer mesh than the refinement's, captured, and estimated by
+the network and by the refinement; both posteriors are compared with the truth. With
+``variation=real`` specimens and captures vary in all that real ones vary in; with ``none`` the
+specimen is ideal, and the sensor ``smooth`` sees four views, exact quarter turns apart, with true
+intrinsics and a clean cut-out, from a tripod anywhere.
+"""
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import (
+    ESTIMATOR,
+    Config,
+    Result,
+    load_arrays,
+    run_cases,
+    table,
+    tick_short_scales,
+)
+from benchmarks.comparison import same_folds
+from benchmarks.known import CLEAN, known_drape
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.nuisances import NAMES
+from data.setups import Setups
+from drapenet.checkpoint import bundled, read_header
+from drapenet.convention import LINEAR, RATIO, SWAPPED
+from drapenet.coverage import LEVELS, covered, ranks
+from sim.drape import drape
+from sim.material import MICRO, REFERENCE_DENSITY
+from sim.measures import fold_outline
+from sim.scene import Rig
+
+WAYS = ("network", "refined")
+
+
+def case(
+    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
+) -> dict:
+    """The network and the refinement on one capture."""
+    from drapenet.estimate import make_estimate
+    from drapenet.inference import infer_capture
+    from drapenet.refine.refined import refined_capture
+
+    plan, shape = known_drape(number, rig=rig, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
+    setups = Setups.load("real")
+    if nuisances == "none":
+        setups = replace(setups, **CLEAN)
+    seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
+                          nominal=CameraRig.load(rig).intrinsics)
+    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,
+                      Path(), ())
+    header, nominal = read_header(bundled(rig)), Rig.from_name(rig)
+    known = {"membrane": 200.0, "friction": 0.0} if nuisances == "none" else {}
+    inferred = infer_capture(capture, header, **known)
+    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
+    own = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
+           if nuisances == "none" else {})
+    began = time.perf_counter()
+    refined = refined_capture(estimate, capture, camera, rig=nominal, turns=found.turns, seen=None,
+                              edge=1e-3 * edge_mm, known=own)
+    seconds = time.perf_counter() - began
+    estimates = {"network": estimate}
+    if refined is not None and refined.draws is not None:
+        estimates["refined"] = make_estimate(refined.draws, capture=capture, header=header)
+    first = drape(estimate.fabric, rig=nominal, seed=number)
+    outlines = [fold_outline(d.positions, d.rest, nominal) for d in (shape, first)]
+    arrays = {}
+    for name in WAYS:  # a refinement that gains nothing leaves the network's answer
+        one = estimates.get(name, estimate)
+        # The first yarns found are the truth's warp or weft, whichever lie nearer.
+        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        arrays[name] = one.samples if along else one.samples[:, SWAPPED]
+    specimen = along_warp(refined.content["specimen"] if refined else {}, along)
+    return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
+            "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
+            "views": len(seen.views), "gained": "refined" in estimates,
+            "status": refined.found.status.value if refined else "none",
+            "spread": estimate.spread.tolist(), "arrays": arrays}
+
+
+def along_warp(specimen: dict, along: bool) -> dict:
+    """The part ``specimen`` of ``estimate.json`` along the true warp, if that was found as such."""
+    other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
+    return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
+
+
+def recovered(results: list[dict]) -> dict[str, dict[str, float]]:
+    """Of friction and curl, deviations of the estimates from the truth and as estimated, in parts
+    of their spread over specimens, root mean squares.
+    """
+    from drapenet.refine.refined import specimen_spread
+
+    deviations = specimen_spread().deviations
+    found = {}
+    for name, label, unit in (("friction", "friction_un", MICRO), ("curl_warp", "curl_warp_per_m",
+                              1.0), ("curl_weft", "curl_weft_per_m", 1.0)):
+        rows = [(r["specimen"][label], r["nuisances"][NAMES.index(name)]) for r in results
+                if label in r["specimen"]]
+        if rows:
+            error = np.array([unit * one["median"] - truth for one, truth in rows])
+            size = np.array([np.diff(one["interval_68"])[0] * unit / 2 for one, _ in rows])
+            found[name] = {kind: float(np.sqrt(np.square(values).mean()) / deviations[name])
+                           for kind, values in (("error", error), ("estimated", size))}
+    return found
+
+
+def judge(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
+    """Errors of the posteriors' means, and how often their intervals hold.
+
+    Args:
+        truth: (N, 6). samples: of each, (S, 6).
+    """
+    errors = np.stack([s.mean(axis=0) for s in samples]) - truth
+    places = np.concatenate([ranks(s[:, None], t[None])
+                             for s, t in zip(samples, truth, strict=True)])
+    return {
+        "log_alpha": float(np.sqrt(np.square(errors[:, LINEAR]).mean())),
+        "log_alpha_median": float(np.median(np.abs(errors[:, LINEAR]))),
+        "log_alpha_worst_fabric": float(np.abs(errors[:, LINEAR]).mean(axis=1).max()),
+        "beta_over_alpha_mm": 1e3 * float(np.sqrt(np.square(errors[:, RATIO]).mean())),
+        "inside": {f"{level:.0%}": float(share.mean())
+                   for level, share in zip(LEVELS, covered(places), strict=True)},
+        "fabrics": len(truth),
+    }
+
+
+def run(config: Config) -> Result:
+    """Refine all captures, and print the table."""
+    folder = Path(config["cases"]) / config["variation"]
+    settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
+    settings["nuisances"] = config["variation"]
+    results = run_cases(case, {f"views_{k}": {"number": k, **settings}
+                               for k in range(config["fabrics"])},
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR)
+    truth = np.array([r["theta"] for r in results.values()])
+    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in WAYS}
+    other = np.array([r["other_folds"] for r in results.values()])
+    groups = {"all": np.ones(len(truth), bool), "other folds": other}
+    summary = {
+        group: {way: judge(truth[rows], [s for s, row in zip(samples[way], rows, strict=True)
+                                         if row]) for way in WAYS}
+        for group, rows in groups.items() if rows.any()}
+    seconds = np.array([r["seconds"] for r in results.values()])
+    specimen = recovered(list(results.values()))
+    print(table(
+        ["", "fabrics", "log alpha", "median", "worst fabric", "beta/alpha, mm", "inside 50 %",
+         "68 %", "90 %"],
+        [[f"{group}, {way}", f["fabrics"], f["log_alpha"], f["log_alpha_median"],
+          f["log_alpha_worst_fabric"], f["beta_over_alpha_mm"], *f["inside"].values()]
+         for group, ways in summary.items() for way, f in ways.items()]))
+    print(f"median {np.median(seconds):.1f} s, 90th percentile {np.quantile(seconds, 0.9):.1f} s; "
+          f"{sum(not r['gained'] for r in results.values())} refinements gained nothing")
+    for name, f in specimen.items():
+        print(f"{name}: error {f['error']:.2f} of its spread, estimated {f['estimated']:.2f}")
+    return Result({"summary": summary, "specimen": specimen,
+                   "seconds": {"median": float(np.median(seconds)),
+                               "largest": float(seconds.max())}, "cases": results},
+                  draw(truth, samples))
+
+
+def draw(truth: np.ndarray, samples: dict[str, list[np.ndarray]]) -> Figure:
+    """True against found alpha."""
+    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
+    axis = figure.subplots()
+    for name, colour in zip(WAYS, ("0.6", "C1"), strict=True):
+        found = np.exp([s[:, LINEAR].mean(axis=0) for s in samples[name]]) / MICRO
+        for k, marker in enumerate("os^"):
+            axis.plot(np.exp(truth[:, k]) / MICRO, found[:, k], marker, color=colour, ms=4,
+                      label=f"{name}, {('warp', 'bias', 'weft')[k]}")
+    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]")
+    tick_short_scales(axis.xaxis, axis.yaxis)
+    ends = np.array(axis.get_xlim())
+    axis.plot(ends, ends, color="k", lw=0.8)
+    axis.legend(fontsize=7, frameon=False)
+    return figure

@@ -1,0 +1,136 @@
+"""Joint estimates of several drapes of one fabric.
+
+Fabrics of the prior are draped several times: one cloth, each time another specimen, start and
+capture. Each capture is estimated, and the first 1, 2, ... of a fabric together
+(:mod:`drapenet.joint`). The errors of two captures of one fabric are correlated, because friction
+and membrane belong to the cloth; ``drapenet.joint.SHARED`` is this correlation. The bound
+(:mod:`benchmarks.estimation.bound`) is that of these drapes, also for friction and curl.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.common import ESTIMATOR, Config, Result, load_arrays, run_cases, table
+from benchmarks.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
+from benchmarks.estimation.refine_views import judge
+from common.command import compose_config
+from data.cameras import CameraRig
+from data.captures import Capture
+from data.fabrics import fabric_from_theta
+from data.options import Options, config_from_options
+from data.prior import load_prior
+from data.sampling import plan_drape
+from data.setups import Setups
+from drapenet.checkpoint import bundled, read_header
+from drapenet.convention import LINEAR, SWAPPED, WARP_WEFT
+from drapenet.estimate import Estimate
+from drapenet.joint import SHARED, joined
+from sim.drape import drape
+from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
+
+COUNTS = (1, 2, 5)
+CLOTH = ("membrane", "shear", "friction")  # of the fabric; all other nuisances are a specimen's
+CURL = ("curl_warp", "curl_weft")
+
+
+def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, seed: int) -> dict:
+    """Estimates of all drapes of one fabric; samples along the true warp, bias and weft."""
+    from benchmarks.estimation.bound import depth_information
+    from drapenet.inference import estimate_capture
+
+    words = ["nuisances=real", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0",
+             f"dataset.starts_per_fabric={drapes}"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    setups, header = Setups.load("real"), read_header(bundled(rig))
+    arrays = {}
+    for index in range(number * drapes, (number + 1) * drapes):
+        plan = plan_drape(index, config=config.sampling, prior=config.prior)
+        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(Rig.from_name(rig)),
+                      edge=1e-3 * truth_mm, start=plan.start, seed=plan.seed,
+                      offset=tuple(plan.offset), laws=plan.nuisances.laws)
+        if not shape.converged:
+            continue
+        seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, index]),
+                              nominal=CameraRig.load(rig).intrinsics)
+        capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,
+                          Path(str(index)), ())
+        one = estimate_capture(capture, header, refine=refined, drapes=0).estimate
+        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        found = depth_information(shape, CameraRig.load(rig).nominal(), nuisances=plan.nuisances,
+                                  orientation=seen.orientation)
+        arrays[f"samples_{index}"] = one.samples if along else one.samples[:, SWAPPED]
+        arrays[f"fisher_{index}"] = found.fisher
+    return {"theta": plan.theta.tolist(), "spread": one.spread.tolist(), "names": found.names,
+            "arrays": arrays}
+
+
+def bound(names: list[str], fisher: list[np.ndarray], shared: tuple[str, ...]) -> np.ndarray:
+    """(6 + S,) least standard deviations of theta and of S nuisances that the captures share."""
+    from drapenet.refine.cloth import DRIFT
+    from drapenet.refine.refined import specimen_spread
+
+    setups, deviations = Setups.load("real"), specimen_spread().deviations
+    known = dict.fromkeys((SPECIMEN[0], *CAMERA), math.inf) | deviations
+    known |= dict.fromkeys(SPECIMEN[1:], DRIFT)
+    known |= dict(zip(SETUP, (*[setups.turn] * 3, setups.focal), strict=True))
+    found = joint_covariance(
+        [Information(tuple(names), one, 0, True, "") for one in fisher],
+        np.linalg.inv(load_prior("gaussian").covariance),
+        own={name: value for name, value in known.items() if name not in shared},
+        shared={name: deviations[name] for name in shared})
+    return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in shared)]
+
+
+def correlation(errors: list[np.ndarray]) -> np.ndarray:
+    """(6,) correlation of the errors of two captures of one fabric.
+
+    Args:
+        errors: of each fabric, (n, 6).
+    """
+    pairs = np.concatenate([np.einsum("ik,jk->ijk", own, own)[~np.eye(len(own), dtype=bool)]
+                            for own in errors])
+    return pairs.mean(axis=0) / np.square(np.concatenate(errors)).mean(axis=0)
+
+
+def run(config: Config) -> Result:
+    """Estimate all fabrics, and print the table."""
+    settings = {key: config[key] for key in ("rig", "drapes", "refined", "truth_mm", "seed")}
+    folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
+    results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
+                               for k in range(config["fabrics"])},
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR)
+    truth = np.array([r["theta"] for r in results.values()])
+    arrays = [load_arrays(folder, name) for name in results]
+    samples, fisher = ([[own[k] for k in own if k.startswith(kind)] for own in arrays]
+                       for kind in ("samples", "fisher"))
+    errors = [np.stack([s.mean(axis=0) for s in own]) - theta
+              for own, theta in zip(samples, truth, strict=True)]
+    shared = correlation(errors)
+    summary = {}
+    for count in (n for n in COUNTS if n <= config["drapes"]):
+        chosen = [k for k, own in enumerate(samples) if len(own) >= count]
+        together = [joined([Estimate(s, WARP_WEFT, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
+                            for s in samples[k][:count]], [str(i) for i in range(count)]).samples
+                    if count > 1 else samples[k][0] for k in chosen]
+        summary[count] = judge(truth[chosen], together)
+        names = results[f"fabric_{chosen[0]}"]["names"]
+        least = [(bound(names, fisher[k][:count], CLOTH), bound(names, fisher[k][:count], CURL))
+                 for k in chosen]
+        cloth, curl = (np.sqrt(np.nanmean(np.square(part), axis=0))
+                       for part in zip(*least, strict=True))
+        summary[count] |= {
+            "bound": float(np.sqrt(np.square(cloth[LINEAR]).mean())),
+            "friction": float(cloth[6 + CLOTH.index("friction")]), "curl": float(curl[6:].mean())}
+    print(table(
+        ["captures", "fabrics", "log alpha", "of one capture's", "bound", "of one capture's",
+         "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "friction, bound", "curl, bound"],
+        [[count, f["fabrics"], f["log_alpha"], f["log_alpha"] / summary[1]["log_alpha"],
+          f["bound"], f["bound"] / summary[1]["bound"], f["beta_over_alpha_mm"],
+          *f["inside"].values(), f["friction"], f["curl"]] for count, f in summary.items()]))
+    print("bounds of friction and curl in parts of their spread; correlation of the errors of two "
+          f"captures of a fabric: log alpha {shared[LINEAR].mean():.2f}, beta/alpha "
+          f"{shared[3:].mean():.2f} (SHARED = {SHARED:g})")
+    return Result({"correlation": shared.tolist(), "summary": summary})

@@ -1,0 +1,1 @@
+"""The simulator against theory, finer meshes, other simulators and scans of real drapes."""

@@ -1,0 +1,232 @@
+"""Hanging strips against the heavy elastica.
+
+Clamped strips of the default bending law and of the hinge laws on four triangulations: deviation
+of drop over reach (H/W) from the boundary-value solution, order of convergence of the default law,
+and the modulus with which a hinge strip hangs like the physical one.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import Config, Result, run_cases, table
+from common.errors import InputError
+from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
+from sim.cantilever.equivalent import equivalent_modulus, free_end
+from sim.cantilever.tester import TIGHT
+from sim.equilibrium import find_equilibrium
+from sim.hinge_laws import ARCSIM, DISCRETE_SHELLS
+from sim.initial import interpolate_positions
+from sim.laws import Laws
+from sim.membranes import Corotational
+from sim.mesh import Mesh, strip
+from sim.newton import Status
+from sim.scene import Scene
+
+LENGTH, WIDTH = 0.09, 0.027  # m
+LIMIT = 0.005  # of the default law's H/W
+CELLS = (20, 40, 80, 160)  # along the free length
+CLAMP = 2 * LENGTH / CELLS[0]  # m, the same on all of them
+LEAST_CELLS = ((40.0, 40), (200.0, 80), (np.inf, 160))
+"""Up to which gamma how many cells along the strip are used for the table."""
+RATE_GAMMAS = (1.0, 10.0, 100.0, 1000.0)
+RATE_MEMBRANE = 2000.0
+"""N/m, for the rates: at 200 N/m the weight stretches a strip by up to 0.04 %, which would hide
+the bending law's own error on the finest meshes."""
+EQUIVALENT_EDGES = (6e-3, 3e-3, 1.5e-3)  # m, at gamma = 10, strips of 90 × 30 mm
+EQUIVALENT_GAMMAS = (1.0, 100.0)  # beside 10, at 3 mm
+
+MESHES = {
+    "alternating": {"diagonals": "alternating"},
+    "equal": {"diagonals": "equal"},
+    "random": {"diagonals": "random", "seed": 1},
+    "jittered": {"diagonals": "random", "jitter": 0.2, "seed": 2},
+}
+
+
+def make_strip(mesh: str, *, edge: float, width: float, clamp: float) -> tuple[Mesh, np.ndarray]:
+    """A strip of a kind of :data:`MESHES` and its clamped vertices; m, multiples of ``edge``."""
+    return strip(length=LENGTH, width=width, edge=edge, clamp=clamp, **MESHES[mesh])
+
+
+def cells_for(gamma: float) -> int:
+    """Cells along the strip in the table of deviations."""
+    return next(cells for limit, cells in LEAST_CELLS if gamma <= limit)
+
+
+def hang_series(
+    mesh: str, law: str, gammas: list[float], cells: list[int], membrane: float
+) -> dict:
+    """Deviations of H/W from the elastica, for all ``gammas`` on meshes of rising fineness.
+
+    Every strip starts from its shape on the next coarser mesh, the coarsest from the shape of the
+    next smaller gamma. ``cells`` are the finest meshes, one for each gamma.
+    """
+    laws = Laws(bending=law, membrane=Corotational(stiffness=membrane))
+    rows, coarse = [], None
+    for level in CELLS:
+        grid, held = make_strip(mesh, edge=LENGTH / level, width=WIDTH, clamp=CLAMP)
+        flat = np.column_stack([grid.rest, np.zeros(len(grid.rest))])
+        scene = Scene(mesh=grid, held=held)
+        state, shapes = scene.state(flat), {}
+        for gamma, finest in zip(gammas, cells, strict=True):
+            if level > finest:
+                continue
+            if coarse:
+                positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
+                positions[held] = flat[held]
+                state = scene.state(positions)  # with the clamp's own normals
+            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
+                                     options=TIGHT)
+            state = found.state
+            shapes[gamma] = state.positions
+            ratio = aspect_ratio(free_end(grid, state)) if found.converged else None
+            expected = aspect_ratio(elastica(gamma)[-1])
+            rows.append({
+                "gamma": gamma,
+                "cells": level,
+                "status": found.status.value,
+                "aspect_ratio": ratio,
+                "deviation": ratio / expected - 1 if found.converged else None,
+            })
+        coarse = grid.rest, shapes
+    return {"rows": rows}
+
+
+def equivalents(mesh: str, law: str, edge: float, gamma: float) -> dict:
+    """The equivalent modulus of a hinge law on strips of 90 × 30 mm."""
+    grid, held = make_strip(mesh, edge=edge, width=0.03, clamp=2 * edge)
+    found = equivalent_modulus(grid, held, gamma=gamma, laws=Laws(bending=law))
+    return {"ratio": found.ratio if found.found else None, "message": found.message}
+
+
+def fitted_rate(rows: list[dict]) -> float:
+    """Order of the error's fall over the last three meshes of one gamma."""
+    last = sorted(rows, key=lambda row: row["cells"])[-3:]
+    errors = [abs(row["deviation"]) for row in last]
+    return float(-np.polyfit(np.log([row["cells"] for row in last]), np.log(errors), 1)[0])
+
+
+def run(config: Config) -> Result:
+    """Hang all strips, and print the tables."""
+    unknown = set(config["meshes"]) - set(MESHES)
+    if unknown:
+        raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
+    options = {"folder": Path(config["cases"]), "workers": config["workers"]}
+    meshes, laws, gammas = config["meshes"], config["laws"], sorted(config["gammas"])
+    hinges = [law for law in laws if law != "midedge"]
+
+    def series(law: str, mesh: str) -> dict:
+        return {"mesh": mesh, "law": law, "gammas": gammas, "membrane": 200.0,
+                "cells": [cells_for(gamma) for gamma in gammas]}
+
+    hung = run_cases(hang_series, {
+        f"{law}_{mesh}": series(law, mesh) for law in laws for mesh in meshes
+    }, **options)
+    rates = run_cases(hang_series, {
+        f"rate_{mesh}": {"mesh": mesh, "law": "midedge", "gammas": list(RATE_GAMMAS),
+                         "cells": [80, 80, 80, 160], "membrane": RATE_MEMBRANE}
+        for mesh in meshes
+    }, **options)
+    pairs = [(edge, 10.0) for edge in EQUIVALENT_EDGES] + [(3e-3, g) for g in EQUIVALENT_GAMMAS]
+    moduli = run_cases(equivalents, {
+        f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}":
+            {"mesh": mesh, "law": law, "edge": edge, "gamma": gamma}
+        for law in hinges for mesh in meshes for edge, gamma in pairs
+    }, **options)
+
+    deviations = {
+        law: {mesh: [_at(hung[f"{law}_{mesh}"]["rows"], gamma) for gamma in gammas]
+              for mesh in meshes}
+        for law in laws
+    }
+    for law in laws:
+        print(f"\n{law}: H/W off the elastica, %")
+        print(table(
+            ["gamma", "cells along", "elastica H/W", *meshes],
+            [[gamma, cells_for(gamma), aspect_ratio(elastica(gamma)[-1]),
+              *[_percent(deviations[law][mesh][k]) for mesh in meshes]]
+             for k, gamma in enumerate(gammas)],
+        ))
+    order = {mesh: [fitted_rate([r for r in rates[f"rate_{mesh}"]["rows"] if r["gamma"] == gamma])
+                    for gamma in RATE_GAMMAS] for mesh in meshes}
+    print("\nmidedge: fitted order of convergence")
+    print(table(["gamma", *meshes], [[gamma, *[round(order[mesh][k], 2) for mesh in meshes]]
+                                     for k, gamma in enumerate(RATE_GAMMAS)]))
+    for law in hinges:
+        print(f"\n{law}: equivalent modulus over physical modulus")
+        names = [[f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}" for mesh in meshes]
+                 for edge, gamma in pairs]
+        print(table(["edge, mm", "gamma", *meshes], [
+            [1e3 * edge, gamma, *[moduli[name]["ratio"] or "-" for name in line]]
+            for (edge, gamma), line in zip(pairs, names, strict=True)
+        ]))
+    largest = _largest(deviations.get("midedge", {}))
+    if largest is not None:
+        print(f"\nlargest deviation of the default law: {_percent(largest)} % "
+              f"(limit {_percent(LIMIT)} %)")
+    return Result({
+        "length_m": LENGTH, "width_m": WIDTH,
+        "cells_along": [cells_for(gamma) for gamma in gammas],
+        "passed": largest is not None and largest <= LIMIT,
+        "largest_deviation": largest,
+        "deviations": deviations,
+        "order": {"gammas": list(RATE_GAMMAS), "membrane_N_m": RATE_MEMBRANE, **order},
+        "equivalent_moduli": moduli,
+        "strips": hung,
+        "strips_of_order": rates,
+    }, draw(gammas, deviations))
+
+
+def _at(rows: list[dict], gamma: float) -> float | None:
+    """Deviation on the mesh that ``gamma`` is tabulated for, None where it did not converge."""
+    row = next(r for r in rows if r["gamma"] == gamma and r["cells"] == cells_for(gamma))
+    return row["deviation"] if row["status"] == Status.CONVERGED.value else None
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:+.2f}"
+
+
+def _largest(by_mesh: dict[str, list]) -> float | None:
+    """Largest absolute deviation, None if a strip did not converge or there is none."""
+    values = [value for line in by_mesh.values() for value in line]
+    return max(map(abs, values)) if values and None not in values else None
+
+
+def draw(gammas: list[float], deviations: dict) -> Figure:
+    """Strips on the master curve of the elastica, and how far they are off it."""
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    fine = np.geomspace(min(gammas) / 4, max(gammas), 200)
+    ratios = np.array([aspect_ratio(elastica(gamma, 101)[-1]) for gamma in gammas])
+    left.loglog(fine, [aspect_ratio(elastica(g, 101)[-1]) for g in fine], "k-", lw=1,
+                label="heavy elastica")
+    mesh = next(iter(next(iter(deviations.values()))))
+
+    def strips(law: str) -> np.ndarray:
+        return ratios * (1 + np.array(deviations[law][mesh], dtype=float))
+
+    if "midedge" in deviations:
+        left.plot(gammas, strips("midedge"), "o", color="C0", ms=5, label="default law")
+    if "hinge_linear" in deviations:
+        hinge = strips("hinge_linear")
+        left.plot(gammas, hinge, "^", color="C3", ms=5, mfc="none", label="hinges")
+        # A simulator given the number alpha in its own convention has the modulus f alpha here.
+        for convention, marker in ((ARCSIM, "s"), (DISCRETE_SHELLS, "d")):
+            left.plot(np.array(gammas) * convention.curvature, hinge, marker, color="grey", ms=4,
+                      mfc="none", label=f"hinges, α read as in {convention.name}")
+    left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
+    left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
+    left.legend(frameon=False, fontsize=8)
+    for law, style in (("midedge", "-"), ("hinge_linear", "--"), ("quadratic", ":")):
+        for k, (name, values) in enumerate(deviations.get(law, {}).items()):
+            label = name if law == next(iter(deviations)) else None
+            right.semilogx(gammas, 100 * np.array(values, dtype=float), style, color=f"C{k}",
+                           lw=1.5, label=label)
+    right.axhline(0, color="k", lw=0.8)
+    right.set(xlabel="Γ", ylabel="H/W off the elastica, %",
+              title="default law —, hinges - -, quadratic ···")
+    right.legend(frameon=False, fontsize=8)
+    return figure

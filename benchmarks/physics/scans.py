@@ -1,0 +1,196 @@
+"""Simulated drapes with the drape coefficients of scanned real ones.
+
+For each scan of a real fabric on the disc rig (300 mm disc, 180 mm support), the isotropic linear
+modulus whose drape has the scan's drape coefficient: a logarithmic grid, then bisection between the
+two grid points that enclose it. Densities are unknown, so moduli are those at 300 g/m².
+"""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import Config, Result, load_arrays, run_cases, table
+from benchmarks.comparison import best_turn
+from common.errors import InputError
+from data.picture import shade
+from data.scans import Scan, read_scans
+from sim.drape import drape
+from sim.material import MICRO, Fabric
+from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline
+from sim.scene import DISC_RIG, Rig
+
+LIMIT = 2.0  # points of drape coefficient between a scan and its drape
+CLOSE = 0.3  # points at which the bisection stops
+_STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
+
+
+def one_drape(alpha: float, edge_mm: float, start: str, seed: int) -> dict:
+    """Drape a disc of the modulus ``alpha``, µN·m."""
+    rig = DISC_RIG
+    result = drape(Fabric(np.full(3, alpha * MICRO)), rig=rig, edge=1e-3 * edge_mm, start=start,
+                   seed=seed)
+    return {
+        "alpha_uN_m": alpha,
+        "status": result.status.value,
+        "message": result.message,
+        "coefficient": 100 * drape_coefficient(result.positions, result.faces, rig),
+        "folds": fold_count(result.positions, result.rest, rig),
+        "seconds": round(result.seconds, 2),
+        "arrays": {"rest": result.rest, "positions": result.positions, "faces": result.faces},
+    }
+
+
+class Search:
+    """Drapes of isotropic moduli, made when asked for and kept in a folder."""
+
+    def __init__(self, config: dict) -> None:
+        self._settings = {key: config[key] for key in ("edge_mm", "start", "seed")}
+        self.folder = Path(config["cases"])
+        self._workers = config["workers"]
+        self.drapes: dict[float, dict] = {}
+
+    def drape_all(self, alphas: list[float]) -> None:
+        """Drape the moduli (µN·m) that are not in :attr:`drapes` yet."""
+        missing = sorted({a for a in alphas if a not in self.drapes})
+        cases = {self.name(a): {"alpha": a, **self._settings} for a in missing}
+        found = run_cases(one_drape, cases, folder=self.folder, workers=self._workers)
+        self.drapes.update(zip(missing, found.values(), strict=True))
+
+    def name(self, alpha: float) -> str:
+        """Name of a drape's files."""
+        settings = "_".join(str(value) for value in self._settings.values())
+        return f"alpha_{alpha:.5g}_{settings}"
+
+    def converged(self) -> dict[float, dict]:
+        """The drapes that are equilibria, by modulus, ascending."""
+        return {a: d for a, d in sorted(self.drapes.items()) if d["status"] == "converged"}
+
+    def nearest(self, coefficient: float) -> dict:
+        """The drape whose coefficient is nearest to ``coefficient``, percent."""
+        drapes = self.converged()
+        if not drapes:
+            raise InputError("no drape of the grid converged; try another edge_mm or grid")
+        return min(drapes.values(), key=lambda d: abs(d["coefficient"] - coefficient))
+
+    def between(self, coefficient: float) -> float | None:
+        """The modulus to try next, half-way (log) between the two that enclose ``coefficient``.
+
+        Folds come and go between neighbours, so that the coefficient does not grow steadily; the
+        innermost pair is taken, where the two coefficients are nearest. None if no pair is left.
+        """
+        drapes = list(self.converged().items())
+        pairs = [
+            (abs(high["coefficient"] - low["coefficient"]), np.sqrt(a * b))
+            for (a, low), (b, high) in pairwise(drapes)
+            if (low["coefficient"] - coefficient) * (high["coefficient"] - coefficient) <= 0
+        ]
+        tries = [alpha for _, alpha in sorted(pairs) if rounded(alpha) not in self.drapes]
+        return rounded(tries[0]) if tries else None
+
+
+def rounded(alpha: float) -> float:
+    """``alpha`` with the digits that a case's name shows."""
+    return float(f"{alpha:.5g}")
+
+
+def run(config: Config) -> Result:
+    """Search, and print the table."""
+    rig = DISC_RIG
+    scans = read_scans(Path(config["scans"]), rig)
+    if not 0 < config["least"] < config["most"] or config["grid"] < 2:
+        raise InputError("the grid needs 0 < least < most and at least two values")
+    targets = {
+        scan.name: 100 * drape_coefficient(scan.positions, scan.faces, rig) for scan in scans
+    }
+    search = Search(config)
+    grid = np.geomspace(config["least"], config["most"], config["grid"])
+    search.drape_all([rounded(alpha) for alpha in grid])
+    for _ in range(config["rounds"]):
+        open_targets = [
+            t for t in targets.values() if abs(search.nearest(t)["coefficient"] - t) > CLOSE
+        ]
+        tries = [a for t in open_targets if (a := search.between(t)) is not None]
+        if not tries:
+            break
+        search.drape_all(tries)
+
+    rows = [match(scan, targets[scan.name], search, rig) for scan in scans]
+    print(table(
+        ["scan", "drape coefficient", "simulated", "α, µN·m", "folds", "simulated folds",
+         "outline, mm"],
+        [[row["scan"], f"{row['coefficient']:.1f} %", f"{row['simulated_coefficient']:.1f} %",
+          row["alpha_uN_m"], row["folds"], row["simulated_folds"], f"{row['outline_mm']:.1f}"]
+         for row in rows],
+    ))
+    worst = max(abs(row["difference"]) for row in rows)
+    print(f"largest difference {worst:.2f} points, limit {LIMIT:g}")
+    return Result({
+        "rig": rig.name,
+        "limit_points": LIMIT, "passed": bool(worst <= LIMIT), "largest_difference": worst,
+        "scans": rows, "drapes": list(search.drapes.values()),
+    }, draw(scans, rows, search, rig))
+
+
+def match(scan: Scan, coefficient: float, search: Search, rig: Rig) -> dict:
+    """The drape nearest to a scan of that drape coefficient (percent), and what else they share."""
+    nearest = search.nearest(coefficient)
+    shape = load_arrays(search.folder, search.name(nearest["alpha_uN_m"]))
+    outline = fold_outline(scan.positions, scan.rest, rig)
+    simulated = fold_outline(shape["positions"], shape["rest"], rig)
+    turn = best_turn(outline, simulated)
+    gap = outline - turn_cloth(simulated, turn)
+    return {
+        "scan": scan.name,
+        "coefficient": coefficient,
+        "simulated_coefficient": nearest["coefficient"],
+        "difference": nearest["coefficient"] - coefficient,
+        "alpha_uN_m": nearest["alpha_uN_m"],
+        "folds": len(fold_angles(outline)),
+        "simulated_folds": nearest["folds"],
+        "turn_degrees": float(np.degrees(turn)),
+        "outline_mm": float(1e3 * np.sqrt((gap**2).sum(axis=1).mean())),
+    }
+
+
+def turn_cloth(outline: np.ndarray, angle: float) -> np.ndarray:
+    """An outline (720, 2) after its specimen has turned by ``angle``, radians."""
+    return np.roll(turned(outline, angle), round(angle * len(outline) / (2 * np.pi)), axis=0)
+
+
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    """Points (N, 2) or (N, 3) turned about the vertical axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    plane = points[:, :2] @ np.array([[c, s], [-s, c]])
+    return np.column_stack([plane, points[:, 2:]])
+
+
+def draw(scans: list[Scan], rows: list[dict], search: Search, rig: Rig) -> Figure:
+    """Every scan, the drape that was found for it, and their outlines from above."""
+    figure = Figure(figsize=(1.9 * len(scans), 5.6), layout="constrained")
+    axes = figure.subplots(3, len(scans), squeeze=False)
+    for column, scan, row in zip(axes.T, scans, rows, strict=True):
+        shape = load_arrays(search.folder, search.name(row["alpha_uN_m"]))
+        angle = np.radians(row["turn_degrees"])
+        found = turned(shape["positions"], angle)
+        for axis, (positions, faces) in zip(
+            column, ((scan.positions, scan.faces), (found, shape["faces"])), strict=False
+        ):
+            axis.imshow(shade(positions, faces, plate_radius=_STEM * rig.plate_radius,
+                              elevation=45.0, size=(300, 270), field=0.32))
+        column[0].set_title(f"{scan.name.replace('_capture_1', '')}\n{row['coefficient']:.1f} %",
+                            fontsize=8)
+        column[1].set_title(f"α = {row['alpha_uN_m']:.3g} µN·m\n"
+                            f"{row['simulated_coefficient']:.1f} %", fontsize=8)
+        outlines = (fold_outline(scan.positions, scan.rest, rig),
+                    turned(fold_outline(shape["positions"], shape["rest"], rig), angle))
+        for outline, label in zip(outlines, ("scan", "simulated"), strict=True):
+            column[2].plot(*1e3 * np.vstack([outline, outline[:1]]).T, lw=1.0, label=label)
+        column[2].set_aspect("equal")
+        column[2].set_title(f"{row['folds']} and {row['simulated_folds']} folds", fontsize=8)
+        for axis in column:
+            axis.set_xticks([])
+            axis.set_yticks([])
+    axes[2, 0].legend(fontsize=6, frameon=False, loc="center")
+    return figure

@@ -1,0 +1,1 @@
+"""Timings of drapes, views and the service."""
