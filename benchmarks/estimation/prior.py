@@ -25,7 +25,6 @@ from sim.material import is_admissible
 
 FITTED = 0.8  # share of the fabrics, as in the paper
 NEAR = (0.75, 1.0, 1.25)  # deviations of the table
-CURVATURE = 100.0  # 1/m; what a bare parabola would do up to there is reported
 PER_MILLIMETRE = 3 * np.log(1e-3)  # log of the volume of (mm)³ in m³
 NAMES = {"gaussian": "Gaussian of theta"} | {f"gmm{k}": f"GMM (K = {k})" for k in range(3, 8)} | {
     f"vae{k}": f"VAE-{k}" for k in range(1, 5)}
@@ -92,8 +91,7 @@ def judge(model: str, split: Split, samples: int) -> dict:
         theta = drawing.sample(samples, np.random.default_rng(0))
         possible = np.array([is_admissible(*from_theta(row)) for row in theta])
         figures |= {f"wasserstein{name}": distance(theta[possible], split),
-                    f"rejected{name}": float(1 - possible.mean()),
-                    f"parabola_ends{name}": float((theta[:, 3:].min(1) < -1 / CURVATURE).mean())}
+                    f"rejected{name}": float(1 - possible.mean())}
         for near, share in zip(NEAR, coverage(theta[possible], split), strict=True):
             figures[f"within_{near:g}{name}"] = share
     return figures | {"fit_cpu_s": seconds}

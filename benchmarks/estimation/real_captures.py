@@ -3,13 +3,11 @@
 Every scan of a real drape on the disc rig (fabric_F_sample_S_capture_C.npz) is seen from four sides
 by a depth camera on a tripod, with its noise (``configs/setup/real.yaml``), and estimated by the
 network of that rig. The true moduli are unknown. So estimates are judged by their agreement:
-between captures of a sample, between samples of a fabric, with ``refine=scan``
-(:mod:`benchmarks.estimation.refine_scans`), and by whether the nearest other estimate is of the
-same fabric; and by drapes of one sample's estimate beside scans of the fabric's other samples.
+between captures of a sample, between samples of a fabric, and by whether the nearest other estimate
+is of the same fabric; and by drapes of one sample's estimate beside scans of the other samples.
 Densities are unknown: moduli are those at 300 g/m².
 """
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -139,8 +137,6 @@ def run(config: Config) -> Result:
               "agreement": agreement(log_alpha),
               "recognition": recognition({key: e.samples.mean(axis=0) / e.spread
                                           for key, e in estimates.items()}),
-              "recognition_by_log_alpha": recognition(log_alpha),
-              "refine_scan": with_refined(log_alpha, scans, Path(config["refined"])),
               "scans": [row(scans[key], estimates[key]) for key in scans]}
     show(report)
     if config["drapes"]:
@@ -260,23 +256,6 @@ def recognition(points: dict[Specimen, np.ndarray]) -> dict[str, dict]:
     return result
 
 
-def with_refined(
-    log_alpha: dict[Specimen, np.ndarray], scans: dict[Specimen, Scan], path: Path
-) -> dict | None:
-    """Median ratio of alpha to what the scan's refinement found, and estimate over refinement."""
-    if not path.is_file():
-        return None
-    found = {name: np.array(r["theta"])[LINEAR] for name, r in
-             json.loads(path.read_text(encoding="utf-8"))["scans"].items()}
-    pairs = [(log_alpha[key], found[scan.name]) for key, scan in scans.items()
-             if scan.name in found]
-    if not pairs:
-        return None
-    return {"median_ratio": float(np.median([ratio(*pair) for pair in pairs])),
-            "estimate_over_refined": np.exp(np.median([a - b for a, b in pairs], axis=0)).tolist(),
-            "scans": len(pairs)}
-
-
 def prediction(
     scanned: dict[Specimen, dict], drapes: dict[str, list[dict]]
 ) -> dict[str, dict[str, float]]:
@@ -336,16 +315,10 @@ def show(report: dict) -> None:
     for name, found in report["agreement"].items():
         if found["pairs"]:
             print(f"median ratio of alpha between {names[name]}: {found['median']:.3f}")
-    for name, found in (("", report["recognition"]),
-                        (" by log alpha", report["recognition_by_log_alpha"])):
-        for kind, rule in (("any", ""), ("other_sample", " among other samples")):
-            print(f"nearest neighbour{name}{rule} right: {found[kind]['right']} of "
-                  f"{found[kind]['of']}")
-    print(f"right by chance: {report['recognition']['any']['chance']:.1f}, among other samples "
-          f"{report['recognition']['other_sample']['chance']:.1f}")
-    if refined := report["refine_scan"]:
-        print(f"median ratio of alpha to refine=scan: {refined['median_ratio']:.3f} "
-              f"({refined['scans']} scans)")
+    for kind, rule in (("any", ""), ("other_sample", " among other samples")):
+        found = report["recognition"][kind]
+        print(f"nearest neighbour{rule} right: {found['right']} of {found['of']}, by chance "
+              f"{found['chance']:.1f}")
 
 
 def show_prediction(found: dict) -> None:

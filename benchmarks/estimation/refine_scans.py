@@ -137,8 +137,7 @@ def agreements(results: dict[str, dict], folder: Path) -> dict:
                  for name, r in results.items()]))
     summary = {"agreement": agreement(log_alpha),
                "recognition": recognition({k: s.mean(axis=0) / spread
-                                           for k, s in samples.items()}),
-               "recognition_by_log_alpha": recognition(log_alpha)}
+                                           for k, s in samples.items()})}
     summary["joined"] = {
         way: {count: recognition(joined_groups({key: own[way] for key, own in arrays.items()},
                                                spread, count))["any"] for count in JOINED}
@@ -146,9 +145,8 @@ def agreements(results: dict[str, dict], folder: Path) -> dict:
     for name, found in summary["agreement"].items():
         if found["pairs"]:
             print(f"median ratio of alpha between {name}: {found['median']:.3f}")
-    for name in ("recognition", "recognition_by_log_alpha"):
-        for kind, found in summary[name].items():
-            print(f"{name}, {kind}: nearest neighbour right {found['right']} of {found['of']}")
+    for kind, found in summary["recognition"].items():
+        print(f"{kind}: nearest neighbour right {found['right']} of {found['of']}")
     for way, counts in summary["joined"].items():
         for count, found in counts.items():
             print(f"{way}, {count} scans joined: nearest neighbour right {found['right']} of "

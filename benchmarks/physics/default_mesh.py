@@ -106,14 +106,6 @@ def summarise(fabrics: list[dict]) -> list[dict]:
     return rows
 
 
-def verdict(rows: list[dict]) -> str:
-    """The line of the default mesh, as draped."""
-    own = rows[0]
-    apart = "-" if own["mean_mm"] is None else f"{own['mean_mm']:.2f}"
-    return (f"default mesh: {apart} mm from fine, {own['mean_cpu_seconds']:.2f} CPU-seconds "
-            f"(mean of {own['drapes']} drapes)")
-
-
 def picture(fabrics: dict[str, list[dict]]) -> Figure:
     """Distance from the fine drape against the fabric's softest direction, a colour a mesh."""
     figure = Figure(figsize=(5.2 * len(fabrics), 4.0), layout="constrained")
@@ -144,12 +136,11 @@ def run(config: Config) -> Result:
                for rig, count in counts.items() if count}
     rows = {rig: summarise(own) for rig, own in fabrics.items()}
     for rig, own in rows.items():
+        print(rig)
         print(table(
             ["edges at the rim, mm", "same folds", "mean from fine, mm", "median", "largest",
              f"within {LIMIT:g} mm", "CPU-seconds a drape, mean", "median"],
             [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
               r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]] for r in own]))
-        print(rig)
-        print(verdict(own))
     return Result({"limit_mm": LIMIT, "meshes": rows, "fabrics": list(found.values())},
                   picture(fabrics))

@@ -2,16 +2,16 @@
 
 Isotropic fabrics of each alpha:
 
-- *locking*: drapes of one fold configuration on coarse and fine meshes, with 200, 400 and
-  5000 N/m and with 5000 N/m behind the guard (strain free from 99 % to 101 %);
+- *locking*: drapes on coarse and fine meshes, with 200, 400 and 5000 N/m and with 5000 N/m behind
+  the guard (strain free from 99 % to 101 %);
 - *in-plane insensitivity*: how far a drape moves for membranes of 100 to 1000 N/m, and how far
-  for half and twice the alpha, for two laws, from one start;
+  for half and twice the alpha, for two laws;
 - *scaling*: the same moduli/density at 100, 300 and 900 g/m².
 
-Drapes "from the fold" start from one drape of 200 N/m, so that their folds are the same; drapes
-"from flat" start from the sine start and find other folds.
+All start from one drape of 200 N/m, so that their folds are the same.
 """
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,7 +28,7 @@ from sim.measures import drape_coefficient, fold_outline
 from sim.membranes import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.newton import Status
-from sim.scene import GRAVITY, Rig
+from sim.scene import Rig
 
 POISSON = 0.3
 LAWS = ("corotational", "stvk")
@@ -40,7 +40,6 @@ LOCKING = {
     "5000 N/m": ("corotational", STIFF),
     "5000 N/m, guarded": ("guarded corotational", STIFF),
 }
-WOVEN = ("woven", STIFF)
 DENSITIES = (0.1, 0.3, 0.9)
 LIMIT = 0.01  # mm, between drapes of one modulus/density
 
@@ -51,18 +50,14 @@ def membrane(name: str, stiffness: float) -> Membrane:
         return Corotational(stiffness, POISSON)
     if name == "guarded corotational":
         return Guarded(Corotational(stiffness, POISSON))
-    if name == "stvk":
-        shear = stiffness / (2 * (1 + POISSON))
-        return OrthotropicStVK(stiffness, stiffness, POISSON, shear)
-    # Yarns that are nearly inextensible and turn freely, as in woven cloth
-    return OrthotropicStVK(stiffness, stiffness, 0.0, 40.0)
+    return OrthotropicStVK(stiffness, stiffness, POISSON, stiffness / (2 * (1 + POISSON)))
 
 
 def settle(
-    alpha: float, law: str, stiffness: float, edge_mm: float, seed: int, begin: str | None,
-    density: float = REFERENCE_DENSITY,
+    *, alpha: float, edge_mm: float, law: str, stiffness: float, density: float, seed: int,
+    begin: str | None,
 ) -> dict:
-    """Drape a fabric of ``alpha`` (µN·m) from the npz file ``begin``, or from flat if None.
+    """The drape of a :class:`Case` from the npz file ``begin``, or from flat if None.
 
     From a file it goes straight to equilibrium at ``density`` (kg/m²), below the door of
     :func:`sim.drape.drape`, which would first reduce it to the reference density.
@@ -87,177 +82,112 @@ def settle(
     }
 
 
-class Plan:
-    """The cases of a run by name, so that each question can ask for its own."""
+@dataclass(frozen=True)
+class Case:
+    """A drape: a fabric of ``alpha``, µN·m, at ``density``, kg/m², with a membrane, on a mesh."""
 
-    def __init__(self, config: dict) -> None:
-        self.config, self.folder = config, Path(config["cases"])
-        self.starts: dict[str, dict] = {}
-        self.cases: dict[str, dict] = {}
-        for alpha in config["alpha"]:
-            self.starts[f"start_{alpha:g}"] = self._settings(alpha, "corotational", BASE,
-                                                             config["start_mm"], None)
+    alpha: float
+    edge_mm: float
+    law: str = "corotational"
+    stiffness: float = BASE
+    density: float = REFERENCE_DENSITY
 
-    def _settings(self, alpha: float, law: str, stiffness: float, edge_mm: float,
-                  begin: str | None, **more: float) -> dict:
-        return {"alpha": alpha, "law": law, "stiffness": stiffness, "edge_mm": edge_mm,
-                "seed": self.config["seed"], "begin": begin, **more}
-
-    def case(self, alpha: float, law: str, stiffness: float, edge_mm: float, *,
-             folds_of: float | None, density: float | None = None) -> str:
-        """Name of a case, entered if new; from flat where ``folds_of`` (an alpha) is None."""
-        begin = None if folds_of is None else str(self.folder / f"start_{folds_of:g}.npz")
-        more = {} if density is None else {"density": density}
-        name = f"{law.replace(' ', '-')}_{stiffness:g}_alpha_{alpha:g}_edge_{edge_mm:g}"
-        name += "_flat" if folds_of is None else f"_from_{folds_of:g}"
-        name += "" if density is None else f"_rho_{density:g}"
-        self.cases[name] = self._settings(alpha, law, stiffness, edge_mm, begin, **more)
-        return name
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        numbers = "_".join(f"{value:g}" for value in (self.stiffness, self.alpha, self.edge_mm,
+                                                      self.density))
+        return f"{self.law.replace(' ', '-')}_{numbers}"
 
 
-class Results:
+def locking_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]:
+    """By label of LOCKING and edge, mm."""
+    edges = [*config["coarse_mm"], config["fine_mm"]]
+    return {(label, edge): Case(alpha, edge, law, stiffness)
+            for label, (law, stiffness) in LOCKING.items() for edge in edges}
+
+
+def insensitivity_cases(alpha: float, config: Config) -> dict[tuple[str, str], Case]:
+    """By law and change."""
+    edge = config["edge_mm"]
+    return {(law, change): case for law in LAWS for change, case in (
+        *((f"{stiffness:g} N/m", Case(alpha, edge, law, stiffness)) for stiffness in STIFFNESSES),
+        *((f"alpha x {factor:g}", Case(factor * alpha, edge, law)) for factor in (0.5, 2.0)))}
+
+
+def scaling_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]:
+    """By what happens to the membrane, and density."""
+    edge = config["edge_mm"]
+    return {(label, density): Case(density / REFERENCE_DENSITY * alpha, edge, stiffness=stiffness,
+                                   density=density)
+            for density in DENSITIES for label, stiffness in (
+                ("scaled too", density / REFERENCE_DENSITY * BASE), ("always 200 N/m", BASE))}
+
+
+class Drapes:
     """Finished cases: what they report, and the drapes."""
 
     def __init__(self, folder: Path, reports: dict[str, dict]) -> None:
         self._folder, self.reports = folder, reports
 
-    def drape(self, name: str) -> SimpleNamespace:
+    def drape(self, case: Case) -> SimpleNamespace:
         """Rest, positions and faces of a case."""
-        return SimpleNamespace(**load_arrays(self._folder, name))
+        return SimpleNamespace(**load_arrays(self._folder, case.name))
 
-    def apart(self, name: str, other: str) -> float:
+    def apart(self, case: Case, other: Case) -> float:
         """Mean vertex displacement between two cases, mm; NaN if one has not converged."""
-        if any(self.reports[n]["status"] != Status.CONVERGED.value for n in (name, other)):
+        if any(self.reports[one.name]["status"] != Status.CONVERGED.value for one in (case, other)):
             return float("nan")
-        return 1e3 * compare(self.drape(name), self.drape(other)).displacement
+        return 1e3 * compare(self.drape(case), self.drape(other)).displacement
 
-    def same_folds(self, name: str, other: str) -> bool:
+    def same_folds(self, case: Case, other: Case) -> bool:
         """Whether two cases have the same fold configuration."""
         outlines = (fold_outline(d.positions, d.rest, Rig())
-                    for d in (self.drape(name), self.drape(other)))
+                    for d in (self.drape(case), self.drape(other)))
         return same_folds(*outlines)
 
 
-def ask_locking(plan: Plan, alpha: float) -> dict[tuple[str, float], str]:
-    """Names of the cases by label of LOCKING and edge, mm."""
-    edges = [*plan.config["coarse_mm"], plan.config["fine_mm"]]
+def answers(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict]]:
+    """Rows of the three questions for one fabric.
+
+    Of locking: distances from the fine mesh with the same membrane, from 200 N/m on the same mesh
+    and from 5000 N/m on the fine one; else from the case of 200 N/m, or of 300 g/m².
+    """
+    fine = config["fine_mm"]
+    locking, changed, scaled = (cases(alpha, config) for cases in (
+        locking_cases, insensitivity_cases, scaling_cases))
     return {
-        (label, edge): plan.case(alpha, *which, edge, folds_of=alpha)
-        for label, which in LOCKING.items() for edge in edges
+        "locking": [{
+            "membrane": label, "edge_mm": edge,
+            "from_own_fine_mesh_mm": drapes.apart(case, locking[label, fine]),
+            "from_200_same_mesh_mm": drapes.apart(case, locking["200 N/m", edge]),
+            "from_5000_fine_mesh_mm": drapes.apart(case, locking["5000 N/m", fine]),
+            "same_folds": drapes.same_folds(case, locking[label, fine]),
+            **drapes.reports[case.name]} for (label, edge), case in locking.items()],
+        "insensitivity": [{
+            "membrane": law, "change": change,
+            "moved_mm": drapes.apart(case, changed[law, f"{BASE:g} N/m"]),
+            "same_folds": drapes.same_folds(case, changed[law, f"{BASE:g} N/m"]),
+            **drapes.reports[case.name]} for (law, change), case in changed.items()],
+        "scaling": [{
+            "membrane": label, "density_g_m2": 1e3 * density,
+            "apart_mm": drapes.apart(case, scaled[label, REFERENCE_DENSITY]),
+            **drapes.reports[case.name]} for (label, density), case in scaled.items()],
     }
 
 
-def answer_locking(
-    results: Results, names: dict[tuple[str, float], str], config: dict
-) -> list[dict]:
-    """For each membrane and mesh: from its own fine mesh, from 200 N/m on the same mesh."""
-    return [
-        {
-            "membrane": label,
-            "edge_mm": edge,
-            "from_own_fine_mesh_mm": results.apart(name, names[label, config["fine_mm"]]),
-            "from_200_same_mesh_mm": results.apart(name, names["200 N/m", edge]),
-            "from_5000_fine_mesh_mm": results.apart(name, names["5000 N/m", config["fine_mm"]]),
-            "same_folds": results.same_folds(name, names[label, config["fine_mm"]]),
-            **results.reports[name],
-        }
-        for (label, edge), name in names.items()
-    ]
-
-
-def ask_insensitivity(plan: Plan, alpha: float) -> dict[tuple[str, str, str], str]:
-    """Names of the cases by law, change and start ("fold" or "flat")."""
-    names, edge = {}, plan.config["edge_mm"]
-    for start, folds_of in (("fold", alpha), ("flat", None)):
-        for law in LAWS:
-            for stiffness in STIFFNESSES:
-                names[law, f"{stiffness:g} N/m", start] = plan.case(
-                    alpha, law, stiffness, edge, folds_of=folds_of)
-            for factor in (0.5, 2.0):
-                names[law, f"alpha x {factor:g}", start] = plan.case(
-                    factor * alpha, law, BASE, edge, folds_of=folds_of)
-        names["woven", "yarns 5000, shear 40 N/m", start] = plan.case(
-            alpha, *WOVEN, edge, folds_of=folds_of)
-    return names
-
-
-def answer_insensitivity(results: Results, names: dict[tuple[str, str, str], str]) -> list[dict]:
-    """For each law and change: how far the drape lies from the one of 200 N/m, same start."""
-    rows = []
-    for (law, change, start), name in names.items():
-        base = names[law if law in LAWS else "corotational", f"{BASE:g} N/m", start]
-        rows.append({
-            "membrane": law, "change": change, "start": start,
-            "moved_mm": results.apart(name, base), "same_folds": results.same_folds(name, base),
-            **results.reports[name],
-        })
-    return rows
-
-
-def ask_scaling(plan: Plan, alpha: float) -> dict[tuple[str, float], str]:
-    """Names of the cases by what happens to the membrane, and density."""
-    names = {}
-    for density in DENSITIES:
-        factor = density / REFERENCE_DENSITY
-        for label, stiffness in (("scaled too", factor * BASE), ("always 200 N/m", BASE)):
-            names[label, density] = plan.case(
-                factor * alpha, "corotational", stiffness, plan.config["edge_mm"],
-                folds_of=alpha, density=density)
-    return names
-
-
-def answer_scaling(results: Results, names: dict[tuple[str, float], str]) -> list[dict]:
-    """For each density: how far the drape lies from the one at 300 g/m²."""
-    return [
-        {"membrane": label, "density_g_m2": 1e3 * density,
-         "apart_mm": results.apart(name, names[label, REFERENCE_DENSITY]),
-         **results.reports[name]}
-        for (label, density), name in names.items()
-    ]
-
-
-def print_tables(alpha: float, answers: dict[str, list[dict]], config: dict) -> None:
-    """Print what was found for one fabric."""
-    print(f"\n## alpha = {alpha:g} µN·m\n\nLocking, mean displacements in mm\n")
-    print(table(
-        ["membrane", "edges at the rim, mm", "drape coeff.", "from own fine mesh",
-         "from 200 N/m, same mesh", "from 5000 N/m, fine mesh", "same folds", "steps", "status"],
-        [[r["membrane"], r["edge_mm"], r["drape_coefficient"], r["from_own_fine_mesh_mm"],
-          r["from_200_same_mesh_mm"], r["from_5000_fine_mesh_mm"], r["same_folds"],
-          r["newton_steps"], r["status"]] for r in answers["locking"]]))
-    print(f"\nMoved from 200 N/m, {config['edge_mm']:g} mm edges at the rim\n")
-    print(table(
-        ["membrane", "change", "start", "moved, mm", "same folds", "status"],
-        [[r["membrane"], r["change"], r["start"], r["moved_mm"], r["same_folds"], r["status"]]
-         for r in answers["insensitivity"]]))
-    print("\nSame moduli/density\n")
-    print(table(
-        ["membrane", "g/m²", "from 300 g/m², mm", "status"],
-        [[r["membrane"], r["density_g_m2"], r["apart_mm"], r["status"]]
-         for r in answers["scaling"]]))
-
-
-def weight_alone() -> float:
-    """Upper bound, mm, of what doubling 200 N/m moves cloth that hangs straight from the plate.
-
-    The longest line of a square specimen runs from the rim to a corner; under its own weight it
-    stretches by density g L²/(2 k).
-    """
-    rig = Rig()
-    length = rig.specimen_size / np.sqrt(2) - rig.plate_radius
-    return 1e3 * REFERENCE_DENSITY * GRAVITY * length**2 / 2 * (1 / BASE - 1 / DOUBLE)
-
-
-def picture(results: Results, locking: dict[float, dict], config: dict) -> Figure:
+def picture(drapes: Drapes, config: Config) -> Figure:
     """The stiff membrane on the coarsest mesh without and with the guard, and on the fine one."""
     coarse, fine = config["coarse_mm"][0], config["fine_mm"]
     columns = [("5000 N/m", coarse), ("5000 N/m, guarded", coarse), ("200 N/m", coarse),
                ("5000 N/m", fine), ("5000 N/m, guarded", fine), ("200 N/m", fine)]
-    figure = Figure(figsize=(3.0 * len(columns), 3.1 * len(locking)), layout="constrained")
-    axes = figure.subplots(len(locking), len(columns), squeeze=False)
-    for row, (alpha, names) in zip(axes, locking.items(), strict=True):
+    alphas = config["alpha"]
+    figure = Figure(figsize=(3.0 * len(columns), 3.1 * len(alphas)), layout="constrained")
+    axes = figure.subplots(len(alphas), len(columns), squeeze=False)
+    for row, alpha in zip(axes, alphas, strict=True):
+        cases = locking_cases(alpha, config)
         for axis, (label, edge) in zip(row, columns, strict=True):
-            d = results.drape(names[label, edge])
+            d = drapes.drape(cases[label, edge])
             axis.imshow(shade(d.positions, d.faces, plate_radius=Rig().plate_radius))
             axis.set_title(f"{label}, {edge:g} mm\nα = {alpha:g} µN·m", fontsize=9)
             axis.axis("off")
@@ -265,32 +195,26 @@ def picture(results: Results, locking: dict[float, dict], config: dict) -> Figur
 
 
 def run(config: Config) -> Result:
-    """Ask, drape, answer, and print the tables."""
-    plan = Plan(config)
-    asked = {
-        alpha: {"locking": ask_locking(plan, alpha),
-                "insensitivity": ask_insensitivity(plan, alpha),
-                "scaling": ask_scaling(plan, alpha)}
-        for alpha in config["alpha"]
-    }
-    run = {"folder": plan.folder, "workers": config["workers"]}
-    run_cases(settle, plan.starts, **run)
-    results = Results(plan.folder, run_cases(settle, plan.cases, **run))
-    answers = {
-        alpha: {"locking": answer_locking(results, names["locking"], config),
-                "insensitivity": answer_insensitivity(results, names["insensitivity"]),
-                "scaling": answer_scaling(results, names["scaling"])}
-        for alpha, names in asked.items()
-    }
-    for alpha, found in answers.items():
-        print_tables(alpha, found, config)
-    worst = max(r["apart_mm"] for found in answers.values() for r in found["scaling"]
-                if r["membrane"] == "scaled too")
+    """Drape, answer, and print the tables."""
+    folder = Path(config["cases"])
+    options = {"folder": folder, "workers": config["workers"]}
+    starts = {alpha: Case(alpha, config["start_mm"]) for alpha in config["alpha"]}
+    run_cases(settle, {f"start_{case.name}": {**asdict(case), "seed": config["seed"], "begin": None}
+                       for case in starts.values()}, **options)
+    drapes = Drapes(folder, run_cases(settle, {
+        case.name: {**asdict(case), "seed": config["seed"],
+                    "begin": str(folder / f"start_{start.name}.npz")}
+        for alpha, start in starts.items()
+        for cases in (locking_cases, insensitivity_cases, scaling_cases)
+        for case in cases(alpha, config).values()}, **options))
+    found = {alpha: answers(alpha, drapes, config) for alpha in config["alpha"]}
+    for alpha, questions in found.items():
+        for question, rows in questions.items():
+            print(f"\n{question}, alpha = {alpha:g} µN·m\n")
+            print(table(rows[0], [row.values() for row in rows]))
+    worst = max(row["apart_mm"] for questions in found.values() for row in questions["scaling"]
+                if row["membrane"] == "scaled too")
     print(f"\nscaling: largest difference {worst:.1e} mm (limit {LIMIT} mm)")
-    bound = weight_alone()
-    print(f"weight alone would move a corner by {bound:.2f} mm when 200 N/m are doubled")
-    locking = {alpha: names["locking"] for alpha, names in asked.items()}
-    return Result({
-        "scaling_worst_mm": worst, "weight_alone_mm": bound,
-        "fabrics": {f"{alpha:g}": found for alpha, found in answers.items()},
-    }, picture(results, locking, config))
+    return Result({"scaling_worst_mm": worst,
+                   "fabrics": {f"{alpha:g}": questions for alpha, questions in found.items()}},
+                  picture(drapes, config))

@@ -6,7 +6,7 @@ every law, without coarser meshes before it. Compared are
 
 - two of the graded triangulations that drapes are made on, and a mesh of triangles of one size
   that has about as many of them, for the default law and for hinge laws;
-- the same for the default law on coarser meshes, and each with the finest graded one;
+- the same for the default law on coarser meshes;
 - a graded mesh with itself, started from the common shape and from the uniform mesh's drape: the
   remaining distance is between minima that the mesh itself creates.
 
@@ -79,17 +79,6 @@ def compare_meshes(finished: Finished, fabric: str, law: str, edge_mm: float) ->
     return rows
 
 
-def compare_refinements(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
-    """Differences of each mesh, graded and uniform, from the finest graded one."""
-    *coarser, finest = sorted(config["refinement_mm"], reverse=True)
-    return [
-        {"fabric": fabric, "mesh": mesh, "edge_mm": mm, "finest_mm": finest,
-         **finished.difference(case_name(fabric, DEFAULT_LAW, "graded", finest),
-                               case_name(fabric, DEFAULT_LAW, mesh, mm))}
-        for fabric in fabrics for mm in coarser for mesh in ("graded", "uniform")
-    ]
-
-
 def compare_returns(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
     """Differences between two equilibria on one mesh, reached from two sides."""
     return [
@@ -135,7 +124,6 @@ def run(config: Config) -> Result:
     pairs = {key: compare_meshes(finished, *key) for key in dict.fromkeys(of_laws + of_spacings)}
     meshes, spacings = ([row for key in keys for row in pairs[key]]
                         for keys in (of_laws, of_spacings))
-    refinement = compare_refinements(finished, fabrics, config)
     returns = compare_returns(finished, fabrics, config)
     summary = summarise(meshes)
 
@@ -148,14 +136,6 @@ def run(config: Config) -> Result:
           "in brackets: of different folds\n")
     print(table(["fabric", *(f"{mm:g} mm" for mm in sorted(config["refinement_mm"], reverse=True))],
                 spacing_rows(spacings)))
-    print(f"\nMeshes against the graded one of {min(config['refinement_mm']):g} mm at the rim\n")
-    print(table(
-        ["fabric", "edges, mm", "mesh", "triangles", "mean, mm", "largest, mm", "curvature",
-         "folds", "same folds", "seconds"],
-        [[row["fabric"], row["edge_mm"], row["mesh"],
-          finished.results[row["drapes"][1]]["triangles"], *_cells(row),
-          finished.results[row["drapes"][1]]["seconds"]] for row in refinement],
-    ))
     print("\nOne graded mesh, reached from two sides\n")
     print(table(["fabric", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
                 [[row["fabric"], *_cells(row)] for row in returns]))
@@ -173,8 +153,7 @@ def run(config: Config) -> Result:
         "fabrics_alpha_uN_m": {name: FABRICS[name] for name in fabrics},
         "beta_over_alpha_mm": SOFTENING,
         "limit_mm": LIMIT, "passed": passed, "summary": summary,
-        "meshes": meshes, "spacings": spacings, "refinement": refinement, "returns": returns,
-        "drapes": results,
+        "meshes": meshes, "spacings": spacings, "returns": returns, "drapes": results,
     }, draw(finished, fabrics, config))
 
 

@@ -118,10 +118,9 @@ def run(config: Config) -> Result:
 
     rows = [match(scan, targets[scan.name], search, rig) for scan in scans]
     print(table(
-        ["scan", "drape coefficient", "simulated", "α, µN·m", "folds", "simulated folds",
-         "outline, mm"],
+        ["scan", "drape coefficient", "simulated", "α, µN·m", "folds", "simulated folds"],
         [[row["scan"], f"{row['coefficient']:.1f} %", f"{row['simulated_coefficient']:.1f} %",
-          row["alpha_uN_m"], row["folds"], row["simulated_folds"], f"{row['outline_mm']:.1f}"]
+          row["alpha_uN_m"], row["folds"], row["simulated_folds"]]
          for row in rows],
     ))
     worst = max(abs(row["difference"]) for row in rows)
@@ -140,7 +139,6 @@ def match(scan: Scan, coefficient: float, search: Search, rig: Rig) -> dict:
     outline = fold_outline(scan.positions, scan.rest, rig)
     simulated = fold_outline(shape["positions"], shape["rest"], rig)
     turn = best_turn(outline, simulated)
-    gap = outline - turn_cloth(simulated, turn)
     return {
         "scan": scan.name,
         "coefficient": coefficient,
@@ -150,13 +148,7 @@ def match(scan: Scan, coefficient: float, search: Search, rig: Rig) -> dict:
         "folds": len(fold_angles(outline)),
         "simulated_folds": nearest["folds"],
         "turn_degrees": float(np.degrees(turn)),
-        "outline_mm": float(1e3 * np.sqrt((gap**2).sum(axis=1).mean())),
     }
-
-
-def turn_cloth(outline: np.ndarray, angle: float) -> np.ndarray:
-    """An outline (720, 2) after its specimen has turned by ``angle``, radians."""
-    return np.roll(turned(outline, angle), round(angle * len(outline) / (2 * np.pi)), axis=0)
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:
