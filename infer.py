@@ -38,7 +38,7 @@ from sim.mesh.specimens import check_edge
 DRAPES = 2  # of the report of a single capture
 
 
-@command("infer", InferConfig)
+@command("infer", InferConfig, swept_out=".")
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
