@@ -23,7 +23,14 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
-from drapenet.output import ESTIMATE, keep_estimate, require_output, write_estimate, write_files
+from drapenet.output import (
+    ESTIMATE,
+    keep_estimate,
+    require_output,
+    result_name,
+    write_estimate,
+    write_files,
+)
 from drapenet.sources import header_for, read_scan_capture
 from drapenet.table import format_table
 from sim.mesh.specimens import check_edge
@@ -31,7 +38,7 @@ from sim.mesh.specimens import check_edge
 DRAPES = 2  # of the report of a single capture
 
 
-@command("infer", InferConfig)
+@command("infer", InferConfig, swept_out=".")
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
@@ -50,10 +57,11 @@ def main(config: InferConfig) -> None:
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
     header = header_for(captures, config.checkpoint)
-    name = captures[0].path.resolve().stem if len(captures) == 1 else "joint"
-    out = Path(config.out or Path("outputs/infer") / name)
+    paths = [capture.path for capture in captures]
+    out = Path(config.out or Path("outputs/infer") / result_name(paths))
     folders = [out] if len(captures) == 1 else [out / f"capture_{k}" for k in range(len(captures))]
-    for folder in {out, *folders}:
+    require_output(out, paths)
+    for folder in folders:
         require_output(folder)
     with deferred():  # torch takes seconds, and a bad capture should be refused at once
         from drapenet.inference import estimate_capture

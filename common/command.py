@@ -7,6 +7,7 @@ top of Hydra's own command line, with its options, groups, sweeps and launchers:
 - the value of a text needs no quotes, whatever a path contains, except ``${key}``, which stands for
   the value of a key. In a sweep (``--multirun``) it is Hydra's grammar, where commas separate jobs;
 - a list of numbers needs no brackets;
+- each job of a sweep has an ``out`` that no other has: by default its folder of the sweep;
 - the first word may stand for the value of a key, or choose among several commands
   (:func:`commands`).
 """
@@ -20,7 +21,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
@@ -34,7 +35,8 @@ _GLOBAL = "# @package _global_\n"
 
 
 def command(
-    name: str, schema: type, *, check: Callable[[Any], object] | None = None, first: str = ""
+    name: str, schema: type, *, check: Callable[[Any], object] | None = None, first: str = "",
+    swept_out: str | None = None,
 ) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
     """Decorator: a function of a ``schema`` object becomes the command of ``configs/NAME.yaml``.
 
@@ -44,11 +46,13 @@ def command(
     Args:
         check: raises InputError for settings that make no sense, before the jobs of a sweep start.
         first: the key whose value the first word is, unless that sets a key.
+        swept_out: the default of ``out`` in a sweep, relative to the job's folder. None: the name
+            of the file that it is without a sweep, or the folder itself; nothing where it is empty.
     """
 
     def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
         def main(words: Sequence[str] | None = None) -> None:
-            run = functools.partial(_run, task, name, schema, check, first)
+            run = functools.partial(_run, task, name, schema, check, first, swept_out)
             run_command(run) if words is None else run(list(words))
 
         return functools.wraps(task)(main)
@@ -79,7 +83,7 @@ def commands(
 
 def _run(
     task: Callable[[Any], None], name: str, schema: type, check: Callable[[Any], object] | None,
-    first: str, words: list[str],
+    first: str, swept_out: str | None, words: list[str],
 ) -> None:
     from hydra import main
     from hydra.core.hydra_config import HydraConfig
@@ -91,20 +95,30 @@ def _run(
         "help", lambda: describe(name, sys.modules[task.__module__].__doc__), replace=True)
     words, overrides, sweep = _hydra_words(name, schema, first, words)
     failed: list[Exception] = []
+    inside: str | None = None  # a sweep's job's folder, its out=
 
     @functools.wraps(task)  # Hydra looks where the task is from
     def job(config: Any) -> None:
+        swept, folder = HydraConfig.get().mode is RunMode.MULTIRUN, _job_folder()
         try:
             with explained(name, schema, overrides):
+                if inside is not None:
+                    config.out = str(folder / inside)
                 settings = as_schema(config, schema)
             task(settings)
         except Exception as error:
-            if HydraConfig.get().mode is RunMode.MULTIRUN:
+            if swept:
                 raise
             failed.append(error)  # past Hydra, which would print its words
+        finally:
+            if swept:
+                with suppress(OSError):  # what is in it stays
+                    folder.rmdir()
 
     argv, full = sys.argv, os.environ.get(FULL_ERROR, "0")
     with explained(name, schema, overrides, sweep=sweep):
+        if sweep:
+            inside = _swept_out(name, overrides, swept_out)
         if sweep and check:
             check(as_schema(_compose(name, _single(overrides)), schema))
         try:  # Hydra reads the command line itself, and should raise its errors
@@ -152,12 +166,58 @@ def _hydra_words(
 
 
 def _single(overrides: list[str]) -> list[str]:
-    """Overrides of the job alone that give a key one value."""
+    """Overrides of the job alone that give a key one value; ``out`` may depend on the job."""
+    return [word for word, override in zip(overrides, _parsed(overrides), strict=True)
+            if not word.lstrip("+~").startswith(("hydra", "out=")) and
+            not override.is_sweep_override()]
+
+
+def _parsed(overrides: list[str]) -> list[Any]:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    parsed = OverridesParser.create().parse_overrides(overrides)
-    return [word for word, override in zip(overrides, parsed, strict=True)
-            if not word.lstrip("+~").startswith("hydra") and not override.is_sweep_override()]
+    return OverridesParser.create().parse_overrides(overrides)
+
+
+def _swept_out(name: str, overrides: list[str], swept_out: str | None) -> str | None:
+    """``out`` relative to the folder of each job of a sweep; None where ``out`` is given, the
+    command has none, or the jobs are those that the command's file divides one result into.
+
+    Raises:
+        InputError: an ``out`` that several jobs share.
+    """
+    content = read_config(name)
+    divided = content.get("hydra", {}).get("sweeper", {}).get("params", {}).keys()
+    parsed = _parsed(overrides)
+    swept = {one.key_or_group for one in parsed if one.is_sweep_override()}
+    if "out" not in content or (divided and swept <= divided):
+        return None
+    given = [one for one in parsed if one.key_or_group == "out"]
+    if not given:
+        default = Path(content["out"])
+        named = default.name if default.suffix else "."
+        return swept_out or (named if content["out"] else None)
+    value = given[0].input_line.partition("=")[2].strip("".join(_QUOTES))
+    for key in sorted(swept - {"out"} if value and "${hydra:" not in value else ()):
+        if not re.search(rf"\${{{re.escape(key)}[.}}]", value):
+            own = f"${{{key}}}" if _is_scalar(content, key) else "${hydra:job.num}"
+            raise InputError(f"out={value} is the same for all values of {key}: each job would "
+                             f"overwrite the one before; give 'out={value}/{own}', or no out=, so "
+                             "that each job has a folder in outputs/sweeps")
+    return None
+
+
+def _is_scalar(content: Any, key: str) -> bool:
+    for part in key.split("."):
+        content = content.get(part) if isinstance(content, dict) else None
+    return isinstance(content, str | int | float)
+
+
+def _job_folder() -> Path:
+    """Of the job of a sweep under way."""
+    from hydra.core.hydra_config import HydraConfig
+
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    return folder.relative_to(Path.cwd()) if Path.cwd() in folder.parents else folder
 
 
 def to_hydra(word: str, schema: type) -> str:

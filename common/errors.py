@@ -1,6 +1,6 @@
 """The one exception that stands for a user's mistake."""
 
-LONGEST = 700  # characters of a message
+LONGEST, LONGEST_LIST = 700, 4000  # characters of a message, of one that lists many faults
 
 
 class InputError(ValueError):
@@ -11,9 +11,9 @@ class InputError(ValueError):
     may have lines, be long or be no text: the message is one short line of text all the same.
     """
 
-    def __init__(self, message: str) -> None:
-        if len(message) > LONGEST:
-            message = f"{message[: LONGEST // 2]} … {message[-LONGEST // 2 :]}"
+    def __init__(self, message: str, *, longest: int = LONGEST) -> None:
+        if len(message) > longest:
+            message = f"{message[: longest // 2]} … {message[-longest // 2 :]}"
         super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode()
                                  for c in message))
 

@@ -44,7 +44,7 @@ class CaptureConfig:
     board: str
 
 
-@command("capture", CaptureConfig)
+@command("capture", CaptureConfig, swept_out=".")
 def main(config: CaptureConfig) -> None:
     """Cut out, and write the capture and its picture; or write a board."""
     if config.board:

@@ -147,12 +147,22 @@ def _read(path: Path) -> Capture:
 
 
 def captures_in(path: Path) -> list[Path]:
-    """The captures that ``path`` names: itself, or those in a folder of captures, by name."""
+    """The captures that ``path`` names: itself, or those in a folder of captures, or of samples
+    with captures, by name.
+
+    Raises:
+        InputError: a folder of fabrics.
+    """
     if not path.is_dir() or any((path / mark).exists() for mark in MARKS):
         return [path]
-    inside = sorted(folder for folder in path.iterdir()
-                    if any((folder / mark).is_file() for mark in MARKS))
-    return inside or [path]
+    for below in ("*", "*/*", "*/*/*"):
+        found = sorted({file.parent for mark in MARKS for file in path.glob(f"{below}/{mark}")})
+        if found and below.count("/") == 2:
+            raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({found[0]}): give "
+                             f"captures={path} for an estimate of each fabric")
+        if found:
+            return found
+    return [path]
 
 
 def require_alike(rigs: Iterable[str], marked: Iterable[bool]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from common.ctrl_c import require_interruption
-from common.errors import InputError, one_line
+from common.errors import LONGEST_LIST, InputError, one_line
 from data.cameras import Camera
 from data.captures import Capture
 from data.setups import Setups
@@ -18,7 +18,7 @@ from drapenet.checkpoint import Header, load_model
 from drapenet.content import interval_table, to_json
 from drapenet.estimate import Estimate, make_estimate
 from drapenet.maps import located_camera
-from drapenet.output import PAGE, REPORT, SHAPES, TORQUES
+from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
 from drapenet.pages import render
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts
@@ -118,13 +118,13 @@ def estimate_capture(
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
     doubts = capture_doubts(capture, header.setups, camera, found)
-    if strict and (wrong := [*capture.warnings, *doubts]):
-        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        raise InputError(f"{capture.path}: refused: {wrong[0]}{more}; strict=false estimates "
-                         "it anyway")
+    if strict and (wrong := [*doubts, *capture.warnings]):  # pixels left out are the least of it
+        count = f"{len(wrong)} faults" if len(wrong) > 1 else "one fault"
+        raise InputError(f"{capture.path}: refused for {count}: {'; '.join(wrong)}; strict=false "
+                         "estimates it anyway", longest=LONGEST_LIST)
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
-    name = os.fsencode(capture.path.resolve().name).decode(errors="replace")
+    name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
 
     def content() -> dict[str, Any]:
         known_by_now = to_json(estimate, capture=about, source=source)

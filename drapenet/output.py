@@ -2,24 +2,64 @@
 run; of a capture among hundreds also what the tables and pages are made of.
 """
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from common.documents import read_json
 from common.errors import InputError
 from common.files import remove_file, replace_file, replace_json, require_file, require_folder
 
 ESTIMATE = "estimate.json"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
 SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
+NAMED_PARTS = 3  # of a path, in the name of its results
 DONE, SAMPLES, THUMBNAIL = "done.json", "samples.npz", "view.png"
 
 
-def require_output(out: Path) -> None:
-    """InputError where the files cannot be written to ``out``; to be known before long work."""
+def result_name(sources: Sequence[Path]) -> str:
+    """The name of the results of these captures: the last parts of their path, for FABRIC, SAMPLE
+    and CAPTURE; of several captures, those of the folder that they share.
+    """
+    places = [Path(os.path.abspath(source)) for source in sources]
+    several = len(places) > 1
+    path = Path(os.path.commonpath([one.parent for one in places])) if several else places[0]
+    if path.is_file():
+        path = path.with_suffix("")
+    if Path.cwd() in path.parents:
+        path = path.relative_to(Path.cwd())
+    return "_".join(last_parts(path) + ["joint"] * several)
+
+
+def last_parts(path: Path) -> list[str]:
+    """The last names of a path, which say what it is of: FABRIC, SAMPLE and CAPTURE."""
+    named = path if path.name and ".." not in path.parts else path.resolve()
+    return [part for part in named.parts if part != named.anchor][-NAMED_PARTS:]
+
+
+def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
+    """To be known before long work: whether the files of ``sources`` can be written to ``out``.
+
+    Raises:
+        InputError: the system refuses, or the estimate of another source is there.
+    """
     require_folder(out)
     for name in SHOWN:
         require_file(out / name)
+    if not sources:
+        return
+    try:
+        found = read_json(out / ESTIMATE)["capture"]
+        there = found.get("sources") or [found["source"]]
+        others = {os.path.realpath(one): one for one in there}
+    except (InputError, KeyError, TypeError, AttributeError, ValueError):  # none, or damaged
+        return
+    for source in sources:
+        others.pop(os.path.realpath(source), None)
+    if others:
+        raise InputError(f"{out} holds the estimate of {next(iter(others.values()))}, which would "
+                         f"be overwritten; give another out=, or remove {out / ESTIMATE}")
 
 
 def keep_estimate(out: Path, content: dict[str, Any]) -> None:

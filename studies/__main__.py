@@ -50,7 +50,7 @@ def write_page(*, pictures: bool = False) -> None:
 def run_study(name: str, words: list[str]) -> None:
     """Run the study ``name`` under the overrides ``words``; write its report and picture."""
 
-    @command(f"study/{name}", schema_of(f"study/{name}"))
+    @command(f"study/{name}", schema_of(f"study/{name}"), swept_out=f"{name}.json")
     def run(settings: Any) -> None:
         study, config = study_named(name), asdict(settings)
         out = Path(config["out"]) if config["out"] else study.report

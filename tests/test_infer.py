@@ -20,7 +20,7 @@ import infer
 from common.cli import run_command
 from common.errors import InputError
 from data.cameras import Intrinsics
-from data.captures import read_capture, write_capture
+from data.captures import captures_in, read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
 from sim.material import DIRECTIONS, MICRO, is_admissible
 
@@ -52,14 +52,20 @@ def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
 
 
 def test_a_doubtful_capture_is_refused_where_that_is_wanted(
-    capture: Path, checkpoint: Path
+    capture: Path, checkpoint: Path, tmp_path: Path
 ) -> None:
     first, second = capture / "view_1.png", capture / "view_2.png"
     first.rename(capture / "other.png")
     second.rename(first)
     (capture / "other.png").rename(second)
-    with pytest.raises(InputError, match=r"refused: .*; strict=false estimates"):
+    with pytest.raises(InputError) as refusal:
         infer.main(words(capture, checkpoint, "strict=true"))
+    infer.main(words(capture, checkpoint, "drapes=0", f"out={tmp_path / 'doubted'}"))
+    content = json.loads((tmp_path / "doubted" / "estimate.json").read_text())
+    assert len(content["warnings"]) > 1
+    assert str(refusal.value).endswith("; strict=false estimates it anyway")
+    assert f"refused for {len(content['warnings'])} faults: " in str(refusal.value)
+    assert all(line in str(refusal.value) for line in content["warnings"])
     assert not (capture.parent / "out" / "estimate.json").exists()
 
 
@@ -201,6 +207,38 @@ def test_a_folder_is_named_as_it_is_written(
     monkeypatch.chdir(capture.rename(capture.parent / "007").parent)
     infer.main(["capture=007", f"checkpoint={checkpoint}", "drapes=0"])
     assert (capture.parent / "outputs" / "infer" / "007" / "estimate.json").exists()
+
+
+def test_the_estimate_of_another_capture_is_not_overwritten(
+    capture: Path, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for fabric in ("poplin", "denim"):
+        shutil.copytree(capture, tmp_path / "raw" / fabric / "s1" / "c1")
+    monkeypatch.chdir(tmp_path)
+    more = [f"checkpoint={checkpoint}", "drapes=0"]
+    for fabric in ("poplin", "denim"):
+        infer.main([f"capture=raw/{fabric}/s1/c1", *more])
+    found = sorted(tmp_path.glob("outputs/infer/*"))
+    assert [one.name for one in found] == ["denim_s1_c1", "poplin_s1_c1"]
+    kept = (found[1] / "estimate.json").read_bytes()
+    with pytest.raises(InputError, match=r"holds the estimate of raw/poplin/s1/c1, which would "):
+        infer.main(["capture=raw/denim/s1/c1", f"out={found[1]}", *more])
+    assert (found[1] / "estimate.json").read_bytes() == kept
+    (found[1] / "estimate.json").write_text("{")  # damaged: nobody's
+    infer.main(["capture=raw/poplin/s1/c1", *more])
+    assert (found[1] / "estimate.json").read_bytes() == kept
+
+
+def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path: Path) -> None:
+    for place in ("poplin/s1/c1", "poplin/s1/c2", "poplin/s2/c1"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "capture.yaml").touch()
+    fabric = tmp_path / "poplin"
+    assert captures_in(fabric) == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
+    assert captures_in(fabric / "s1") == [fabric / "s1/c1", fabric / "s1/c2"]
+    assert captures_in(fabric / "s1" / "c1") == [fabric / "s1/c1"]
+    with pytest.raises(InputError, match=r"looks like FABRIC/SAMPLE/CAPTURE .*: give captures="):
+        captures_in(tmp_path)
 
 
 def test_estimate_says_what_it_is(

@@ -1,5 +1,6 @@
 """Commands as Hydra applications: words, complaints, options of Hydra's own."""
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, fields, is_dataclass
@@ -16,6 +17,7 @@ from apps import drape
 from apps.cantilever import EstimateConfig, HangConfig
 from apps.drape import DrapeConfig
 from common.command import (
+    _swept_out,
     command,
     commands,
     compose_config,
@@ -288,6 +290,66 @@ def test_one_run_leaves_nothing_behind_and_a_sweep_its_folder(run, tmp_path, cap
     assert [(one.count, one.name, one.inner.text) for one in found] == [
         (1, "a", "x_1"), (1, "b", "x_1"), (2, "a", "x_2"), (2, "b", "x_2")]
     assert (tmp_path / "logs" / "multirun.yaml").exists() and Path.cwd() == tmp_path
+
+
+@pytest.fixture
+def made(run, tmp_path):
+    """A command that writes a file to its ``out``; given words, all files in its folder."""
+    file = tmp_path / "words.yaml"
+    file.write_text(file.read_text() + "out: outputs/words\n")
+
+    @dataclass
+    class Made(Words):
+        out: str
+
+    @command("words", Made)
+    def main(words: Made) -> None:
+        folder = Path(words.out or ".")
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "made.txt").write_text(f"{words.count} {words.name}")
+
+    def answer(*words: str) -> dict[str, str]:
+        main([*words, "hydra.sweep.dir=sweep"])
+        return {str(file.relative_to(tmp_path)): file.read_text()
+                for file in sorted(tmp_path.rglob("made.txt"))}
+
+    return answer
+
+
+def test_each_job_of_a_sweep_has_its_own_folder(made):
+    assert made("-m", "count=1,2") == {"sweep/0/made.txt": "1 a", "sweep/1/made.txt": "2 a"}
+    assert "outputs/words/made.txt" in made("count=5")
+
+
+@pytest.mark.parametrize(("words", "places"), [
+    (["count=1,2", "out=x/${count}"], ["x/1", "x/2"]),
+    (["count=1,2", "name=b,c", "out=x/${hydra:job.num}"], ["x/0", "x/1", "x/2", "x/3"]),
+    (["count=1", "out=x"], ["x"]), (["out=x,y"], ["x", "y"])])
+def test_a_sweep_with_places_of_its_own_leaves_no_empty_folder(made, tmp_path, words, places):
+    assert list(made("-m", *words)) == [f"{place}/made.txt" for place in places]
+    assert [file.name for file in (tmp_path / "sweep").iterdir()] == ["multirun.yaml"]
+
+
+@pytest.mark.parametrize(("words", "remedy"), [
+    (["count=1,2", "out=x"], "give 'out=x/${count}', or no out="),
+    (["inner.number=1,2", "out=x"], "give 'out=x/${inner.number}'"),
+    (["numbers=[1],[2]", "out=x"], "give 'out=x/${hydra:job.num}'"),
+    (["count=1,2", "name=b,c", "out=x/${name}"], "the same for all values of count"),
+    (["count=1,2", "out=x,y"], "the same for all values of count")])
+def test_jobs_that_would_overwrite_each_other_are_refused(made, tmp_path, words, remedy):
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(InputError, match=re.escape(remedy)):
+        made("-m", *words)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_parts_of_a_dataset_share_its_folder():
+    for words in ([], ["part=3,7"], ["launcher=joblib", "out=x"]):
+        assert _swept_out("generate", words, None) is None
+    assert _swept_out("generate", ["seed=1,2"], None) == "."
+    assert _swept_out("infer", ["refine=none,depth"], ".") == "."
+    assert _swept_out("prior_fit", ["model=vae1,vae2"], None) == "prior.json"
+    assert _swept_out("export", ["to=usd,jfab"], None) is None  # beside the estimate
 
 
 def test_a_program_error_keeps_its_traceback_and_its_type(monkeypatch, tmp_path):
