@@ -211,7 +211,7 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
     work = {"workers": config["workers"], "sources": ESTIMATOR}
     folder = Path(config["cases"])
     estimates = run_cases(estimated, {
-        path.stem: {"path": str(path), "refine": config["refine"]} for path, _ in pairs},
+        path.stem: {"path": str(path), "refine": config["refined"]} for path, _ in pairs},
         folder=folder / "estimated", **work)
     prior = {"theta": _disc().scale.mean[:6].tolist(), "friction": 0.0}
     cases = {}
@@ -233,7 +233,8 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics, and scans where there are some."""
-    simulated = {key: value for key, value in config.items() if key not in ("scanned", "samples")}
+    simulated = {{"refined": "refine"}.get(key, key): value for key, value in config.items()
+                 if key not in ("scanned", "samples")}
     return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR, inside="simulated"),
             "scans": _let_go(config)}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from common.command import schema_of
-from common.configs import CONFIG_DIR
+from common.configs import CONFIG_DIR, group_options
 from studies.__main__ import ORDER, main, reports, study_named
 from studies.captured import draped, ideal, read, seen, specimen
 from studies.recognition import DESCRIPTIONS, nearest
@@ -24,8 +24,9 @@ def test_every_study_has_a_config_a_report_and_a_picture(name):
     study = study_named(name)
     assert study.name == name and (CONFIG_DIR / "study" / f"{name}.yaml").is_file()
     report = json.loads(study.report.read_text(encoding="utf-8"))
-    assert set(report["settings"]) == {
-        field.name for field in fields(schema_of(f"study/{name}"))}
+    keys = {field.name for field in fields(schema_of(f"study/{name}"))}
+    assert set(report["settings"]) == keys
+    assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
     assert study.report.with_suffix(".png").is_file()
 
 
