@@ -17,7 +17,7 @@ InputError of one line that names the file.
 import math
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,6 +45,7 @@ from sim.scene import Rig
 MARKS = ("capture.yaml", "density.txt")
 """Of these files a capture of either format has one."""
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
+DENSITIES_APART = 0.1  # as a share of the least, of specimens of one fabric
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
 SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is no cloth
@@ -165,17 +166,25 @@ def captures_in(path: Path) -> list[Path]:
     return [path]
 
 
-def require_alike(rigs: Iterable[str], marked: Iterable[bool]) -> None:
+def require_alike(
+    rigs: Iterable[str], marked: Iterable[bool], densities: Sequence[float]
+) -> None:
     """InputError for captures that cannot be of one fabric's estimate.
 
     Args:
         rigs: of the captures.
         marked: whether each says where the warp lies.
+        densities: kg/m².
     """
     for what, values in (("rig", set(rigs)), ("warp_direction_deg", set(marked))):
         if len(values) > 1:
             raise InputError(f"captures of one fabric must agree in {what}; give those that do not "
                              "as another fabric")
+    least, most = min(densities), max(densities)
+    if most > (1 + DENSITIES_APART) * least:
+        raise InputError(f"captures of one fabric state densities from {1e3 * least:g} to "
+                         f"{1e3 * most:g} g/m², more than {DENSITIES_APART:.0%} apart; correct "
+                         "density_g_m2, or give different fabrics apart")
 
 
 def write_capture(

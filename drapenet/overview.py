@@ -112,7 +112,8 @@ def _finished(out: Path, entry: Entry) -> Finished:
 
 def _fabric(name: str, captures: list[Finished]) -> FabricResult:
     require_alike([one.content["capture"]["rig"] for one in captures],
-                  [one.estimate.names == WARP_WEFT for one in captures])
+                  [one.estimate.names == WARP_WEFT for one in captures],
+                  [one.estimate.density for one in captures])
     place = Path(captures[0].entry.place.parts[0])
     if len(captures) == 1:
         return FabricResult(name, place, captures, captures[0].content, np.full(3, np.nan))

@@ -35,11 +35,12 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
     """The checkpoint for captures of one rig, and of one naming; the bundled one if none is named.
 
     Raises:
-        InputError: several rigs, some captures with a marked warp and some without, or a checkpoint
-            of another rig.
+        InputError: several rigs or densities, some captures with a marked warp and some without, or
+            a checkpoint of another rig.
     """
     require_alike([one.rig for one in captures],
-                  [one.warp_direction is not None for one in captures])
+                  [one.warp_direction is not None for one in captures],
+                  [one.density for one in captures])
     header = known_header(checkpoint or str(bundled(captures[0].rig)))
     header.require_rig(captures[0].rig)
     return header

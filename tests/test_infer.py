@@ -296,6 +296,9 @@ def test_captures_of_one_fabric_give_one_estimate(
         assert {*alone} - {"resimulation"} <= {*content}
     file = tmp_path / "fabric" / "b" / "capture.yaml"
     changed = yaml.safe_load(file.read_text())
+    file.write_text(yaml.safe_dump(changed | {"density_g_m2": 166.0}))
+    with pytest.raises(InputError, match="densities from 150 to 166 g/m², more than 10% apart"):
+        infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
     changed.pop("warp_direction_deg")
     file.write_text(yaml.safe_dump(changed))
     with pytest.raises(InputError, match="agree in warp_direction_deg"):

@@ -1,5 +1,7 @@
 """Several captures of one fabric."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,10 @@ from data.prior import load_prior
 from drapenet import joint
 from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
 from drapenet.estimate import Estimate
+from drapenet.inference import infer_capture
+from drapenet.sources import header_for, read_scan_capture
+
+SCANS = Path(__file__).parents[3] / "shared" / "scans"
 
 
 def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, str]) -> Estimate:
@@ -48,13 +54,51 @@ def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.Monke
         np.full(3, 0.4**0.5), rel=0.05)
 
 
-def test_a_capture_of_another_fabric_is_named() -> None:
+def test_captures_of_another_fabric_are_named_and_no_other() -> None:
     prior = joint.fabric_prior(WARP_WEFT)
     likelihood = np.diag((0.1 * prior.deviation) ** 2)
     one = posterior(prior.mean, likelihood, WARP_WEFT)
     other = posterior(prior.mean + 1.5 * prior.deviation, likelihood, WARP_WEFT)
-    found = joint.joined([one, one, other], ["first", "second", "third"])
-    assert any(line.startswith("third contradicts the other captures") for line in found.warnings)
+    line, = joint.joined([one, one, other], ["first", "second", "third"]).warnings
+    assert line.startswith("third contradicts the other 2 captures: alpha ")
+    line, = joint.joined([one, other], ["first", "second"]).warnings
+    alpha = [0.2 / 0.3 * 1e6 * np.exp(own.samples[:, 0].mean()) for own in (one, other)]
+    assert "first contradicts second: " in line and "limit 11.3" in line
+    assert "alpha warp" not in line or f"{alpha[0]:.3g} against {alpha[1]:.3g} µN·m" in line
+    two = joint.joined([one, other, one, other, one], "ABCDE").warnings
+    assert {text[0] for text in two} == {"B", "D"}
+
+
+def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
+    """Captures whose errors have the covariance that the rule supposes, and specimens that vary."""
+    rng, prior = np.random.default_rng(3), joint.fabric_prior(WARP_WEFT)
+    deviation = 0.12
+    draws = rng.normal(size=(500, 6)) * deviation
+    found = {2: 0, 4: 0}
+    for count in found:
+        for _ in range(1000):
+            own = rng.normal(size=(count, 3)) * np.hypot(
+                deviation * np.sqrt(1 - joint.SHARED), joint.SPECIMEN)
+            estimates = [Estimate(draws + prior.mean + np.append(shift, np.zeros(3)), WARP_WEFT,
+                                  0.0, 1.0, 0.2, prior.deviation) for shift in own]
+            found[count] += bool(joint.contradictions(estimates, "ABCD"[:count]))
+    for alarms in found.values():
+        assert 2 <= alarms <= 25  # 10 expected, with some correlation of the four
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SCANS.is_dir(), reason="the scans of real drapes are not here")
+def test_repeats_of_real_fabrics_do_not_contradict_each_other_and_fabrics_do() -> None:
+    def estimate(name: str) -> Estimate:
+        capture, _ = read_scan_capture(SCANS / f"{name}.npz", density=0.3, held=0.95)
+        return infer_capture(capture, header_for([capture])).estimate
+
+    def contradicted(*names: str) -> list[str]:
+        return joint.contradictions([estimate(name) for name in names], names)
+
+    assert not contradicted("fabric_1_sample_1_capture_1", "fabric_1_sample_1_capture_2",
+                            "fabric_1_sample_2_capture_1")
+    assert contradicted("fabric_1_sample_1_capture_1", "fabric_5_sample_1_capture_1")
 
 
 def test_the_prior_of_nameless_yarns_is_that_of_either_order() -> None:
