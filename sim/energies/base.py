@@ -40,7 +40,7 @@ class Energy(Protocol):
 
 
 def dofs_of(energy: Energy) -> np.ndarray:
-    """(N, K), the ``dofs`` of an energy; InputError where it has none, or they have another form."""
+    """(N, K), the ``dofs`` of an energy; InputError where there are none of that form."""
     dofs = np.asarray(getattr(energy, "dofs", None))
     if dofs.ndim != 2 or not np.issubdtype(dofs.dtype, np.integer):
         raise InputError(f"{type(energy).__name__}.dofs must be an array (N, K) of integers: the "

@@ -72,7 +72,7 @@ def test_wrong_derivatives_are_named(factors, complaint):
 def test_an_energy_without_dofs_is_named_by_a_drape_and_by_the_check():
     for failing in (lambda: drape(FABRIC, edge=0.02, laws=Laws(others=(Aimless,))),
                     lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)):
-        with pytest.raises(InputError, match="Aimless.dofs must be an array"):
+        with pytest.raises(InputError, match=r"Aimless\.dofs must be an array"):
             failing()
 
 
