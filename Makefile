@@ -22,7 +22,7 @@ $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
 	  { echo "Python 3.10 to 3.13 is needed; run: make PYTHON=/path/to/python3.13" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -qq --upgrade pip
-	@echo "installing packages into .venv (about 6 GB, a few minutes) ..."
+	@echo "installing packages into .venv (about 9 GB, a few minutes) ..."
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
@@ -52,7 +52,7 @@ serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
 perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
 	$(BIN)/python tests/perturbed.py
 
-matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 6 GB and minutes each
+matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python tools/matrix.py
 
 lint: $(STAMP)  ## style, which module imports which, units in docstrings, unused code, spelling, words

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 
-from common.cli import check_density
 from common.command import command, commands
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
@@ -30,7 +29,7 @@ from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
 from sim.cantilever.torque_curve import fit_torque_curve
-from sim.material import DIRECTIONS, MICRO, NANO
+from sim.material import DIRECTIONS, MICRO, NANO, check_density
 from sim.newton import Status
 from sim.scene import GRAVITY
 
@@ -114,7 +113,7 @@ def print_estimate(config: EstimateConfig) -> None:
         raise InputError(f"unknown method '{config.method}'; choose from {', '.join(known)}")
     if not config.density > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
-    check_density(config.density)
+    check_density(1e-3 * config.density)
     if config.rounds < 0 or not 0 < config.width <= 500:
         raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
     if config.out:

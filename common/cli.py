@@ -14,7 +14,6 @@ from common.memory import keep_freed_memory
 
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """With the value 1 in the environment, a user's mistake has its traceback, as with Hydra."""
-LIGHTEST, HEAVIEST = 5.0, 5000.0  # g/m², of what people drape or measure
 LIMITS = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
 """The most that keys of these names take: what 64 bits hold, and what no machine is asked for."""
 
@@ -32,13 +31,6 @@ def check_counts(config: Mapping[str, Any]) -> None:
     for key, most in LIMITS.items():
         if isinstance(value := config.get(key), int) and value > most:
             raise InputError(f"{key}={value} must not be above {most}")
-
-
-def check_density(density: float) -> None:
-    """InputError for a density in g/m² that is no fabric's, such as one in kg/m²."""
-    if not LIGHTEST <= density <= HEAVIEST:
-        raise InputError(f"density={density:g} is no fabric's, {LIGHTEST:g} to {HEAVIEST:g} g/m²; "
-                         "check its unit")
 
 
 def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:

@@ -197,6 +197,7 @@ def write_capture(
     turns: np.ndarray | None = None,
     rig: str = DEFAULT_RIG,
     depth_unit: float = 1e-3,
+    background: np.ndarray | None = None,
 ) -> None:
     """Write a capture in the 16-bit format, whole or not at all, to a new or empty folder.
 
@@ -204,6 +205,7 @@ def write_capture(
         views: (K, H, W) z-depth in metres, background 0.
         density: kg/m²; warp_direction: radians in the first view; depth_unit: metres per count.
         turns: (K,) nominal turns of the table, rad; None: K-ths of a turn.
+        background: (H, W) z-depth of the scene without cloth, m.
 
     Raises:
         InputError: wrong shape, depth that does not fit 16 bits, a folder that is not empty or
@@ -215,7 +217,10 @@ def write_capture(
         raise InputError(f"views of shape {views.shape} do not fit the intrinsics")
     if not 1 <= len(views) <= MOST_VIEWS:
         raise InputError(f"{len(views)} views: a capture has one to {MOST_VIEWS}")
-    counts = np.rint(views / depth_unit)
+    pictures = {f"view_{k}": view for k, view in enumerate(views)}
+    if background is not None:
+        pictures["background"] = background
+    counts = np.rint(np.stack(list(pictures.values())) / depth_unit)
     if not (np.isfinite(counts).all() and counts.min() >= 0 and counts.max() <= 65535):
         raise InputError(f"depth does not fit 16 bits at {depth_unit:g} m per count")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
@@ -235,8 +240,8 @@ def write_capture(
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
             folder = Path(temporary) / path.name
             folder.mkdir()
-            for k, picture in enumerate(counts.astype(np.uint16)):
-                Image.fromarray(picture).save(folder / f"view_{k}.png")
+            for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
+                Image.fromarray(picture).save(folder / f"{name}.png")
             text = yaml.safe_dump(description, sort_keys=False)
             (folder / "capture.yaml").write_text(text, encoding="utf-8")
             os.replace(folder, path)

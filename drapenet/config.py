@@ -131,6 +131,7 @@ class ExportConfig:
     estimate: str
     to: str
     out: str
+    name: str
     curvature_1_m: float
     mesh: str
     edge_mm: float

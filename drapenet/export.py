@@ -1,6 +1,7 @@
 """Files of an estimate for other tools.
 
-    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [mesh=KIND edge_mm=N]
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
     python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
     python -m drapenet.export to=list
 
@@ -17,6 +18,7 @@ import pprint
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -31,14 +33,16 @@ from common.files import replace_file, require_file, require_folder
 from drapenet.config import ExportConfig
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
+from drapenet.output import ESTIMATE, result_name
 from drapenet.table import csv_number, interval_columns
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.hinge_laws import ARCSIM, mean_modulus
-from sim.material import BIAS, MICRO, NANO, WARP, WEFT, torque
+from sim.material import BIAS, MICRO, NANO, SOFTENING_LIMIT, WARP, WEFT, torque
 from sim.mesh import strip
 from sim.scene import GRAVITY
 
 LARGEST_ESTIMATE = 8 << 20  # bytes
+LONGEST_NAME = 80  # characters
 CLO = 1e9  # g·mm²/s² per N·m
 CLO_MOST = 2e6  # g·mm²/s², CLO's largest bending stiffness
 BROWZWEAR = 1e7  # dyn·cm per N·m
@@ -104,8 +108,10 @@ class Material:
         density: kg/m².
         curvature: 1/m, at which one modulus stands for the law.
         mesh: name of :data:`MESHES`; edge: m.
+        name: of the fabric, for people.
         content: of ``estimate.json``.
         identity: SHA-256 of that file.
+        written: when it was, in ISO 8601.
     """
 
     alpha: np.ndarray
@@ -114,8 +120,10 @@ class Material:
     curvature: float
     mesh: str
     edge: float
+    name: str
     content: dict[str, Any]
     identity: str
+    written: str
 
     @property
     def modulus(self) -> np.ndarray:
@@ -143,8 +151,11 @@ class Material:
         notes = [] if first == WARP_WEFT[0] else [
             "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
             "the warp"]
+        if np.any(-self.beta * self.curvature > SOFTENING_LIMIT * self.alpha):
+            notes.append(f"curvature_1_m={self.curvature:g} is outside the law's validity: the "
+                         "torque is continued as a straight line there")
         return {
-            "made_by": "drapenet", "estimate_sha256": self.identity,
+            "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
             "source": capture.get("source") or capture.get("sources"),
             "density_g_m2": capture["density_g_m2"], "directions": self.content["convention"],
             "moduli": self.content["moduli"], "modulus_at_curvature_1_m": self.curvature,
@@ -178,9 +189,11 @@ class Target:
 
 
 def read_material(
-    path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3
+    path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3,
+    name: str = "",
 ) -> Material:
-    """The fabric of an ``estimate.json``; arguments as the attributes of :class:`Material`.
+    """The fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes of
+    :class:`Material`, ``name`` if empty that of the captures.
 
     Raises:
         InputError: no such file, another one, or an argument out of range.
@@ -191,7 +204,11 @@ def read_material(
         raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
     if not 0 <= curvature <= 1000:
         raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
-    data = read_bytes(path, LARGEST_ESTIMATE, "estimate")
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise InputError(f"name= must be at most {LONGEST_NAME} printable characters")
+    path = path / ESTIMATE if path.is_dir() else path
+    data = read_bytes(path, LARGEST_ESTIMATE, "file estimate.json")
+    written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     content = parse_json(data, path, EstimateFile.remedy)
     if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
                                          ] != [SCHEMA, SCHEMA_VERSION]:
@@ -201,8 +218,16 @@ def read_material(
     alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
                    for key in ("alpha_uN_m", "beta_nN_m2"))
     return Material(MICRO * np.array(alpha), NANO * np.array(beta),
-                    1e-3 * found.capture.density_g_m2, curvature, mesh, edge, content,
-                    hashlib.sha256(data).hexdigest())
+                    1e-3 * found.capture.density_g_m2, curvature, mesh, edge,
+                    name or _captured_name(content["capture"]), content,
+                    hashlib.sha256(data).hexdigest(), f"{written:%Y-%m-%dT%H:%M:%SZ}")
+
+
+def _captured_name(capture: dict[str, Any]) -> str:
+    sources = capture.get("sources") or [capture.get("source")]
+    if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
+        return "fabric"
+    return result_name([Path(source) for source in sources])[-LONGEST_NAME:]
 
 
 @cache
@@ -233,7 +258,7 @@ def _clo_bending(material: Material) -> np.ndarray:
 
 def _jfab(material: Material, name: str) -> dict[str, bytes]:
     warp, bias, weft = _clo_bending(material).tolist()
-    label = Path(name).stem
+    label = material.name
     physical = {
         "enFabricType": 0, "fBuK": weft, "fBvK": warp, "fBhK": bias,
         "fDensity": 1e-3 * material.density,
@@ -251,10 +276,9 @@ def _jfab(material: Material, name: str) -> dict[str, bytes]:
 
 def _u3m(material: Material, name: str) -> dict[str, bytes]:
     warp, _, weft = (material.modulus * BROWZWEAR).tolist()
-    label = Path(name).stem
-    measured = f"{label}.fab.json"
+    label, moment = material.name, material.written
+    measured = f"{Path(name).stem}.fab.json"
     weight = round(1e3 * material.density, 6)
-    moment = "1970-01-01T00:00:00Z"  # an estimate has no date, and the schema wants one
     bend = {"length": repr(warp), "width": repr(weft)}
     physics = {"schema": "1.1", "raw_data": None, "custom": {
         "browzwear": {"version": "1.1", "name": label, "bend": bend, "mass": repr(weight)},
@@ -270,12 +294,14 @@ def _u3m(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _usd(material: Material, name: str) -> dict[str, bytes]:
-    from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+    from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    shade = UsdShade.Material.Define(stage, "/Fabric").GetPrim()
+    label = Tf.MakeValidIdentifier(material.name)
+    shade = UsdShade.Material.Define(stage, f"/{label}").GetPrim()
+    shade.SetDisplayName(material.name)
     stage.SetDefaultPrim(shade)
     shade.AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
     shade.AddAppliedSchema("CloFabricAPI")
@@ -367,7 +393,7 @@ def _table(material: Material, name: str) -> dict[str, bytes]:
     stream = io.StringIO()
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
              **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
-             "density_g_m2": csv_number(1e3 * material.density)}
+             "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
             for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
                                          strict=True)]
     writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
@@ -425,18 +451,25 @@ TARGETS = {
         "nothing", _neutral),
     "csv": Target(
         "material.csv", "spreadsheets", "moduli with intervals, µN·m and nN·m²", "as estimated",
-        "this project", "identity", _table),
+        "this project", "identity but for the name", _table),
     "torque": Target(
         "torque.csv", "tools with a curve", "torque per width, mN, over curvature, 1/m",
         "ακ + βκ², straight beyond the law's limit", "`docs/physics.md`", "intervals", _torque),
 }
 
 
+ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
+           "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
+           "vbd": "newton"}
+"""Programs that people name instead of a target."""
+NOT_OFFERED = {"blender", "houdini", "vellum", "mujoco", "physx", "omniverse", "libuipc", "c-ipc",
+               "diffcloth"}
+"""Programs that ``docs/exports.md`` gives the reason for."""
+
+
 def table() -> str:
-    """:data:`TARGETS` as Markdown."""
-    lines = ["| `to=` | tool | fields | relation | source | lost |", "|" + " --- |" * 6]
-    return "\n".join(lines + [f"| `{name}` | {t.tool} | {t.fields} | {t.relation} | {t.source} | "
-                              f"{t.lost} |" for name, t in TARGETS.items()])
+    """:data:`TARGETS` as text: name, usual file and tool of each."""
+    return "\n".join(f"{name:<8}{t.file:<18}{t.tool}" for name, t in TARGETS.items())
 
 
 def targets_named(words: str, key: str = "to") -> list[str]:
@@ -445,13 +478,16 @@ def targets_named(words: str, key: str = "to") -> list[str]:
     Raises:
         InputError: an unknown one, or none.
     """
-    names = list(TARGETS) if words == "all" else [word.strip() for word in
-                                                  words.strip("[]").split(",")]
+    if words == "all":
+        return list(TARGETS)
+    names = [word.strip().lower() for word in words.strip("[]").split(",")]
     for name in names:
-        if name not in TARGETS:
-            raise InputError(f"{key}={name}: unknown; choose from "
-                             f"{', '.join(TARGETS)} or all")
-    return names
+        if name in NOT_OFFERED:
+            raise InputError(f"{key}={name}: not offered, for the reason given in docs/exports.md "
+                             "under 'Not offered'; drape.glb, beside the estimate, holds the drape")
+        if name not in TARGETS and name not in ALIASES:
+            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)} or all")
+    return list(dict.fromkeys(ALIASES.get(name, name) for name in names))
 
 
 def export(material: Material, name: str, out: Path) -> list[Path]:
@@ -476,18 +512,22 @@ def main(config: ExportConfig) -> None:
         return
     if not config.estimate:
         raise InputError("give an estimate: estimate=FILE, an estimate.json")
+    if not config.to:
+        raise InputError(f"give to=NAME, one of {', '.join(TARGETS)} or all")
     names, path = targets_named(config.to), Path(config.estimate)
     material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
-                             edge=1e-3 * config.edge_mm)
+                             edge=1e-3 * config.edge_mm, name=config.name)
     if len(names) == 1 and config.out:
         require_file(Path(config.out))
         written = export(material, names[0], Path(config.out))
     else:
-        folder = Path(config.out or path.parent)
+        folder = Path(config.out or (path if path.is_dir() else path.parent))
         require_folder(folder)
         written = export_all(material, names, folder)
     for file in written:
         print(file)
+    for warning in material.about["warnings"]:
+        print(f"warning: {warning}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
 """Makes a capture of a fabric whose moduli are known, such as the one in ``captures/twill``.
 
     python examples/make_capture.py out=examples/captures/twill
+    python examples/make_capture.py raw=true out=outputs/raw  # whole scenes, to practise with
 
 Drapes the fabric on a finer mesh than training does, renders it with a camera that stands a
 little off its nominal place, adds sensor noise, and writes the four views with ``capture.yaml``.
+With ``raw=true`` the views show tester, table and wall as well, ``background.png`` the same without
+cloth, and the direction of the warp is drawn at random.
 The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates.
 """
 
@@ -18,16 +21,17 @@ from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.cameras import CameraRig
-from data.captures import checked_density, write_capture
+from data.captures import checked_density, whole_turns, write_capture
 from data.rasterise import camera_tensors
 from data.render import VIEWS, render_views
+from data.scenes import raw_scene
 from data.sensor import load_sensor
 from data.structured_light import StructuredLight
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import Rig
 
-FILES = {"capture.yaml", "truth.json", *(f"view_{k}.png" for k in range(VIEWS))}
+FILES = {"capture.yaml", "truth.json", "background.png", *(f"view_{k}.png" for k in range(VIEWS))}
 
 
 @dataclass
@@ -42,6 +46,7 @@ class MakeCaptureConfig:
     edge_mm: float
     sensor: str
     seed: int
+    raw: bool
 
 
 @command("make_capture", MakeCaptureConfig)
@@ -67,17 +72,22 @@ def main(config: MakeCaptureConfig) -> None:
         raise InputError(f"the drape did not converge ({result.message}); try another seed")
 
     rng = np.random.default_rng(config.seed)
-    camera = rig.sample(rng)
-    direction = math.radians(config.warp_direction)
-    views = torch.from_numpy(render_views(result.positions, result.faces, camera, direction))
-    intrinsics, _ = camera_tensors([camera])
-    generator = torch.Generator().manual_seed(config.seed)
-    views = noise(views, intrinsics[0], generator).numpy()
+    direction, background = math.radians(config.warp_direction), None
+    if config.raw:
+        scene = raw_scene(result.positions, result.faces, rng, rig=result.rig,
+                          turns=whole_turns(VIEWS), sensor=config.sensor)
+        views, background, direction = scene.frames, scene.background, scene.orientation
+    else:
+        camera = rig.sample(rng)
+        views = torch.from_numpy(render_views(result.positions, result.faces, camera, direction))
+        intrinsics, _ = camera_tensors([camera])
+        generator = torch.Generator().manual_seed(config.seed)
+        views = noise(views, intrinsics[0], generator).numpy()
     for file in old:
         file.unlink()
     # Who captures a drape knows the nominal intrinsics only, so these are written.
     write_capture(out, views=views, intrinsics=rig.intrinsics, density=density,
-                  warp_direction=direction, rig=rig.name)
+                  warp_direction=direction, rig=rig.name, background=background)
     truth = {
         "density_g_m2": config.density,
         "moduli": {name: {"alpha_uN_m": alpha, "beta_nN_m2": beta} for name, alpha, beta in

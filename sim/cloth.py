@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.energies.base import Energy
+from sim.energies.base import Energy, dofs_of
 from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
@@ -56,7 +56,7 @@ class Cloth:
         coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
         used = np.zeros(coordinates + edges + 1, dtype=bool)  # one more, for dofs of -1
         for energy in (self.membrane, *others):
-            used[energy.dofs] = True
+            used[dofs_of(energy)] = True
         used[:coordinates] &= np.repeat(~self.scene.held, 3)
         used[coordinates:-1] &= ~self.scene.held_edges
         edge_length = mesh.edge_lengths.mean()

@@ -14,6 +14,7 @@ from sim.scene import Scene
 from sim.self_contact import contact_near, self_intersections, untangled
 from sim.state import State
 
+_DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
 _ROUND = 25  # Newton steps after which the places of self-contact are chosen anew
 
 
@@ -92,6 +93,8 @@ def find_equilibrium(
     ) -> Equilibrium:
         cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
         newton = minimise(cloth.potential, state.q, options)
+        if laws.others and newton.status in (Status.MAX_ITERATIONS, Status.LINE_SEARCH):
+            newton = replace(newton, message=f"{newton.message}; {_DERIVATIVES}")
         return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
 
     if self_contact and touching:

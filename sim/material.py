@@ -10,6 +10,7 @@ fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continued with the slope it
 :func:`softening_shape` and ``docs/physics.md``.
 """
 
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +24,13 @@ REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (secti
 MICRO = 1e-6  # N·m per µN·m
 NANO = 1e-9  # N·m² per nN·m²
 
+DENSITIES = (5e-3, 5.0)
+"""kg/m², of what people drape or measure; beyond these limits and the next, a unit is wrong."""
+ALPHAS = (1e-9, 1.0)
+"""N·m, as :data:`DENSITIES`."""
+LARGEST_RATIO = 0.5
+"""m, of |beta|/alpha, which is about 2 mm in fabrics."""
+
 SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
 the slope 1 - 2*u_c of the parabola at u_c, so that a fabric never loses all stiffness."""
@@ -34,7 +42,7 @@ TWIST_FLOOR = 0.05
 @dataclass(frozen=True, eq=False)
 class Fabric:
     """Bending moduli and density of a fabric; two are equal when all their values are.
-    InputError where no elastic plate has such moduli.
+    InputError where no elastic plate has such moduli, or a value is off by a unit.
 
     Attributes:
         alpha: (3,) linear moduli, N·m, in the order warp, bias, weft; read-only, as beta is.
@@ -47,19 +55,16 @@ class Fabric:
     density: float = REFERENCE_DENSITY
 
     def __post_init__(self) -> None:
-        alpha, beta = (np.array(v, dtype=np.float64) for v in (self.alpha, self.beta))
-        alpha.flags.writeable = beta.flags.writeable = False
-        object.__setattr__(self, "alpha", alpha)
-        object.__setattr__(self, "beta", beta)
-        object.__setattr__(self, "density", float(self.density))
+        self._set(self.alpha, self.beta, self.density)
+        alpha, beta = self.alpha, self.beta
         if alpha.shape != (3,) or beta.shape != (3,):
             raise InputError("alpha and beta need three values each: warp, bias, weft")
         if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
             raise InputError("alpha and beta must be finite numbers")
-        if not (np.isfinite(self.density) and self.density > 0):
-            raise InputError(f"density must be positive, not {self.density * 1e3:g} g/m²")
+        check_density(self.density)
         if alpha.min() <= 0:
             raise InputError("every linear modulus alpha must be positive")
+        _check_units(alpha, beta)
         if not is_admissible(alpha, beta):
             raise InputError("no elastic plate is this soft along the bias: alpha_bias must exceed "
                              f"{float(bias_limit(alpha)) / MICRO:.3g} µN·m for these warp and weft "
@@ -77,8 +82,34 @@ class Fabric:
 
     def at_density(self, density: float) -> "Fabric":
         """The fabric of another density (kg/m²) that drapes the same: moduli scale with it."""
-        scale = density / self.density
-        return Fabric(alpha=self.alpha * scale, beta=self.beta * scale, density=density)
+        scale, scaled = density / self.density, copy(self)
+        scaled._set(self.alpha * scale, self.beta * scale, density)  # its unit was checked before
+        return scaled
+
+    def _set(self, alpha: np.ndarray, beta: np.ndarray, density: float) -> None:
+        alpha, beta = (np.array(v, dtype=np.float64) for v in (alpha, beta))
+        alpha.flags.writeable = beta.flags.writeable = False
+        object.__setattr__(self, "alpha", alpha)
+        object.__setattr__(self, "beta", beta)
+        object.__setattr__(self, "density", float(density))
+
+
+def check_density(density: float) -> None:
+    """InputError for a density in kg/m² that no fabric has, such as one in g/m²."""
+    low, high = DENSITIES
+    if not low <= density <= high:
+        raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is no fabric's, "
+                         f"{1e3 * low:g} to {1e3 * high:g} g/m²; check its unit")
+
+
+def _check_units(alpha: np.ndarray, beta: np.ndarray) -> None:
+    low, high = ALPHAS
+    for value in alpha[(alpha < low) | (alpha > high)].tolist():
+        raise InputError(f"alpha={value / MICRO:g} µN·m ({value:g} N·m) is no fabric's, "
+                         f"{low / MICRO:g} to {high / MICRO:g} µN·m; check its unit")
+    for value in beta[np.abs(beta) > LARGEST_RATIO * alpha].tolist():
+        raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is no fabric's with this "
+                         f"alpha: |beta|/alpha exceeds {LARGEST_RATIO:g} m; check its unit")
 
 
 def bias_limit(alpha: np.ndarray) -> np.ndarray:

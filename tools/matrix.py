@@ -4,7 +4,7 @@
 
 Each interpreter gets an environment of its own with the wheel and its pinned dependencies, imports
 every module, asks every command for help, estimates the bundled capture, and runs fast tests, all
-outside the tree. An environment takes 6 GB and is removed before the next is made. Interpreters
+outside the tree. An environment takes 9 GB and is removed before the next is made. Interpreters
 that the machine lacks are listed as absent. The wheel is made from git's index.
 """
 

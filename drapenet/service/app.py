@@ -209,7 +209,7 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
             raise RequestError(409, "the estimate is not finished")
         try:
             material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
-                                     edge=1e-3 * edge_mm)
+                                     edge=1e-3 * edge_mm, name=found["name"])
             target = TARGETS[name]
             title = f"{plain_name(found['name'])}-{target.file}"
             files = target.write(material, title)

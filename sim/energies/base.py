@@ -4,6 +4,8 @@ from typing import Protocol
 
 import numpy as np
 
+from common.errors import InputError
+
 
 class Energy(Protocol):
     """A sum over elements, each a function of a few of the unknowns.
@@ -35,3 +37,12 @@ class Energy(Protocol):
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether a step from ``old`` to ``new`` stays on one branch of the energy."""
         return True
+
+
+def dofs_of(energy: Energy) -> np.ndarray:
+    """(N, K), the ``dofs`` of an energy; InputError where there are none of that form."""
+    dofs = np.asarray(getattr(energy, "dofs", None))
+    if dofs.ndim != 2 or not np.issubdtype(dofs.dtype, np.integer):
+        raise InputError(f"{type(energy).__name__}.dofs must be an array (N, K) of integers: the "
+                         "unknowns that each element depends on (sim.energies.base.Energy)")
+    return dofs

@@ -387,3 +387,14 @@ def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, compl
     with pytest.raises(InputError, match=complaint):
         main(last(f"out={tmp_path}", word))
     assert not list(tmp_path.iterdir())
+
+
+def test_the_example_makes_whole_scenes_to_practise_with(tmp_path):
+    main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
+    for _ in range(2):  # the second replaces the first
+        main([f"out={tmp_path / 'raw'}", "raw=true", "edge_mm=12", "seed=3"])
+    assert (tmp_path / "raw" / "background.png").is_file()
+    capture = read_capture(tmp_path / "raw")
+    assert capture.cut and len(capture.views) == 4
+    share = (capture.views > 0).mean()
+    assert 0.05 < share < 0.6  # the cloth alone

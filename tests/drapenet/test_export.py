@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,16 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from drapenet.export import MESHES, TARGETS, export, export_all, main, read_material, table
+from drapenet.export import (
+    ALIASES,
+    MESHES,
+    NOT_OFFERED,
+    TARGETS,
+    export,
+    export_all,
+    main,
+    read_material,
+)
 from sim.hinge_laws import HingeLaw, mean_modulus
 from sim.material import MICRO, NANO, Fabric, torque
 from sim.mesh import strip
@@ -39,9 +49,9 @@ def estimate(tmp_path: Path) -> Path:
     return write(tmp_path / "estimate.json")
 
 
-def exported(estimate: Path, name: str, **options: object) -> Path:
-    return export(read_material(estimate, **options), name,
-                  estimate.parent / TARGETS[name].file)[0]
+def exported(estimate: Path, target: str, **options: object) -> Path:
+    return export(read_material(estimate, **options), target,
+                  estimate.parent / TARGETS[target].file)[0]
 
 
 def test_clo_gets_the_weft_along_u(estimate: Path) -> None:
@@ -169,7 +179,9 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["to=zfab"], "to=zfab: unknown; choose from jfab"),
+    (["to=zfab"], "to=zfab: unknown; choose from jfab"), ([], "give to=NAME"),
+    (["to=blender"], "to=blender: not offered.*drape.glb"),
+    (["to=jfab", f"name={'x' * 81}"], "name= must be at most 80"),
     (["to=ppf", "mesh=hexagons"], "mesh=hexagons is unknown"),
     (["to=ppf", "edge_mm=40"], "edge_mm=40 is too coarse for this fabric"),
     (["to=jfab", "curvature_1_m=-5"], "must lie between 0 and 1000"),
@@ -195,7 +207,46 @@ def test_other_files_are_refused(tmp_path: Path, changes: dict, complaint: str) 
 
 def test_the_docs_show_the_table_of_the_code() -> None:
     text = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
-    assert table() in text
+    for name, t in TARGETS.items():
+        row = f"| `{name}` | {t.tool} | {t.fields} | {t.relation} | {t.source} | {t.lost} |"
+        assert f"\n{row}\n" in text
+
+
+def test_tools_that_are_not_offered_are_in_the_docs() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+    reasons = text.partition("\n## Not offered\n")[2].lower()
+    for name in NOT_OFFERED:
+        assert name in reasons
+    assert set(ALIASES.values()) <= set(TARGETS)
+
+
+def test_the_list_of_targets_fits_a_terminal(capsys: pytest.CaptureFixture) -> None:
+    main(["to=list"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(TARGETS)
+    assert max(map(len, lines)) < 80
+
+
+def test_the_name_of_the_fabric_is_in_the_files(estimate: Path) -> None:
+    for name, wanted in (("", "twill"), ("Blé 7/8", "Blé 7/8")):
+        jfab = json.loads(exported(estimate, "jfab", name=name).read_text())
+        assert jfab["qsFabricName"].endswith(wanted) and jfab["drapenet"]["name"].endswith(wanted)
+        main_file = json.loads(exported(estimate, "u3m", name=name).read_text())["material"]
+        assert main_file["name"].endswith(wanted)
+        written = datetime.fromisoformat(main_file["created"].replace("Z", "+00:00")).timestamp()
+        assert written == pytest.approx(estimate.stat().st_mtime, abs=1)
+        usda = exported(estimate, "usd", name=name).read_text()
+        assert f'{wanted}"' in usda and "/Fabric" not in usda
+        assert exported(estimate, "csv", name=name).read_text().splitlines()[1].endswith(wanted)
+
+
+def test_programs_stand_for_their_format_and_folders_for_their_estimate(
+    estimate: Path, capsys: pytest.CaptureFixture
+) -> None:
+    main([f"estimate={estimate.parent}", "to=CLO,unreal,jfab", "curvature_1_m=120"])
+    printed = capsys.readouterr().out
+    assert [Path(line).name for line in printed.splitlines()[:2]] == ["fabric.jfab", "fabric.usda"]
+    assert "warning: curvature_1_m=120 is outside the law's validity" in printed
 
 
 def test_a_mesh_of_every_kind_has_a_ratio_near_the_validation_s(estimate: Path) -> None:

@@ -235,6 +235,9 @@ def test_softest_possible_bias():
         ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
         ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),
         ([1e-5, 1e-5, 1e-5], [0, 0, 0], -0.3, "density"),
+        ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* its unit"),
+        ([60, 30, 40], [0, 0, 0], 0.3, r"alpha=6e\+07 µN·m \(60 N·m\) is no fabric's, 0.001 to"),
+        ([6e-5, 3e-5, 4e-5], [-90e-6, 0, 0], 0.3, "beta=-90000 nN·m² .*check its unit"),
         ([1e-4, 1e-6, 1e-6], [0, 0, 0], 0.3, "along the bias"),
     ],
 )
@@ -248,3 +251,9 @@ def test_fabrics_are_compared_by_value():
     assert one == same and hash(one) == hash(same) and len({one, same}) == 1
     assert one != Fabric([2e-5, 3e-5, 4e-5], [-1e-9, 0, 0], density=0.3)
     assert one != Fabric([2e-5, 3e-5, 5e-5], [-1e-9, 0, 0], density=0.2) and one != "fabric"
+
+
+def test_the_limits_of_units_do_not_hold_for_a_fabric_scaled_to_another_density():
+    stiff = Fabric([1.0, 1.0, 1.0], density=0.3)
+    assert stiff.at_density(3.0).alpha == pytest.approx([10.0] * 3)
+    assert not stiff.at_density(3.0).alpha.flags.writeable

@@ -1,0 +1,82 @@
+"""The check of an energy's derivatives finds errors, and accepts the simulator's own energies."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from common.errors import InputError
+from sim.drape import drape
+from sim.energies.base import Energy
+from sim.energies.check import check
+from sim.energies.midedge import MidEdgeBending
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.membranes import Corotational
+from sim.mesh import strip
+from sim.state import State, moved
+
+MESH, HELD = strip(length=0.04, width=0.03, edge=0.01, clamp=0.01, diagonals="random", jitter=0.2)
+ACTIVE = ~HELD[MESH.faces].all(axis=1)
+FABRIC = Fabric([60e-6, 30e-6, 40e-6], [-90e-9, -40e-9, -60e-9])
+
+
+def bent_state() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    x, y = MESH.rest.T
+    positions = np.column_stack([x, y, -8 * x**2 + 5 * x * y])
+    positions += rng.normal(0, 1e-4, positions.shape)
+    turns = np.append(np.zeros(positions.size), rng.normal(0, 0.1, len(MESH.edges)))
+    return moved(State.at(MESH, positions, ACTIVE).q, MESH.edges, turns)
+
+
+class Quartic(Energy):
+    """k z⁴ of every vertex, J, with factors on its derivatives."""
+
+    def __init__(self, mesh, active, *, fabric, slope=1.0, bend=1.0, convexity=1.0):
+        self.dofs = 3 * np.arange(len(mesh.rest))[:, None] + 2
+        self.slope, self.bend, self.convexity = slope, bend, convexity
+
+    def value(self, q):
+        return 1e3 * float((q[self.dofs] ** 4).sum())
+
+    def gradient(self, q):
+        return self.slope * 4e3 * q[self.dofs] ** 3
+
+    def hessian(self, q, convex=False):
+        return (self.convexity if convex else self.bend) * 12e3 * q[self.dofs][:, :, None] ** 2
+
+
+class Aimless(Quartic):
+    def __init__(self, mesh, active, *, fabric):
+        pass
+
+
+@pytest.mark.parametrize("energy", [
+    MidEdgeBending(MESH, ACTIVE, fabric=FABRIC), Corotational().energy(MESH, ACTIVE),
+    Quartic(MESH, ACTIVE, fabric=FABRIC)], ids=lambda energy: type(energy).__name__)
+def test_right_derivatives_pass(energy):
+    check(energy, bent_state(), MESH.edges)
+
+
+@pytest.mark.parametrize(("factors", "complaint"), [
+    ({"slope": -1.0}, "Quartic.gradient is not the derivative of the value"),
+    ({"slope": 1.001}, "Quartic.gradient is not"), ({"bend": -1.0}, "Quartic.hessian is not"),
+    ({"convexity": -1.0}, "negative eigenvalue"),
+])
+def test_wrong_derivatives_are_named(factors, complaint):
+    with pytest.raises(InputError, match=complaint):
+        check(Quartic(MESH, ACTIVE, fabric=FABRIC, **factors), bent_state(), MESH.edges)
+
+
+def test_an_energy_without_dofs_is_named_by_a_drape_and_by_the_check():
+    for failing in (lambda: drape(FABRIC, edge=0.02, laws=Laws(others=(Aimless,))),
+                    lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)):
+        with pytest.raises(InputError, match=r"Aimless\.dofs must be an array"):
+            failing()
+
+
+def test_a_drape_that_fails_by_a_wrong_derivative_points_to_the_check():
+    law = partial(Quartic, slope=-1.0)
+    result = drape(FABRIC, edge=0.02, laws=Laws(others=(law,)))
+    assert not result.converged and "sim.energies.check" in result.message
