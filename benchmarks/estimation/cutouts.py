@@ -1,6 +1,6 @@
 """Cloth, plate and turns found in whole scenes.
 
-Drapes of the prior stand in synthetic scenes (:mod:`data.scenes`): table, column, wall, clutter of
+Drapes of the prior stand in synthetic scenes (:mod:`benchmarks.scenes`): table, column, wall, clutter of
 three densities. Every pose of the camera is seen by three sensors. The table turns by up to 5
 degrees more or less than a quarter. Targets: :data:`ASKED`. The shift of log alpha is that between
 raw frames and a perfect cut-out, in its standard deviations; a perfect cut-out has the true mask
@@ -22,7 +22,7 @@ from common.errors import InputError
 from data.captures import Capture
 from data.cutout import CutOut, cut_out
 from data.render import QUARTERS
-from data.scenes import CLUTTER, RawScene, raw_scene
+from benchmarks.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.canonical import drape_map
 from drapenet.checkpoint import bundled, read_header
 from drapenet.convention import LINEAR

@@ -1,6 +1,6 @@
 """A folder of raw frames estimated by one command that is killed twice.
 
-Scans of real fabrics stand in synthetic scenes (:mod:`data.scenes`) and are written as raw frames,
+Scans of real fabrics stand in synthetic scenes (:mod:`benchmarks.scenes`) and are written as raw frames,
 FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed twice
 on the way; both must end with the same tables.
 """
@@ -23,7 +23,7 @@ from common.errors import InputError
 from data.captures import write_capture
 from data.render import QUARTERS
 from data.scans import read_scan
-from data.scenes import CLUTTER, raw_scene
+from benchmarks.scenes import CLUTTER, raw_scene
 from drapenet.output import DONE
 from drapenet.overview import ROLES
 from sim.material import REFERENCE_DENSITY

@@ -31,6 +31,7 @@ from PIL import Image
 from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
+from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
@@ -49,7 +50,6 @@ from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
 from data.shards import SEAL_SIZE, _seal, json_digest, verified_digest
-from data.strip_curves import read_curve
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
 from drapenet.export import TARGETS, read_material
 from drapenet.network import MapNet

@@ -13,11 +13,11 @@ from cloths import skirt
 from PIL import Image
 
 import data.frames
+from benchmarks.scenes import RawScene, raw_scene
 from common.errors import InputError
 from data.capture import main
 from data.captures import read_capture
 from data.cutout import cut_out
-from data.scenes import RawScene, raw_scene
 from sim.scene import DISC_RIG, Rig
 
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])

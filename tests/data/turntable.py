@@ -22,7 +22,7 @@ def turntable() -> tuple[np.ndarray, np.ndarray, Intrinsics]:
     """Counts (N, H, W) uint16 in mm, of which the stops' are (4, H, W), and the intrinsics."""
     from cloths import skirt
 
-    from data.scenes import raw_scene
+    from benchmarks.scenes import raw_scene
     from sim.scene import Rig
 
     fabric = SimpleNamespace(alpha=np.full(3, 20e-6))

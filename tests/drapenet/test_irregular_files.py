@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures import read_capture
 from data.drape_file import read_borrowed
@@ -17,7 +18,6 @@ from data.reading import read_picture
 from data.recordings import read_recording
 from data.scans import read_scan
 from data.shards import Shard, read_manifest, verified_digest
-from data.strip_curves import read_curve
 from drapenet.checkpoint import load_state, read_header
 from drapenet.export import read_material
 from drapenet.refine.scans import read_cloud
