@@ -18,7 +18,7 @@ def si(settings: Mapping[str, object]) -> dict:
     ``{"pitch_deg": [0, 180], "seed": 3}`` gives ``{"pitch": (0.0, 3.14...), "seed": 3}``.
 
     Raises:
-        TypeError: a value with a unit is no number.
+        TypeError: a value with a unit that is not a number.
     """
     found = {}
     for key, value in settings.items():

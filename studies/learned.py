@@ -22,6 +22,7 @@ from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
 from data.options import Options, config_from_options
 from data.prior import load_prior
+from data.prior.base import Stored
 from data.prior.table import TablePrior
 from data.shards import json_digest
 from data.splits import finished_manifest, split_by_fabric
@@ -87,7 +88,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class UniformPrior:
+class UniformPrior(Stored):
     """A uniform distribution of theta within the limits ``low`` and ``high``, (6,) each: a network
     learns without a prior.
     """
@@ -104,10 +105,6 @@ class UniformPrior:
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw theta (n, 6), admissible or not."""
         return rng.uniform(self.low, self.high, (n, 6))
-
-    def as_dict(self) -> dict:
-        """All parameters, in JSON's types."""
-        return {"low": self.low.tolist(), "high": self.high.tolist()}
 
 
 def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[str, dict]:
