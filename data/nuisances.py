@@ -1,6 +1,6 @@
 """What specimens differ in beside the moduli of their fabric, and what moves their drape.
 
-Neither is known of a captured specimen, so datasets draw both anew for every one and training
+Neither is known of a captured specimen, so datasets draw both for every one and training
 learns what they leave uncertain. ``configs/nuisances`` states how far they spread, and why.
 """
 

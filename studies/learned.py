@@ -20,12 +20,12 @@ from benchmarks.common import ESTIMATOR, load_arrays, run_cases
 from common.command import compose_config
 from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
+from data.manifest import finished_manifest, json_digest
 from data.options import Options, config_from_options
 from data.prior import load_prior
 from data.prior.base import Stored
 from data.prior.table import TablePrior
-from data.shards import json_digest
-from data.splits import finished_manifest, split_by_fabric
+from data.splits import split_by_fabric
 from drapenet.config import ModelConfig, TrainConfig, learning_rate
 from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.coverage import LEVELS, covered, ranks

@@ -43,13 +43,14 @@ from data.folder import DatasetFolder
 from data.inspect import figures
 from data.inspect.check import check_dataset
 from data.inspect.pictures import histograms
+from data.manifest import json_digest
 from data.prior import load_prior
 from data.recordings import read_recording
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
-from data.shards import SEAL_SIZE, _seal, json_digest, verified_digest
+from data.shards import SEAL_SIZE, _seal, verified_digest
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
 from drapenet.export import TARGETS, read_material
 from drapenet.network import MapNet
