@@ -31,13 +31,13 @@ from PIL import Image
 from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
+from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import read_capture
-from data.drape_file import read_borrowed
 from data.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.folder import DatasetFolder
 from data.inspect import figures

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures import read_capture
-from data.drape_file import read_borrowed
 from data.fabrics import read_fabric_table
 from data.frames import read_array, read_exr, read_points
 from data.manifest import read_manifest
