@@ -15,7 +15,7 @@ LARGEST_ARCHIVE = 64 << 20  # bytes, of the file and of each of its arrays
 
 
 def array_of(data: bytes) -> np.ndarray:
-    """The array in the bytes of an npy file, whose header may claim to be of any size.
+    """The array, of any shape, in the bytes of an npy file; its header may claim any size.
 
     Raises:
         Exception: whatever numpy, tokenize and others make of damage.
@@ -31,7 +31,7 @@ def array_of(data: bytes) -> np.ndarray:
 def read_arrays(
     path: Path, names: Sequence[str], *, what: str, expected: str
 ) -> dict[str, np.ndarray]:
-    """Those of the arrays ``names`` that an npz file holds.
+    """Those of the arrays ``names``, of any shapes, that an npz file holds.
 
     Raises:
         InputError: the file, called ``what``, cannot be read, or is not what is ``expected``.

@@ -1,8 +1,8 @@
 """A folder of raw frames estimated by one command that is killed twice.
 
-Scans of real fabrics stand in synthetic scenes (:mod:`benchmarks.scenes`) and are written as raw frames,
-FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed twice
-on the way; both must end with the same tables.
+Scans of real fabrics stand in synthetic scenes (:mod:`benchmarks.scenes`) and are written as raw
+frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed
+twice on the way; both must end with the same tables.
 """
 
 import csv
@@ -19,11 +19,11 @@ from tqdm import tqdm
 
 from benchmarks.common import ROOT, Config, Result, table
 from benchmarks.estimation.real_captures import Specimen, agreement
+from benchmarks.scenes import CLUTTER, raw_scene
 from common.errors import InputError
 from data.captures import write_capture
 from data.render import QUARTERS
 from data.scans import read_scan
-from benchmarks.scenes import CLUTTER, raw_scene
 from drapenet.output import DONE
 from drapenet.overview import ROLES
 from sim.material import REFERENCE_DENSITY
