@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
+from apps.strip_curves import read_curve
 from common.command import command, commands
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
-from data.strip_curves import read_curve
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from apps.drape_file import read_borrowed, write_drape
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
-from data.drape_file import read_borrowed, write_drape
 from sim.drape import DrapeResult, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import Rig

@@ -4,6 +4,7 @@ Every reader of YAML, JSON or a table goes through here, with a :class:`Schema` 
 is wrong ends in an InputError of one line: quantity, value, limit, remedy.
 """
 
+import csv
 import json
 import os
 import reprlib
@@ -168,6 +169,21 @@ def read_text(file: Path, largest: int = LARGEST_TEXT, kind: str = "description"
         return read_bytes(file, largest, kind).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{file} is not text in UTF-8; save it as such") from None
+
+
+def read_table(
+    file: Path, kind: str, largest: int = LARGEST_TABLE
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """A CSV file: cells of its header, and of each further row, with the number of its line.
+
+    Empty rows are left out; the header of an empty file is empty.
+    """
+    reader = csv.reader(read_text(file, largest, kind).splitlines(), skipinitialspace=True)
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"{file} cannot be read as a table ({one_line(error)})") from None
+    return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
 
 
 def read_bytes(file: Path, largest: int, kind: str) -> bytes:

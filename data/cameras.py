@@ -19,6 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from common.configs import group_options, read_config
 from common.errors import InputError, one_line
+from common.units import si
 
 DEFAULT_RIG = "square300_cylinder100"
 
@@ -211,17 +212,11 @@ class CameraRig:
             InputError: an entry is missing or makes no sense.
         """
         try:
-            camera, jitter = config["camera"], config["jitter"]
-            return cls(
-                name=str(config["name"]),
-                intrinsics=Intrinsics(**{f.name: camera[f.name] for f in fields(Intrinsics)}),
-                pose=Pose(**_si(camera, Pose)),
-                jitter=Jitter(
-                    focal=jitter["focal_percent"] / 100,
-                    principal=jitter["principal_px"],
-                    **_si(jitter, Pose),
-                ),
-            )
+            camera = si(config["camera"])
+            intrinsics, pose = ({field.name: camera[field.name] for field in fields(kind)}
+                                for kind in (Intrinsics, Pose))
+            return cls(str(config["name"]), Intrinsics(**intrinsics), Pose(**pose),
+                       Jitter(**si(config["jitter"])))
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"rig configuration is incomplete ({one_line(error)}); "
@@ -260,14 +255,3 @@ class CameraRig:
             height=nominal.height,
             world_to_camera=pose.world_to_camera(),
         )
-
-
-def _si(config: Mapping, kind: type) -> dict[str, float]:
-    """Pose entries of a rig file, from mm and degrees to metres and radians."""
-    angles = {"pitch", "roll"}
-    return {
-        f.name: math.radians(config[f"{f.name}_deg"])
-        if f.name in angles
-        else config[f"{f.name}_mm"] * 1e-3
-        for f in fields(kind)
-    }

@@ -20,7 +20,7 @@ from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.board import SQUARE, board_picture
-from data.cameras import Intrinsics
+from data.cameras import Camera, Intrinsics
 from data.captures import read_capture, write_capture
 from data.cutout import CutOut, cut_out
 from sim.scene import Rig
@@ -101,11 +101,9 @@ def _tile(
     rim = rig.plate_radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     drawn = [(rim, _RIM), *((np.stack([np.zeros(3), _AXIS * axis]), colour)
                             for axis, colour in zip(np.eye(3), _AXES, strict=True))]
-    pose = cut.plate.pose
+    camera = Camera(**vars(intrinsics), world_to_camera=cut.plate.pose)
     for points, colour in drawn:
-        points = points @ pose[:3, :3].T + pose[:3, 3]
-        pixels = points[:, :2] / points[:, 2:] * [intrinsics.fx, intrinsics.fy]
-        pixels = (pixels + np.array([intrinsics.cx, intrinsics.cy]) + 0.5) * scale
+        pixels = (camera.project(points)[0] + 0.5) * scale
         cv2.polylines(tile, [np.rint(pixels).astype(np.int32)], False, colour, 1, cv2.LINE_AA)
     return tile
 

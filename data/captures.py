@@ -38,7 +38,10 @@ from data.frames import read_frames
 from data.reading import (
     LARGEST_PICTURE,
     MOST_VIEWS,
-    read_views,
+    join_views,
+    neighbours,
+    numbered,
+    read_picture,
 )
 from sim.scene import Rig
 
@@ -309,7 +312,8 @@ def _cut(
 
 def _read_published(path: Path) -> Capture:
     density = checked_density(*_read_density(path / "density.txt"))
-    counts = read_views(path, "{}.png", modes={"L"}, kind="8-bit grey")
+    counts = join_views({file: read_picture(file, modes={"L"}, kind="8-bit grey")
+                         for file in numbered(path, "{}.png")})
     height, width = counts.shape[1:]
     if (width, height) not in PUBLISHED_SIZES:
         raise InputError(
@@ -372,9 +376,7 @@ def _remove_isolated(view: np.ndarray, name: str) -> tuple[str, ...]:
     Folds jump in depth too, but never by a pixel or two.
     """
     cloth = view > 0
-    height, width = view.shape
-    around = np.stack([np.pad(view, 1)[i : i + height, j : j + width]
-                       for i in range(3) for j in range(3) if (i, j) != (1, 1)])
+    around = neighbours(view)
     near = ((np.abs(around - view) < ISOLATED) & (around > 0)).sum(axis=0)
     isolated = cloth & (near < 2) & (ndimage.median_filter(cloth.astype(np.uint8), 3) > 0)
     view[isolated] = 0

@@ -15,6 +15,7 @@ from scipy import ndimage
 from common.errors import InputError
 from data.cameras import Intrinsics
 from data.plate import Plate, find_plate
+from data.reading import neighbours
 from sim.scene import Rig
 
 MOST_CLOTH = 0.9  # of a picture's pixels
@@ -157,15 +158,8 @@ def _within_reach(radius: np.ndarray, height: np.ndarray, rig: Rig) -> np.ndarra
 
 def _on_surface(frames: np.ndarray) -> np.ndarray:
     """(K, H, W) bool, pixels with neighbours at about their depth: not between two surfaces."""
-    padded = np.pad(frames, ((0, 0), (1, 1), (1, 1)))
-    alike = np.zeros(frames.shape, np.uint8)
-    height, width = frames.shape[1:]
-    for row in range(3):
-        for column in range(3):
-            if (row, column) != (1, 1):
-                other = padded[:, row : row + height, column : column + width]
-                alike += np.abs(other - frames) < _STEP * frames / 0.5
-    return alike >= _ALIKE
+    alike = np.abs(neighbours(frames) - frames) < _STEP * frames / 0.5
+    return alike.sum(axis=0) >= _ALIKE
 
 
 def _column_radius(radius: np.ndarray, height: np.ndarray, rig: Rig) -> float | None:

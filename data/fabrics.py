@@ -6,13 +6,12 @@ alpha in N·m inside the logarithm, beta/alpha in m. It is smooth across the sig
 one reference density, says all that determines a drape (Feng et al. 2022, section 5.1.2).
 """
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from common.documents import LARGEST_TABLE, read_text
+from common.documents import read_table
 from common.errors import InputError
 from sim.material import REFERENCE_DENSITY, Fabric
 
@@ -101,19 +100,15 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     """
     path = Path(path)
     try:
-        text = read_text(path, LARGEST_TABLE, "fabric table")
-        reader = csv.reader(text.splitlines(), skipinitialspace=True)
-        rows = [(reader.line_num, row) for row in reader if any(row)]
-    except (InputError, csv.Error) as error:
-        reason = f"{path}: {error}" if isinstance(error, csv.Error) else error
-        raise InputError(f"{reason}; give fabrics=FILE, a CSV file with the columns {_COLUMNS}"
+        header, rows = read_table(path, "fabric table")
+    except InputError as error:
+        raise InputError(f"{error}; give fabrics=FILE, a CSV file with the columns {_COLUMNS}"
                          ) from None
-    if len(rows) < 2:
+    if not rows:
         raise InputError(f"{path} holds no fabrics; expected a header line and one row a fabric")
-    header = rows[0][1]
     columns, counted = _locate_columns(header, path)
     merged: dict[tuple[float, ...], int] = {}
-    for line, row in rows[1:]:
+    for line, row in rows:
         try:
             values = tuple(float(row[column]) for column in columns)
             count = int(row[counted]) if counted is not None else 1
@@ -144,7 +139,7 @@ def _locate_columns(header: list[str], path: Path) -> tuple[list[int], int | Non
     """Positions of the published columns, and of the multiplicity if there is one."""
     units = {}
     for position, cell in enumerate(header):
-        name, _, unit = cell.strip().partition("[")
+        name, _, unit = cell.partition("[")
         name = "rows" if name.startswith("rows") else name.strip()
         if name in units and name in (*TABLE_COLUMNS, "rows"):
             raise InputError(f"{path} has two columns '{name}'; remove one")

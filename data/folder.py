@@ -14,22 +14,18 @@ from common.documents import parse_json
 from common.errors import InputError
 from common.files import remove_partial
 from common.provenance import environment
-from data.prior import prior_content
-from data.progress import over_shards
-from data.records import DatasetConfig, Record
-from data.shards import (
+from data.manifest import (
     MANIFEST,
     SCHEMA_VERSION,
-    SHARDS,
-    Shard,
     json_digest,
     json_text,
     read_manifest,
-    shard_name,
-    verified_digest,
     write_manifest,
-    write_shard,
 )
+from data.prior import prior_content
+from data.progress import over_shards
+from data.records import DatasetConfig, Record
+from data.shards import SHARDS, Shard, shard_name, verified_digest, write_shard
 
 
 @dataclass(frozen=True)
@@ -114,7 +110,7 @@ class DatasetFolder:
                              "another folder, or remove it")
 
     def content(self, shard: int) -> Content | None:
-        """What is in a shard; None where it has yet to be made, or made anew.
+        """What is in a shard; None where it has yet to be made, or made again.
 
         The last one grows when a dataset is extended.
         """

@@ -14,14 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import require_regular, shown
+from common.documents import read_bytes, require_regular, shown
 from common.errors import InputError, one_line
+from data.arrays import array_of
 from data.cameras import Intrinsics
 from data.reading import (
     LARGEST_FILE,
     LARGEST_PICTURE,
     MILLIMETRE,
     MOST_VIEWS,
+    dimensions,
     join_views,
     median_depth,
     numbered,
@@ -36,14 +38,8 @@ DEEP = {"modes": {"I;16", "I"}, "kind": "16-bit grey"}
 MOST_PIXELS = 64_000_000  # of all frames of one view
 MOST_POINTS = LARGEST_PICTURE[0] * LARGEST_PICTURE[1] // 4
 FARTHEST = 100.0  # m, beyond which depth is in another unit, or of nothing
-KINDS = {
-    "view_{}.png": r"view_\d+\.png",
-    "view_{}_0.png": r"view_\d+_\d+\.png",
-    "view_{}.npy": r"view_\d+\.npy",
-    "view_{}.exr": r"view_\d+\.exr",
-    "view_{}.ply": r"view_\d+\.ply",
-}
-"""Name of a view's first file by kind, and what all files of the kind are called."""
+KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
+"""Names of a view's files by kind, with numbers from 0 on in place of the braces."""
 OTHER = {
     ".tif": "save its depth as 16-bit PNG in millimetres",
     ".tiff": "save its depth as 16-bit PNG in millimetres",
@@ -89,40 +85,35 @@ def read_frames(
     kind = _kind(folder, names)
     counted, intrinsics = unit or MILLIMETRE, None
     if kind == RECORDED:
-        recording = read_recording(folder / next(filter(_recorded, names)), unit)
-        frames, intrinsics = recording.frames, recording.intrinsics
-    elif kind == "view_{}_0.png":
-        bursts = _bursts(names, folder)
-        frames = join_views(folder, [f"view_{k}_*.png" for k in range(len(bursts))], [
-            _median(folder, count, k) * counted for k, count in enumerate(bursts)])
+        frames, intrinsics = read_recording(folder / next(filter(_recorded, names)), unit)
+    elif kind == "view_{}_{}.png":
+        frames = join_views({files[0]: _median(files) * counted
+                             for files in _bursts(folder, names)})
     else:
         if kind.endswith("ply") and size is None:
             raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
                              "capture.yaml, of the picture that the intrinsics are of")
-        readers: dict[str, Callable[[Path], np.ndarray]] = {
-            "view_{}.png": lambda file: read_picture(file, **DEEP) * counted,
-            "view_{}.npy": read_array, "view_{}.exr": read_exr,
-            "view_{}.ply": lambda file: read_points(file, intrinsics_of(*size))}
-        files = numbered(folder, kind)
-        frames = join_views(folder, [file.name for file in files],
-                            [readers[kind](file) for file in files])
+        reader = {
+            ".png": lambda file: read_picture(file, **DEEP) * counted,
+            ".npy": read_array, ".exr": read_exr,
+            ".ply": lambda file: read_points(file, intrinsics_of(*size))}[Path(kind).suffix]
+        frames = join_views({file: reader(file) for file in numbered(folder, kind)})
     background = None
     if BACKGROUND in names:
         background = np.minimum(read_picture(folder / BACKGROUND, **DEEP) * counted,
                                 FARTHEST).astype(np.float32)
         if background.shape != frames.shape[1:]:
-            raise InputError(f"{folder / BACKGROUND} has {_size(background)} pixels, the views "
-                             f"have {_size(frames[0])}; take it with the same camera")
+            raise InputError(f"{folder / BACKGROUND} has {dimensions(background)} pixels, the "
+                             f"views have {dimensions(frames[0])}; take it with the same camera")
     color = None
     if any(re.fullmatch(r"color_\d+\.png", name) for name in names):
-        files = numbered(folder, "color_{}.png")
-        pictures = [_grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
-                    for file in files]
-        color = join_views(folder, [file.name for file in files], pictures)
+        color = join_views({
+            file: _grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
+            for file in numbered(folder, "color_{}.png")})
         if color.shape != frames.shape:
-            raise InputError(f"{folder}: {len(color)} color pictures of {_size(color[0])} pixels "
-                             f"do not fit {len(frames)} views of {_size(frames[0])}; give as many "
-                             "of the same pixels (the SDK's color aligned to depth)")
+            raise InputError(f"{folder}: {len(color)} color pictures of {dimensions(color[0])} "
+                             f"pixels do not fit {len(frames)} views of {dimensions(frames[0])}; "
+                             "give as many of the same pixels (the SDK's color aligned to depth)")
     return Frames(np.minimum(frames, FARTHEST).astype(np.float32), background, intrinsics, color)
 
 
@@ -137,52 +128,44 @@ def _recorded(name: str) -> bool:
 
 def _kind(folder: Path, names: list[str]) -> str:
     """One of :data:`KINDS`, or :data:`RECORDED`."""
-    found = {first: first.format(0) for first, pattern in KINDS.items()
-             if any(re.fullmatch(pattern, name) for name in names)}
+    found = [kind for kind in KINDS if any(_named(kind, name) for name in names)]
     recordings = [name for name in names if _recorded(name)]
-    examples = [*found.values(), *recordings]
+    examples = [*(kind.format(0, 0) for kind in found), *recordings]
     if len(examples) > 1:
         raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
                          "kind of file, or one recording")
     if examples:
-        return next(iter(found), RECORDED)
+        return found[0] if found else RECORDED
     for name in names:
         if (ending := Path(name).suffix.lower()) in OTHER:
             raise InputError(f"{folder / name}: files of this kind are not read; {OTHER[ending]}")
-    return "view_{}.png"  # the message that they are missing is the reader's
+    return KINDS[0]  # the message that they are missing is the reader's
 
 
-def _size(picture: np.ndarray) -> str:
-    return f"{picture.shape[1]}x{picture.shape[0]}"
+def _named(kind: str, name: str) -> re.Match | None:
+    return re.fullmatch(re.escape(kind).replace(r"\{\}", r"(\d+)"), name)
 
 
-def _bursts(names: list[str], folder: Path) -> list[int]:
-    """Number of frames of each view; names view_K_J.png must count both from 0."""
-    found = {tuple(map(int, match.groups())) for name in names
-             if (match := re.fullmatch(r"view_(\d+)_(\d+)\.png", name))}
-    views = sorted({view for view, _ in found})
-    if len(views) > MOST_VIEWS:
-        raise InputError(f"{folder} has {len(views)} views; a capture has at most {MOST_VIEWS}")
-    counts = [sum(view == k for view, _ in found) for k in range(len(views))]
-    for k, count in enumerate(counts):
-        for j in range(max(count, 1)):
-            if (k, j) not in found:
-                raise InputError(f"{folder}: view_{k}_{j}.png is missing; number the views, and "
-                                 "the frames of each, from 0 on")
-    return counts
+def _bursts(folder: Path, names: list[str]) -> list[list[Path]]:
+    """The files of each view; names view_K_J.png must count both from 0."""
+    views = 1 + max(int(match[1]) for name in names if (match := _named(KINDS[1], name)))
+    if views > MOST_VIEWS:
+        raise InputError(f"{folder} has {views} views; a capture has at most {MOST_VIEWS}")
+    return [numbered(folder, f"view_{k}_{{}}.png", most=MOST_PIXELS) for k in range(views)]
 
 
-def _median(folder: Path, count: int, view: int) -> np.ndarray:
+def _median(files: list[Path]) -> np.ndarray:
     """Median (H, W) counts of a view's frames."""
     frames: list[np.ndarray] = []
-    for j in range(count):
-        frames.append(read_picture(folder / f"view_{view}_{j}.png", **DEEP))
+    for file in files:
+        frames.append(read_picture(file, **DEEP))
         if frames[-1].shape != frames[0].shape:
-            raise InputError(f"{folder}: view_{view}_{j}.png has {_size(frames[-1])} pixels but "
-                             f"view_{view}_0.png has {_size(frames[0])}; all must have one size")
-        if count * frames[0].size > MOST_PIXELS:
-            raise InputError(f"{folder}: view {view} has {count} frames of {_size(frames[0])} "
-                             f"pixels; give at most {MOST_PIXELS // frames[0].size}")
+            raise InputError(f"{file} has {dimensions(frames[-1])} pixels but {files[0].name} has "
+                             f"{dimensions(frames[0])}; all must have one size")
+        if len(files) * frames[0].size > MOST_PIXELS:
+            raise InputError(f"{file.parent}: a view has {len(files)} frames of "
+                             f"{dimensions(frames[0])} pixels; give at most "
+                             f"{MOST_PIXELS // frames[0].size}")
     return median_depth(np.stack(frames))
 
 
@@ -200,25 +183,15 @@ def _require_metres(depths: np.ndarray, file: Path) -> None:
 
 def read_array(file: Path) -> np.ndarray:
     """Depth (H, W), m, of a NumPy file of floating-point numbers."""
-    require_regular(file, LARGEST_FILE, "view")
+    data = read_bytes(file, LARGEST_FILE, "view")
     wrong = f"{file} must hold one array (height, width) of floating-point numbers, depth in metres"
     try:
-        with file.open("rb") as stream:
-            version = np.lib.format.read_magic(stream)
-            if version not in ((1, 0), (2, 0)):
-                raise InputError(f"{file}: version {version} of NumPy's format is not read")
-            header = (np.lib.format.read_array_header_1_0 if version == (1, 0)
-                      else np.lib.format.read_array_header_2_0)
-            shape, _, kind = header(stream)
-            if len(shape) != 2 or kind.kind != "f" or kind.itemsize > 8:
-                raise InputError(f"{wrong}; it holds {shown(shape)} of {shown(str(kind))}")
-            require_size(file, shape[1], shape[0])
-            stream.seek(0)
-            depth = np.load(stream, allow_pickle=False)
-    except InputError:
-        raise
+        depth = array_of(data)
     except Exception as error:  # tokenize's errors among others, of a damaged header
         raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}") from None
+    if depth.ndim != 2 or depth.dtype.kind != "f" or depth.itemsize > 8:
+        raise InputError(f"{wrong}; it holds {shown(depth.shape)} of {shown(str(depth.dtype))}")
+    require_size(file, *depth.shape[::-1])
     return _metres(depth, file)
 
 
@@ -253,28 +226,19 @@ def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
     """
     import trimesh
 
-    require_regular(file, 64 * MOST_POINTS, "view")
+    data = read_bytes(file, 64 * MOST_POINTS, "view")
+    count = re.search(rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE)
+    if not data.startswith(b"ply") or not count:
+        raise InputError(f"{file} is not a PLY file; export the view again")
+    if int(count[1]) > MOST_POINTS:
+        raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
+                         f"{MOST_POINTS}")
     try:
-        with file.open("rb") as stream:
-            head = stream.read(65536)
-        count = re.search(rb"^element vertex (\d{1,12})\s*$", head, re.MULTILINE)
-        if not head.startswith(b"ply") or not count:
-            raise InputError(f"{file} is not a PLY file; export the view again")
-        if int(count[1]) > MOST_POINTS:
-            raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
-                             f"{MOST_POINTS}")
         # From memory: a PLY may name other files, such as pictures, which are not read.
-        loaded = trimesh.load(io.BytesIO(file.read_bytes()), file_type="ply", process=False,
+        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False,
                               skip_materials=True)
-        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise ValueError("points without x, y and z")
-    except InputError:
-        raise
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
-            UnicodeDecodeError, NotImplementedError) as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise InputError(f"{file} cannot be read ({error.strerror})") from None
+        points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    except Exception:  # what trimesh says of a file that it cannot read is of no use to its owner
         raise InputError(f"{file} is damaged or holds no points; export the view again") from None
     points = points[np.isfinite(points).all(axis=1)]
     points = points[(points[:, 2] > 0) & (points[:, 2] < math.inf)]

@@ -10,7 +10,7 @@ core, and 20 kB with edge_mm=3. ``python -m data.inspect OUT`` shows what a data
 
 A shard depends on the dataset's configuration and its number only, so any number of processes, on
 any number of machines, write the same files. Run again after an interruption, the command goes on,
-and makes damaged shards anew; asked for more drapes, it extends the dataset.
+and makes damaged shards again; asked for more drapes, it extends the dataset.
 
 On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
 (docs/cluster.md; needs pip install '.[cluster]'):
@@ -28,7 +28,6 @@ from pathlib import Path
 from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
-from data.effort import describe_effort
 from data.folder import DatasetFolder
 from data.options import Options, config_from_options
 from data.progress import over_shards, progress_bar
@@ -110,8 +109,7 @@ def _fill(
     with bar:
         outcome = make_shards(folder, shards, workers=workers, solver=solver, report=show)
     if progress and shards:
-        print(describe_effort(outcome.seconds, workers=outcome.workers, wall=outcome.wall),
-              file=sys.stderr)
+        print(outcome, file=sys.stderr)
 
 
 @command("generate", Options, check=config_from_options)

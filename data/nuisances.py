@@ -1,6 +1,6 @@
 """What specimens differ in beside the moduli of their fabric, and what moves their drape.
 
-Neither is known of a captured specimen, so datasets draw both anew for every one and training
+Neither is known of a captured specimen, so datasets draw both for every one and training
 learns what they leave uncertain. ``configs/nuisances`` states how far they spread, and why.
 """
 
@@ -97,10 +97,10 @@ class NuisanceConfig:
     def __post_init__(self) -> None:
         for name in ("membrane", "shear"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-            low, high = getattr(self, name)
-            if not 0 < low <= high < math.inf:
-                raise InputError(f"nuisances: {name} from {low:g} to {high:g}: give two positive "
-                                 "numbers, the smaller one first")
+            limits = getattr(self, name)
+            if len(limits) != 2 or not 0 < limits[0] <= limits[1] < math.inf:
+                raise InputError(f"nuisances.{name}: give two numbers above 0, the smaller one "
+                                 "first")
         for name in ("friction", "curl", "size", "plate", "cut"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise InputError(f"nuisances: {name}={getattr(self, name):g} must not be negative")

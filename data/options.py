@@ -1,9 +1,9 @@
 """The keys of ``configs/generate.yaml``: their types, and the dataset that they ask for."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from common.errors import InputError
+from common.units import si
 from data.nuisances import NuisanceConfig
 from data.prior import load_prior
 from data.records import DatasetConfig
@@ -61,36 +61,15 @@ class Options:
 
 def config_from_options(options: Options) -> DatasetConfig:
     """The dataset that the composed options ask for; InputError where a value makes no sense."""
-    dataset = options.dataset
     if options.parts < 1:
         raise InputError(f"parts={options.parts} must be at least 1")
+    dataset = si(asdict(options.dataset))
     return DatasetConfig(
         drapes=options.drapes,
-        sampling=SamplingConfig(
-            seed=options.seed,
-            starts_per_fabric=dataset.starts_per_fabric,
-            starts=tuple(dataset.starts),
-            drift=dataset.drift_mm * 1e-3,
-            soft_share=dataset.soft_share,
-            nuisances=_nuisances(options.nuisances),
-        ),
+        drapes_per_shard=dataset.pop("drapes_per_shard"),
+        sampling=SamplingConfig(seed=options.seed, **dataset,
+                                nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
         prior=load_prior(options.prior.file),
         rig=Rig.from_name(options.rig),
         edge=options.edge_mm * 1e-3,
-        drapes_per_shard=dataset.drapes_per_shard,
-    )
-
-
-def _nuisances(options: NuisanceOptions) -> NuisanceConfig:
-    for name in ("membrane_n_per_m", "shear"):
-        if len(getattr(options, name)) != 2:
-            raise InputError(f"nuisances.{name}: give two numbers, from and to")
-    return NuisanceConfig(
-        membrane=tuple(options.membrane_n_per_m),
-        shear=tuple(options.shear),
-        friction=1e-6 * options.friction_un,
-        curl=options.curl_per_m,
-        size=1e-3 * options.size_mm,
-        plate=1e-3 * options.plate_mm,
-        cut=math.radians(options.cut_deg),
     )

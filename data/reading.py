@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -33,54 +34,41 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
     except UnidentifiedImageError:
         raise InputError(f"{file} is not a PNG picture; export the view again") from None
     except Exception as error:  # whatever a damaged file makes of the library
-        cause = one_line(error)
-        raise InputError(f"{file} cannot be read ({cause}); export the view again") from None
+        raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
+                         ) from None
 
 
-def read_views(folder: Path, pattern: str, *, modes: set[str], kind: str) -> np.ndarray:
-    """Counts (K, H, W) of one to :data:`MOST_VIEWS` different pictures of one size.
-
-    Their names are ``pattern`` with 0 to K - 1 for ``{}``.
-
-    ``modes`` and ``kind`` are those of :func:`read_picture`.
-    """
-    files = numbered(folder, pattern)
-    return join_views(folder, [file.name for file in files],
-                      [read_picture(file, modes=modes, kind=kind) for file in files])
-
-
-def numbered(folder: Path, pattern: str) -> list[Path]:
-    """The files of one to :data:`MOST_VIEWS` views, ``pattern`` with 0 to K - 1 for ``{}``."""
+def numbered(folder: Path, pattern: str, *, most: int = MOST_VIEWS) -> list[Path]:
+    """The files called ``pattern`` with 0 to K - 1 for ``{}``, K from 1 to ``most``."""
     shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
     found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
     if not found:
         raise InputError(f"{folder}: {pattern.format(0)} is missing; a capture has one to "
                          f"{MOST_VIEWS} views, {pattern.format(0)} and so on")
-    if len(found) > MOST_VIEWS:
-        raise InputError(f"{folder} has {len(found)} views; a capture has at most {MOST_VIEWS}")
+    if len(found) > most:
+        raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
+                         "are read")
     expected = [pattern.format(k) for k in range(len(found))]
     for name in expected:
         if name not in found:
-            raise InputError(f"{folder}: {name} is missing, but {max(found)} is there; number the "
-                             "views from 0 on")
+            raise InputError(f"{folder}: {name} is missing, but {max(found)} is there; number them "
+                             "from 0 on")
     return [folder / name for name in expected]
 
 
-def join_views(folder: Path, names: list[str], pictures: list[np.ndarray]) -> np.ndarray:
-    """Pictures (K, H, W) of one size, no two of which are the same; ``names`` for messages."""
-    for name, picture in zip(names, pictures, strict=True):
-        if picture.shape != pictures[0].shape:
-            sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, pictures[0])]
-            raise InputError(
-                f"{folder}: {name} has {sizes[0]} pixels but {names[0]} has {sizes[1]}; "
-                "all views must have one size"
-            )
-    for (first, a), (second, b) in itertools.combinations(zip(names, pictures, strict=True), 2):
+def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
+    """Pictures (K, H, W), by their files, of one size, no two of which are the same."""
+    (start, first), *_ = pictures.items()
+    for file, picture in pictures.items():
+        if picture.shape != first.shape:
+            raise InputError(f"{file.parent}: {file.name} has {dimensions(picture)} pixels but "
+                             f"{start.name} has {dimensions(first)}; all views must have one size")
+    for (one, a), (other, b) in itertools.combinations(pictures.items(), 2):
         # Blank pictures are reported by the reader.
         if np.array_equal(a, b) and a.min() < a.max():
-            raise InputError(f"{folder}: {first} and {second} are the same picture; each view must "
-                             "be taken after the table has turned on")
-    return np.stack(pictures)
+            raise InputError(f"{one.parent}: {one.name} and {other.name} are the same picture; "
+                             "each view must be taken after the table has turned on")
+    return np.stack(list(pictures.values()))
 
 
 def median_depth(frames: np.ndarray) -> np.ndarray:
@@ -92,6 +80,19 @@ def median_depth(frames: np.ndarray) -> np.ndarray:
     middle = [np.take_along_axis(ordered, at[None], axis=0)[0] for at in (low, high)]
     with np.errstate(invalid="ignore"):
         return np.where(seen > 0, (middle[0] + middle[1]) / 2, np.float32(0.0))
+
+
+def neighbours(pictures: np.ndarray) -> np.ndarray:
+    """(8, ..., H, W), of each pixel of pictures (..., H, W) the eight around it; 0 outside."""
+    height, width = pictures.shape[-2:]
+    padded = np.pad(pictures, [(0, 0)] * (pictures.ndim - 2) + [(1, 1), (1, 1)])
+    return np.stack([padded[..., i : i + height, j : j + width]
+                     for i in range(3) for j in range(3) if (i, j) != (1, 1)])
+
+
+def dimensions(picture: np.ndarray) -> str:
+    """Width and height of a picture (H, W), for messages."""
+    return f"{picture.shape[1]}x{picture.shape[0]}"
 
 
 def require_size(what: str | Path, width: int, height: int) -> None:

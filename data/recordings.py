@@ -6,7 +6,6 @@ frame is the median of those in its middle.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any
@@ -37,21 +36,10 @@ _DEPTH16 = ("mono16", "16uc1", "z16")
 _DISTORTED = 1e-3  # largest coefficient that is as good as none
 
 
-@dataclass(frozen=True)
-class Recording:
-    """What a recording shows.
-
-    Attributes:
-        frames: (K, H, W) float32, m, one frame for each stop of the table.
-        intrinsics: None where the recording does not say.
-    """
-
-    frames: np.ndarray
-    intrinsics: Intrinsics | None
-
-
-def read_recording(file: Path, unit: float | None = None) -> Recording:
-    """The stops of a recording, in their order.
+def read_recording(
+    file: Path, unit: float | None = None
+) -> tuple[np.ndarray, Intrinsics | None]:
+    """Frames (K, H, W) float32, m, one for each stop of the table; intrinsics, if it states them.
 
     Args:
         unit: m per count; None: as the recording says, or millimetres.
@@ -81,7 +69,7 @@ def read_recording(file: Path, unit: float | None = None) -> Recording:
     if not 1 <= len(chosen) <= MOST_VIEWS:
         raise InputError(f"{file}: {len(chosen)} stops of the table found; let it rest for a "
                          f"second at each of 1 to {MOST_VIEWS} stops, hands out of the picture")
-    return Recording(chosen * np.float32(scale), intrinsics)
+    return chosen * np.float32(scale), intrinsics
 
 
 def rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:

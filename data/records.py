@@ -7,7 +7,6 @@ import numpy as np
 
 from common.errors import InputError
 from common.provenance import release
-from data.effort import Effort
 from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
 from data.sampling import BORROWED, DrapePlan, SamplingConfig, choose_lender, plan_drape
@@ -179,7 +178,6 @@ def make_record(
     *,
     earlier: Sequence[Record] = (),
     solver: Solver | None = None,
-    effort: Effort | None = None,
 ) -> dict[str, np.ndarray]:
     """The record of drape ``index``: arrays by field, such as positions (V, 3).
 
@@ -188,13 +186,10 @@ def make_record(
     Args:
         earlier: records of the drapes before it in the same shard; a borrowed start is taken
             from them.
-        effort: where to book the time of the simulation.
     """
-    solver, effort = solver or load_solver(), effort or Effort()
     plan = plan_drape(index, config=config.sampling, prior=config.prior)
     lender = find_lender(plan, config, earlier)
-    with effort.booked("solver"):
-        record, result = simulate(plan, config, solver, lender)
+    record, result = simulate(plan, config, solver or load_solver(), lender)
     if result is None:
         return record
     try:

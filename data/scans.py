@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
-from data.drape_file import read_arrays
+from data.arrays import read_arrays
 from sim.mesh import Mesh
 from sim.scene import Rig
 

@@ -1,7 +1,7 @@
-"""What a depth sensor adds to perfect pictures: models and settings by name."""
+"""Models of depth sensors by name, with the settings of ``configs/sensor``."""
 
 from collections.abc import Mapping
-from dataclasses import fields
+from functools import cache
 
 from common.configs import read_option
 from common.errors import InputError
@@ -15,13 +15,14 @@ MODELS: dict[str, type[SensorNoise]] = {
 }
 
 
+@cache
 def load_sensor(name: str = "smooth") -> SensorNoise:
     """Read ``configs/sensor/NAME.yaml``; InputError when there is no such file."""
     return sensor_from_config(read_option("sensor", name))
 
 
 def sensor_from_config(config: Mapping) -> SensorNoise:
-    """Build from the mapping of a sensor file (Hydra's group ``sensor`` gives the same).
+    """Build from the mapping of a sensor file.
 
     Raises:
         InputError: an unknown model or setting, or a value out of range.
@@ -30,7 +31,4 @@ def sensor_from_config(config: Mapping) -> SensorNoise:
     name = settings.pop("model", "structured_light")
     if name not in MODELS:
         raise InputError(f"unknown sensor.model '{name}'; known: {', '.join(MODELS)}")
-    unknown = set(settings) - {field.name for field in fields(MODELS[name])}
-    if unknown:
-        raise InputError(f"unknown sensor setting '{min(unknown)}'; see configs/sensor")
-    return MODELS[name](**settings)
+    return MODELS[name].of(settings, "sensor")

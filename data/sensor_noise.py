@@ -7,28 +7,26 @@ but their distribution does not.
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from typing import Annotated
 
 import torch
+from pydantic import Field
 
-from common.errors import InputError
+from common.documents import Schema
+
+Amount = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
-@dataclass(frozen=True)
-class SensorNoise(ABC):
+class SensorNoise(Schema, ABC):
     """Random changes of depth pictures; calling it returns changed copies.
 
     Attributes:
         strength: multiplies everything random; at 0 pictures stay as they are.
     """
 
-    strength: float = 1.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, (int, float)) or not 0 <= value < math.inf:
-                raise InputError(f"sensor.{field.name} must be a finite number, not below 0")
+    remedy = "see configs/sensor"
+    strength: Amount = 1.0
 
     def __call__(
         self, views: torch.Tensor, intrinsics: torch.Tensor, generator: torch.Generator

@@ -17,11 +17,11 @@ from scipy import ndimage
 from common.configs import read_option
 from common.documents import Schema
 from common.errors import InputError
+from common.units import si
 from data.cameras import Camera, CameraRig, Intrinsics, Pose
 from data.rasterise import camera_tensors, render_batch
 from data.reading import MOST_VIEWS
 from data.sensor import load_sensor
-from data.sensor_noise import SensorNoise
 
 REFERENCE_DISTANCE = 0.527  # m, of the lengths across the picture
 
@@ -107,29 +107,13 @@ class Setups:
 
     @classmethod
     def load(cls, name: str = "real") -> "Setups":
-        """Read ``configs/setup/NAME.yaml``; InputError where there is none, or not such a one."""
+        """Read ``configs/setup/NAME.yaml``; InputError where there is none."""
         return cls.from_config(read_option("setup", name))
 
     @classmethod
     def from_config(cls, config: Mapping) -> "Setups":
-        """Build from the mapping of such a file."""
-        given = SetupFile.of(config, "setup")
-        return cls(
-            views=tuple(given.views),
-            distance=_scaled(given.distance_mm, 1e-3),
-            pitch=_scaled(given.pitch_deg, np.pi / 180),
-            fill=_scaled(given.fill, 1.0),
-            above=_scaled(given.above_mm, 1e-3),
-            aside=_scaled(given.aside_mm, 1e-3),
-            roll=np.radians(given.roll_deg),
-            focal=given.focal_percent / 100,
-            turn=np.radians(given.turn_deg),
-            sensors=given.sensors,
-            border=given.border_px,
-            holes=given.holes,
-            hem_share=given.hem_share,
-            hem=given.hem_mm * 1e-3,
-        )
+        """Build from the mapping of such a file, see :class:`SetupFile`."""
+        return cls(**si(SetupFile.of(config, "setup").model_dump()))
 
     def as_dict(self) -> dict:
         """All fields, in JSON's types."""
@@ -163,7 +147,7 @@ class Setups:
             world_to_camera=poses, height=camera.height, width=camera.width)
         name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
-        noisy = _sensors(name)(views, intrinsics, generator)[0].numpy()
+        noisy = load_sensor(name)(views, intrinsics, generator)[0].numpy()
         self._cut_out(noisy, views[0].numpy(), camera, rng)
         scale = 1 + self.focal * rng.standard_normal()
         given = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
@@ -201,18 +185,3 @@ class Setups:
                 top, left = rows[middle], columns[middle]
                 size = int(rng.integers(2, 7))
                 view[top : top + size, left : left + size] = 0.0
-
-
-def _scaled(limits: list[float], unit: float) -> tuple[float, float]:
-    low, high = limits
-    return low * unit, high * unit
-
-
-_LOADED: dict[str, SensorNoise] = {}
-
-
-def _sensors(name: str) -> SensorNoise:
-    """The sensor of this name, read once."""
-    if name not in _LOADED:
-        _LOADED[name] = load_sensor(name)
-    return _LOADED[name]

@@ -8,23 +8,21 @@ hold the checksum of the rest, so that every damage shows, in whichever bit.
 import functools
 import hashlib
 import io
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import h5py
 import numpy as np
-from pydantic import Field as Entry
 
-from common.documents import Excerpt, read_json, require_regular
+from common.documents import require_regular
 from common.errors import InputError, one_line
 from common.files import replace_file
+from data.manifest import MANIFEST, SCHEMA_VERSION
 from data.nuisances import NAMES
 from data.progress import over_shards
 
-SCHEMA_VERSION = 6
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
@@ -219,7 +217,7 @@ def _of_whole_file(method: Callable) -> Callable:
         except InputError:
             raise
         except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
-            raise InputError(f"{shard.path} is damaged ({one_line(error)}); generate it anew"
+            raise InputError(f"{shard.path} is damaged ({one_line(error)}); generate it again"
                              ) from None
     return reading
 
@@ -243,11 +241,11 @@ class Shard:
         if self.attribute("schema_version") != SCHEMA_VERSION:
             self.close()
             raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}; "
-                             "generate it anew")
+                             "generate it again")
         if wrong := self._wrong_array():
             self.close()
             raise InputError(f"{self.path}: {wrong} is not as docs/data_format.md has it; generate "
-                             "it anew")
+                             "it again")
 
     def _wrong_array(self) -> str:
         """The first array that is missing, of another type or shape, too large, or that stands in
@@ -294,7 +292,7 @@ class Shard:
             sound["faces"] &= (most[column["mesh"]][done] < vertices[done]).all()
         if wrong := [name for name, right in sound.items() if not right]:
             raise InputError(f"{self.path}: {wrong[0]} holds values that no drape has; generate it "
-                             "anew")
+                             "again")
 
     def __enter__(self) -> "Shard":
         return self
@@ -334,76 +332,3 @@ class Shard:
         rest = self._file["rest"][row, vertices] * LENGTH_UNIT
         faces = self._file[FACES][int(self._file["mesh"][row])]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
-
-
-MANIFEST = "dataset.json"
-ANEW = ("remove it and run the command that made the dataset again, which keeps shards that are "
-        "whole")
-"""What helps against a damaged manifest."""
-
-class _Begun(Excerpt):
-    """What a manifest must hold."""
-
-    remedy = ANEW
-    identity: str
-    drapes: int = Entry(ge=1, le=10**9)
-    config: dict[str, Any] = Entry(min_length=1)
-    complete: bool
-    provenance: list[Any] = Entry(default_factory=list)
-
-
-class _Named(Excerpt):
-    name: str
-
-
-class _Config(Excerpt):
-    rig: _Named
-    prior: dict[str, Any]
-
-
-class _Finished(_Begun):
-    """What a finished one must hold."""
-
-    config: _Config
-    hash: str
-    shards: dict[Annotated[str, Entry(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Entry(
-        min_length=1)
-
-
-def write_manifest(root: Path, content: dict) -> None:
-    """Write the dataset's ``dataset.json`` in one step."""
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    replace_file(root / MANIFEST, text.encode())
-
-
-def read_manifest(root: Path) -> dict | None:
-    """The content of ``dataset.json``; None where there is none.
-
-    Raises:
-        InputError: it cannot be read, is damaged, or belongs to another schema version.
-    """
-    path = Path(root) / MANIFEST
-    try:
-        path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError:
-        pass  # the reader says why
-    content = read_json(path, remedy=ANEW)
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is damaged; {ANEW}")
-    if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
-                         "dataset anew, in another folder")
-    (_Finished if content.get("complete") else _Begun).of(content, f"{path} is damaged")
-    return content
-
-
-def json_text(content: object) -> str:
-    """The canonical text of a JSON value."""
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-
-
-def json_digest(content: object) -> str:
-    """SHA-256 of a JSON value, hexadecimal."""
-    return hashlib.sha256(json_text(content).encode()).hexdigest()

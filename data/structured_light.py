@@ -12,19 +12,17 @@ the published captures on a part of the samples, so that both formats are famili
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
+from pydantic import Field
 
-from common.errors import InputError
 from data.remap import remap_depth
-from data.sensor_noise import SensorNoise, normal, uniform
+from data.sensor_noise import Amount, SensorNoise, Share, normal, uniform
 
 EIGHTHS_OF_DISPARITY = 351.3  # m, K above
 EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures
 
 
-@dataclass(frozen=True)
 class StructuredLight(SensorNoise):
     """Random shifts of pixels, and disparity in steps; lengths in pixels are those of the rig.
 
@@ -40,20 +38,13 @@ class StructuredLight(SensorNoise):
         eight_bit_probability: part of the captures that get the published captures' 8-bit steps.
     """
 
-    shift_px: float = 0.25
-    shift_correlation_px: float = 6.0
-    disparity_px: float = 0.0208
-    affine_scale_percent: float = 0.5
-    affine_turn_deg: float = 0.3
-    affine_shift_px: float = 0.5
-    eight_bit_probability: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.eight_bit_probability > 1:
-            raise InputError("sensor.eight_bit_probability must lie between 0 and 1")
-        if self.shift_correlation_px < 1:
-            raise InputError("sensor.shift_correlation_px must be at least 1 pixel")
+    shift_px: Amount = 0.25
+    shift_correlation_px: float = Field(6.0, ge=1)
+    disparity_px: Amount = 0.0208
+    affine_scale_percent: Amount = 0.5
+    affine_turn_deg: Amount = 0.3
+    affine_shift_px: Amount = 0.5
+    eight_bit_probability: Share = 0.5
 
     def reach(self, size: int) -> float:
         """Four standard deviations of all shifts together."""

@@ -13,21 +13,18 @@ manufacturer's bounds are 17 mm random and 11 mm + 0.1 % systematic).
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
+from pydantic import Field, model_validator
 from torch.nn.functional import pad
 
-from common.errors import InputError
 from data.remap import EDGE_STEP
-from data.sensor_noise import SensorNoise, normal, uniform
+from data.sensor_noise import Amount, SensorNoise, Share, normal, uniform
 
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
 LEAST_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved
-SHARES = ("edge_invalid_least", "edge_invalid_most", "edge_blend", "grazing_invalid")
 
 
-@dataclass(frozen=True)
 class TimeOfFlight(SensorNoise):
     """Random and systematic errors of depth, and missing pixels.
 
@@ -48,31 +45,24 @@ class TimeOfFlight(SensorNoise):
         step_mm: step of the depth; 0 for none.
     """
 
-    axial_mm: float = 0.6
-    signal_exponent: float = 0.5
-    correlation_px: float = 1.25
-    bias_mm: float = 3.0
-    scale_percent: float = 0.3
-    edge_invalid_least: float = 0.3
-    edge_invalid_most: float = 0.6
-    edge_blend: float = 0.5
-    grazing_deg: float = 80.0
-    grazing_invalid: float = 0.5
-    hole_percent: float = 0.1
-    step_mm: float = 1.0
+    axial_mm: Amount = 0.6
+    signal_exponent: Amount = 0.5
+    correlation_px: float = Field(1.25, ge=0.5, le=20)
+    bias_mm: Amount = 3.0
+    scale_percent: Amount = 0.3
+    edge_invalid_least: Share = 0.3
+    edge_invalid_most: Share = 0.6
+    edge_blend: Share = 0.5
+    grazing_deg: float = Field(80.0, ge=0, le=90)
+    grazing_invalid: Share = 0.5
+    hole_percent: float = Field(0.1, ge=0, le=100)
+    step_mm: Amount = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in SHARES:
-            if getattr(self, name) > 1:
-                raise InputError(f"sensor.{name} must lie between 0 and 1")
+    @model_validator(mode="after")
+    def _in_order(self) -> "TimeOfFlight":
         if self.edge_invalid_least > self.edge_invalid_most:
-            raise InputError("sensor.edge_invalid_least must not exceed edge_invalid_most")
-        if not 0.5 <= self.correlation_px <= 20:
-            raise InputError("sensor.correlation_px must lie between 0.5 and 20 pixels")
-        for name, most in (("grazing_deg", 90), ("hole_percent", 100)):
-            if getattr(self, name) > most:
-                raise InputError(f"sensor.{name} must not exceed {most}")
+            raise ValueError("edge_invalid_least must not exceed edge_invalid_most")
+        return self
 
     def reach(self, size: int) -> float:
         """One pixel, so that all neighbours of cloth are in the window."""

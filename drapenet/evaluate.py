@@ -197,7 +197,7 @@ def main(config: EvaluateConfig) -> None:
     require_unseen(header, base.as_dict())
     cells = CELLS
     if config.fabrics:
-        base = replace(base, prior=TablePrior.fit(read_fabric_table(config.fabrics).theta),
+        base = replace(base, prior=TablePrior(read_fabric_table(config.fabrics).theta),
                        sampling=replace(base.sampling, soft_share=0.0))
         cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
         out = out / Path(config.fabrics).stem

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from data.fabrics import from_theta
-from data.prior.files import load_prior
+from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
 from drapenet.content import to_json
 from drapenet.convention import LINEAR, STIFF_SOFT, SWAPPED

@@ -19,9 +19,9 @@ import numpy as np
 from common.command import command
 from common.files import replace_file
 from data.cameras import CameraRig
+from data.manifest import finished_manifest
 from data.setups import Setups
 from data.shards import Shard
-from data.splits import finished_manifest
 from drapenet.canonical import AZIMUTHS, DrapeMap, drape_map
 from drapenet.maps import located_camera
 from sim.scene import Rig

@@ -17,10 +17,10 @@ from tqdm import tqdm
 from common.files import remove_partial, replace_file
 from common.workers import worker_pool
 from data.cameras import Camera, CameraRig, Intrinsics
+from data.manifest import finished_manifest, json_digest
 from data.nuisances import NAMES
 from data.setups import Setups
-from data.shards import Shard, json_digest
-from data.splits import finished_manifest
+from data.shards import Shard
 from drapenet.canonical import AZIMUTHS, ELEVATIONS, DrapeMap, drape_map
 from drapenet.neighbours import PARAMETERS, change, moves
 from drapenet.registration import locate_camera

@@ -17,8 +17,9 @@ from tqdm import tqdm
 
 from common.errors import InputError
 from common.provenance import release
+from data.manifest import finished_manifest
 from data.setups import Setups
-from data.splits import finished_manifest, split_by_fabric
+from data.splits import split_by_fabric
 from drapenet.config import ModelConfig, TrainConfig
 from drapenet.coverage import LEVELS, covered, ranks
 from drapenet.maps import WEIGHT_UNIT, Maps, make_maps

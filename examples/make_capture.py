@@ -12,7 +12,7 @@ The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -63,7 +63,7 @@ def main(config: MakeCaptureConfig) -> None:
     noise = load_sensor(config.sensor)
     if isinstance(noise, StructuredLight):
         # A 16-bit capture has no 8-bit steps; they belong to the published format.
-        noise = replace(noise, eight_bit_probability=0.0)
+        noise = noise.model_copy(update={"eight_bit_probability": 0.0})
     fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(config.beta) * NANO,
                     density=density)
     result = drape(fabric, rig=Rig.from_name(rig.name), edge=1e-3 * config.edge_mm,

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -20,12 +20,12 @@ from benchmarks.common import ESTIMATOR, load_arrays, run_cases
 from common.command import compose_config
 from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
+from data.manifest import finished_manifest, json_digest
 from data.options import Options, config_from_options
 from data.prior import load_prior
+from data.prior.base import Stored
 from data.prior.table import TablePrior
-from data.prior.uniform import UniformPrior
-from data.shards import json_digest
-from data.splits import finished_manifest, split_by_fabric
+from data.splits import split_by_fabric
 from drapenet.config import ModelConfig, TrainConfig, learning_rate
 from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.coverage import LEVELS, covered, ranks
@@ -85,6 +85,26 @@ class Training:
     cpu_seconds: float = 0.0
     keep: bool = False
     table: bool = False
+
+
+@dataclass(frozen=True)
+class UniformPrior(Stored):
+    """A uniform distribution of theta within the limits ``low`` and ``high``, (6,) each: a network
+    learns without a prior.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    kind: ClassVar[str] = "uniform"
+
+    @classmethod
+    def around(cls, theta: np.ndarray, *, tail: float = 0.01) -> "UniformPrior":
+        """Between the quantiles ``tail`` and 1 - ``tail`` of each entry of theta (F, 6)."""
+        return cls(*np.quantile(theta, [tail, 1 - tail], axis=0))
+
+    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw theta (n, 6), admissible or not."""
+        return rng.uniform(self.low, self.high, (n, 6))
 
 
 def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[str, dict]:

@@ -7,18 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 
 from data.cameras import CameraRig
+from data.manifest import SCHEMA_VERSION, json_digest, write_manifest
 from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.render import DepthRenderer
 from data.sampling import SamplingConfig
-from data.shards import (
-    SCHEMA_VERSION,
-    json_digest,
-    shard_name,
-    verified_digest,
-    write_manifest,
-    write_shard,
-)
+from data.shards import shard_name, verified_digest, write_shard
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig
 

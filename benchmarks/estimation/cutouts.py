@@ -1,11 +1,11 @@
 """Cloth, plate and turns found in whole scenes.
 
-Drapes of the prior stand in synthetic scenes (:mod:`data.scenes`): table, column, wall, clutter of
-three densities. Every pose of the camera is seen by three sensors. The table turns by up to 5
-degrees more or less than a quarter. Targets: :data:`ASKED`. The shift of log alpha is that between
-raw frames and a perfect cut-out, in its standard deviations; a perfect cut-out has the true mask
-and none of the pixels in which a time-of-flight sensor mixes cloth with background, "true mask"
-has those.
+Drapes of the prior stand in synthetic scenes (:mod:`data.scenes`): table, column, wall,
+clutter of three densities. Every pose of the camera is seen by three sensors. The table turns by up
+to 5 degrees more or less than a quarter. Targets: :data:`ASKED`. The shift of log alpha is that
+between raw frames and a perfect cut-out, in its standard deviations; a perfect cut-out has the true
+mask and none of the pixels in which a time-of-flight sensor mixes cloth with background, "true
+mask" has those.
 
 A sensor's own errors move and tilt the plate that it shows. So the centre is judged across the line
 of sight, and along it after the sensor's mean error of depth; the tilt beside that of the plane

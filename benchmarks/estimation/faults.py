@@ -18,9 +18,9 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture, checked_capture
 from data.fabrics import fabric_from_theta
+from data.manifest import finished_manifest
 from data.setups import Setups, SyntheticCapture
 from data.shards import Shard
-from data.splits import finished_manifest
 from drapenet.canonical import drape_map
 from drapenet.inference import capture_doubts
 from drapenet.maps import located_camera

@@ -1,8 +1,8 @@
 """A folder of raw frames estimated by one command that is killed twice.
 
-Scans of real fabrics stand in synthetic scenes (:mod:`data.scenes`) and are written as raw frames,
-FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed twice
-on the way; both must end with the same tables.
+Scans of real fabrics stand in synthetic scenes (:mod:`data.scenes`) and are written as raw
+frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed
+twice on the way; both must end with the same tables.
 """
 
 import csv

@@ -4,9 +4,9 @@ from collections import Counter
 from pathlib import Path
 
 from common.errors import InputError, one_line
+from data.manifest import MANIFEST, finished_manifest, require_digest
 from data.progress import over_shards
-from data.shards import MANIFEST, SHARDS, Shard, require_unchanged, some
-from data.splits import finished_manifest, require_digest
+from data.shards import SHARDS, Shard, require_unchanged, some
 
 
 def check_dataset(root: str | Path) -> dict:

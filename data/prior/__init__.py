@@ -7,30 +7,97 @@ fitted to the distinct fabrics published with Feng et al. 2022; to fit one to an
     python -m data.prior fit fabrics=FILE out=prior.json
 """
 
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from common.documents import read_json
+from common.errors import InputError
+from common.files import replace_file
+from data.fabrics import THETA_NAMES, from_theta
 from data.prior.base import Prior
-from data.prior.files import (
-    BUNDLED,
-    MODELS,
-    load_prior,
-    prior_content,
-    prior_from_content,
-    sample_admissible,
-    save_prior,
-)
 from data.prior.gaussian import GaussianPrior
 from data.prior.mixture import MixturePrior
-from data.prior.vae import VaePrior
+from data.prior.vae import ARCHITECTURES, VaePrior
+from sim.material import is_admissible
 
-__all__ = [
-    "BUNDLED",
-    "MODELS",
-    "GaussianPrior",
-    "MixturePrior",
-    "Prior",
-    "VaePrior",
-    "load_prior",
-    "prior_content",
-    "prior_from_content",
-    "sample_admissible",
-    "save_prior",
-]
+SCHEMA_VERSION = 1
+WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
+BUNDLED = ("gaussian", "mixture", "vae")
+"""Names of the priors that ship with the project, ``data/weights/NAME.json``."""
+MAXIMUM_TRIES = 10_000
+
+KINDS = {kind.kind: kind for kind in (GaussianPrior, MixturePrior, VaePrior)}
+
+MODELS: dict[str, Callable[[np.ndarray], Prior]] = {
+    "gaussian": GaussianPrior.fit,
+    **{f"gmm{k}": partial(MixturePrior.fit, components=k) for k in range(3, 8)},
+    **{name: partial(VaePrior.fit, architecture=architecture)
+       for name, architecture in ARCHITECTURES.items()},
+}
+"""How to fit each model to the distinct fabrics theta (F, 6); Table 1 of Feng et al. 2022 and the
+Gaussian."""
+
+
+def prior_content(prior: Prior) -> dict:
+    """What a prior's JSON file holds."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "kind": prior.kind,
+        "parameters": list(THETA_NAMES),
+        "units": "alpha in N·m, beta/alpha in m, at 300 g/m²",
+        **prior.as_dict(),
+    }
+
+
+def prior_from_content(content: object, *, origin: str) -> Prior:
+    """The prior in a decoded JSON file; ``origin`` names the file in complaints."""
+    kind = content.get("kind") if isinstance(content, dict) else None
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(f"{origin} is not a prior; its \"kind\" must be one of {', '.join(KINDS)}")
+    if content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(f"{origin} has another schema version than {SCHEMA_VERSION}; fit it again")
+    if content.get("parameters") != list(THETA_NAMES):
+        raise InputError(f"{origin} describes other parameters than {', '.join(THETA_NAMES)}")
+    try:
+        return KINDS[kind].from_dict(content)
+    except InputError as error:
+        raise InputError(f"{origin}: {error}") from None
+
+
+def save_prior(prior: Prior, path: str | Path) -> None:
+    """Write the prior's JSON file; a file that is there is replaced in one step."""
+    text = json.dumps(prior_content(prior), indent=1, ensure_ascii=False) + "\n"
+    replace_file(Path(path), text.encode())
+
+
+def load_prior(name: str | Path) -> Prior:
+    """Read a prior: one of :data:`BUNDLED` by its name, or a file.
+
+    Raises:
+        InputError: no such file, or not a prior.
+    """
+    path = WEIGHTS / f"{name}.json" if name in BUNDLED else Path(name)
+    remedy = f"give the file of a prior; the bundled ones are {', '.join(BUNDLED)}"
+    return prior_from_content(read_json(path, remedy=remedy), origin=str(path))
+
+
+def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[np.ndarray, int]:
+    """Draw theta (6,) until a stable plate has these moduli; also return how many had none.
+
+    A stable plate needs positive linear moduli, so that alpha by Feng et al. 2022, Eq. 8, is
+    positive in all directions, and a bias modulus above :func:`sim.material.bias_limit`. The
+    torque of what is left is positive at every curvature, because the law leaves the parabola
+    before its peak (:func:`sim.material.torque`).
+
+    Raises:
+        InputError: none of the first ``MAXIMUM_TRIES`` is admissible.
+    """
+    for rejected in range(MAXIMUM_TRIES):
+        theta = prior.sample(1, rng)[0]
+        if is_admissible(*from_theta(theta)):
+            return theta, rejected
+    raise InputError(f"none of {MAXIMUM_TRIES} samples of the prior is a possible fabric")

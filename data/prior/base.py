@@ -1,36 +1,88 @@
-"""What every prior can do, and the checks that reading their files has in common."""
+"""What every prior can do, and how its parameters are written to JSON and read back."""
 
-from typing import ClassVar, Protocol
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
+from pydantic import Field, PlainValidator, TypeAdapter, ValidationError
 
-from common.errors import InputError
+from common.errors import InputError, one_line
 
 ROUNDING = 1e-14  # of the largest variance, below which another one is rounding
+T = TypeVar("T", bound="Stored")
 
 
 class Prior(Protocol):
     """A distribution over theta (see :mod:`data.fabrics`)."""
 
     kind: ClassVar[str]
-    fabrics: int
-
-    @classmethod
-    def fit(cls, theta: np.ndarray) -> "Prior":
-        """Fit to the distinct fabrics theta (F, 6)."""
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw theta (n, 6), admissible or not."""
 
-    def log_likelihood(self, theta: np.ndarray) -> np.ndarray:
-        """Log density (n,) of theta (n, 6), per unit of theta."""
-
     def as_dict(self) -> dict:
         """All parameters, in JSON's types."""
 
+
+class Stored:
+    """A dataclass in JSON. Annotations of its fields say what is read, see :func:`array`."""
+
+    def as_dict(self) -> dict:
+        """All parameters, in JSON's types."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value.as_dict() if isinstance(value, Stored) else np.asarray(value).tolist()
+                for name, value in values.items()}
+
     @classmethod
-    def from_dict(cls, content: dict) -> "Prior":
+    def from_dict(cls: type[T], content: object) -> T:
         """The inverse of :meth:`as_dict`; InputError where a parameter makes no sense."""
+        try:
+            return TypeAdapter(cls).validate_python(content)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            cause = first.get("ctx", {}).get("error", first["msg"])
+            raise InputError(f"{'.'.join(map(str, first['loc']))}: {one_line(Exception(cause))}"
+                             ) from None
+
+
+Count = Annotated[int, Field(ge=0, strict=True)]
+
+
+def array(*shape: int | None, check: Callable[[np.ndarray], str] = lambda found: "") -> Any:
+    """The type of a field that holds finite numbers of a shape, None for any length.
+
+    ``check`` returns what is wrong with them, if anything.
+    """
+    return Annotated[np.ndarray, PlainValidator(partial(_finite, shape, check))]
+
+
+def _finite(
+    shape: tuple[int | None, ...], check: Callable[[np.ndarray], str], content: object
+) -> np.ndarray:
+    try:
+        found = np.array(content, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        found = np.array(np.nan)
+    if (found.ndim != len(shape) or not np.isfinite(found).all()
+            or any(size not in (None, length) for size, length in
+                   zip(shape, found.shape, strict=True))):
+        raise ValueError(f"give {' × '.join(str(size or 'K') for size in shape)} finite numbers")
+    if wrong := check(found):
+        raise ValueError(wrong)
+    return found
+
+
+def wrong_covariance(covariances: np.ndarray) -> str:
+    """What is wrong with covariances (..., K, K), finite, if anything.
+
+    They must be symmetric and positive definite, by more than rounding.
+    """
+    variances = np.linalg.eigvalsh(covariances)
+    right = np.allclose(covariances, np.swapaxes(covariances, -1, -2)) and (
+        variances[..., 0] > ROUNDING * variances[..., -1]).all()
+    return "" if right else "covariances must be symmetric and positive definite"
 
 
 def check_fabrics(theta: np.ndarray, *, least: int = 7) -> np.ndarray:
@@ -40,34 +92,3 @@ def check_fabrics(theta: np.ndarray, *, least: int = 7) -> np.ndarray:
         raise InputError(
             f"a prior needs more than {least - 1} distinct fabrics, not {len(theta)}")
     return theta
-
-
-def read_array(content: object, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The finite numbers ``content[name]`` of a shape; InputError when they are not there."""
-    try:
-        array = np.array(content[name], dtype=np.float64)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        array = None
-    if array is None or array.shape != shape or not np.isfinite(array).all():
-        size = " × ".join(map(str, shape))
-        raise InputError(f"it needs '{name}', {size} finite numbers")
-    return array
-
-
-def check_covariances(covariances: np.ndarray, complaint: str) -> None:
-    """InputError with ``complaint`` if one of covariances (..., K, K), finite, is none.
-
-    They must be symmetric and positive definite, by more than rounding.
-    """
-    variances = np.linalg.eigvalsh(covariances)
-    if (not np.allclose(covariances, np.swapaxes(covariances, -1, -2))
-            or (variances[..., 0] <= ROUNDING * variances[..., -1]).any()):
-        raise InputError(complaint)
-
-
-def read_count(content: dict, name: str) -> int:
-    """The whole number ``content[name]`` >= 0; InputError when it is not there."""
-    count = content.get(name)
-    if type(count) is not int or count < 0:
-        raise InputError(f"it needs '{name}', a whole number")
-    return count

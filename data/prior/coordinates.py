@@ -11,7 +11,7 @@ import numpy as np
 
 from common.errors import InputError
 from data.fabrics import THETA_NAMES
-from data.prior.base import read_array
+from data.prior.base import Stored, array
 
 BEND = 2e-3
 """beta/alpha, m, at which arcsinh turns from a straight line into a logarithm."""
@@ -43,8 +43,8 @@ def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _unfold(middle - REACH * deviation), _unfold(middle + REACH * deviation)
 
 
-@dataclass(frozen=True)
-class Coordinates:
+@dataclass(frozen=True, kw_only=True)
+class Coordinates(Stored):
     """The map from theta to coordinates of mean 0 and deviation 1, one by one, and back.
 
     Attributes:
@@ -52,8 +52,9 @@ class Coordinates:
         scale: (6,) standard deviation, positive.
     """
 
-    mean: np.ndarray
-    scale: np.ndarray
+    bend: array(check=lambda bend: "" if bend == BEND else f"must be {BEND:g} m") = BEND
+    mean: array(6)
+    scale: array(6, check=lambda scale: "" if (scale > 0).all() else "scales must be positive")
 
     @classmethod
     def fit(cls, theta: np.ndarray) -> tuple["Coordinates", np.ndarray]:
@@ -67,7 +68,7 @@ class Coordinates:
         if len(shared):
             raise InputError(f"more than half of the fabrics have the same {THETA_NAMES[shared[0]]}"
                              "; a prior needs fabrics that differ")
-        coordinates = cls(folded.mean(axis=0), folded.std(axis=0))
+        coordinates = cls(mean=folded.mean(axis=0), scale=folded.std(axis=0))
         return coordinates, (folded - coordinates.mean) / coordinates.scale
 
     def encode(self, theta: np.ndarray) -> np.ndarray:
@@ -82,17 +83,3 @@ class Coordinates:
         """Log of the volume of coordinates per volume of theta (..., 6), shape (...)."""
         slope = -0.5 * np.log(BEND**2 + theta[..., 3:] ** 2)
         return slope.sum(axis=-1) - np.log(self.scale).sum()
-
-    def as_dict(self) -> dict:
-        """Both arrays, in JSON's types."""
-        return {"bend": BEND, "mean": self.mean.tolist(), "scale": self.scale.tolist()}
-
-    @classmethod
-    def from_dict(cls, content: object) -> "Coordinates":
-        """The inverse of :meth:`as_dict`; InputError where a number makes no sense."""
-        mean, scale = (read_array(content, name, (6,)) for name in ("mean", "scale"))
-        if not (scale > 0).all():
-            raise InputError("the scales of its coordinates must be positive")
-        if content.get("bend") != BEND:
-            raise InputError(f"its coordinates must bend at {BEND:g} m")
-        return cls(mean, scale)

@@ -5,12 +5,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from common.errors import InputError
 from data.fabrics import THETA_NAMES
-from data.prior.base import check_covariances, check_fabrics, read_array, read_count
+from data.prior.base import Count, Stored, array, check_fabrics, wrong_covariance
 
 
 @dataclass(frozen=True)
-class GaussianPrior:
+class GaussianPrior(Stored):
     """A normal distribution of theta.
 
     Attributes:
@@ -19,9 +20,9 @@ class GaussianPrior:
         fabrics: number of fabrics it was fitted to.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
-    fabrics: int
+    mean: array(6)
+    covariance: array(6, 6, check=wrong_covariance)
+    fabrics: Count
     kind: ClassVar[str] = "gaussian"
 
     TAIL: ClassVar[float] = 0.01
@@ -46,9 +47,10 @@ class GaussianPrior:
         low, high = np.quantile(theta, [cls.TAIL, 1 - cls.TAIL], axis=0)
         drawn_in = np.clip(theta, low, high)
         covariance = np.cov(drawn_in.T)
-        check_covariances(covariance, "the fabrics of the table do not differ in six numbers "
-                                      f"({', '.join(THETA_NAMES)}) independent of each other, as "
-                                      "model=gaussian needs; measure more, or other ones")
+        if wrong_covariance(covariance):
+            raise InputError("the fabrics of the table do not differ in six numbers "
+                             f"({', '.join(THETA_NAMES)}) independent of each other, as "
+                             "model=gaussian needs; measure more, or other ones")
         return cls(drawn_in.mean(axis=0), covariance, len(theta))
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -66,19 +68,3 @@ class GaussianPrior:
         white = self.whiten((np.atleast_2d(theta) - self.mean).T)
         log_volume = 0.5 * np.linalg.slogdet(self.covariance)[1] + 3 * np.log(2 * np.pi)
         return -0.5 * (white**2).sum(axis=0) - log_volume
-
-    def as_dict(self) -> dict:
-        """All parameters, in JSON's types."""
-        return {
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance.tolist(),
-            "fabrics": self.fabrics,
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict) -> "GaussianPrior":
-        """The inverse of :meth:`as_dict`; InputError where a parameter makes no sense."""
-        covariance = read_array(content, "covariance", (6, 6))
-        check_covariances(covariance, "the covariance of a Gaussian prior must be symmetric and "
-                                      "positive definite")
-        return cls(read_array(content, "mean", (6,)), covariance, read_count(content, "fabrics"))

@@ -2,25 +2,32 @@
 
 The model: latent variables z ~ N(0, 1), the six coordinates of a fabric ~ N(mean, sigma²), one by
 one, where the decoder gives mean and sigma for z. The encoder's normal distribution q(z | fabric)
-serves training and the estimate of likelihoods. Everything here is NumPy in float64; PyTorch
-trains only (:mod:`data.prior.training`).
+serves training and the estimate of likelihoods. All but the training is NumPy in float64.
 """
 
 import base64
-import binascii
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field, PlainValidator
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from scipy.special import logsumexp
 
-from common.errors import InputError
-from data.prior.architecture import ARCHITECTURES, SIGMA_MIDDLE, SIGMA_REACH, Architecture
-from data.prior.base import check_fabrics, read_array, read_count
+from data.prior.base import Count, Stored, array, check_fabrics
 from data.prior.coordinates import Coordinates
+
+if TYPE_CHECKING:
+    import torch
+
+BATCH = 16  # fabrics a step, as in the paper
+WEIGHT_DECAY = 1e-5  # as in the paper
+DRAWS = 8
+WARM_UP = 0.25  # share of the steps in which p(z) / q(z | fabric) gains its full weight
 
 DECIMALS = 12
 """Samples are rounded to this many decimals, which nearly always hides the last bits in which the
@@ -28,41 +35,107 @@ libraries of two machines differ."""
 
 CHUNK = 16  # fabrics whose likelihood is estimated at a time, for the sake of memory
 
+@dataclass(frozen=True)
+class Architecture:
+    """Widths of an autoencoder, and how long it is trained.
+
+    Attributes:
+        hidden: units of the encoder's layers; the decoder has them in reverse.
+        latent: latent variables.
+        steps: training steps.
+        learning_rate: of Adam, at its highest.
+    """
+
+    hidden: tuple[int, ...]
+    latent: int
+    steps: int = 2000
+    learning_rate: float = 2e-3
+
+
+ARCHITECTURES = {
+    "vae1": Architecture((2048, 1024, 512, 128), 64, steps=600, learning_rate=5e-4),
+    "vae2": Architecture((512, 256, 128, 32), 32, steps=1500, learning_rate=1e-3),
+    "vae3": Architecture((128, 32, 16), 8),
+    "vae4": Architecture((32, 16, 8), 4),
+}
+"""VAE-1 to VAE-4 of Table 1."""
+
+SIGMA_MIDDLE, SIGMA_REACH = -1.0, 1.5
+"""The log of sigma is middle + reach * tanh(output), so that sigma, in deviations of the table,
+lies between 0.08 and 1.65: no fabric is pinned, and no sample is thrown far out."""
+
+
 Layers = list[tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
-class VaePrior:
+def _layers(weights: dict[str, np.ndarray], name: str) -> Layers:
+    count = sum(key.startswith(f"{name}.") for key in weights) // 2
+    return [tuple(weights[f"{name}.{k}.{part}"].astype(np.float64) for part in ("weight", "bias"))
+            for k in range(count)]
+
+
+def run_layers(layers: Layers, values: np.ndarray) -> np.ndarray:
+    """Output (..., out) of the layers for values (..., in), with tanh between them."""
+    for weight, bias in layers[:-1]:
+        values = np.tanh(values @ weight.T + bias)
+    weight, bias = layers[-1]
+    return values @ weight.T + bias
+
+
+def _decoded(content: object) -> dict[str, np.ndarray]:
+    """The weights in base64 of a safetensors file: an encoder and a decoder that fit each other."""
+    try:
+        weights = load(base64.b64decode(content, validate=True))
+    except (TypeError, ValueError, SafetensorError):
+        raise ValueError("not base64 of a safetensors file") from None
+    if not all(array.dtype == np.float32 and np.isfinite(array).all()
+               for array in weights.values()):
+        raise ValueError("give finite numbers of type float32")
+    try:
+        encoder, decoder = (_layers(weights, name) for name in ("encoder", "decoder"))
+        latent = len(run_layers(encoder, np.zeros(6))) // 2
+        fits = latent and run_layers(decoder, np.zeros(latent)).shape == (12,)
+    except (IndexError, KeyError, TypeError, ValueError):
+        fits = False
+    if not fits or len(weights) != 2 * (len(encoder) + len(decoder)):
+        raise ValueError("not those of an encoder and a decoder of 6 numbers")
+    return weights
+
+
+def _wrong_spread(spread: np.ndarray) -> str:
+    return "" if 0 < spread[0] <= spread[1] else "give two positive numbers in order"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VaePrior(Stored):
     """A trained autoencoder.
 
     Attributes:
         coordinates: in which it sees fabrics.
-        weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0,
-            1, ..., the last of which gives the mean and the log variance of z (2 L); the same for
-            "decoder", which ends in means and sigmas (12). Float32. Between layers stands tanh.
-        fabrics: number of fabrics it was fitted to.
         shift: every latent variable of a sample has a mean drawn from [-shift, shift] ...
         spread: ... and a standard deviation drawn from this range (section 5.1.3, last
             paragraph), so that samples reach beyond the measured fabrics.
+        fabrics: number of fabrics it was fitted to.
+        weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0,
+            1, ..., the last of which gives the mean and the log variance of z (2 L); the same for
+            "decoder", which ends in means and sigmas (12). Float32. Between layers stands tanh.
     """
 
     coordinates: Coordinates
-    weights: dict[str, np.ndarray] = field(repr=False)
-    fabrics: int
-    shift: float = 0.5
-    spread: tuple[float, float] = (0.8, 1.2)
+    shift: Annotated[float, Field(ge=0, strict=True, allow_inf_nan=False)] = 0.5
+    spread: array(2, check=_wrong_spread) = (0.8, 1.2)
+    fabrics: Count
+    weights: Annotated[dict[str, np.ndarray], PlainValidator(_decoded)] = field(repr=False)
     kind: ClassVar[str] = "vae"
 
     @classmethod
     def fit(cls, theta: np.ndarray, *, architecture: Architecture = ARCHITECTURES["vae4"],
             **training: float) -> "VaePrior":
         """Train on the distinct fabrics theta (F, 6); ``training`` as in :func:`train`."""
-        # Imported late: reading and sampling do without PyTorch.
-        from data.prior.training import train
-
         theta = check_fabrics(theta, least=20)
         coordinates, points = Coordinates.fit(theta)
-        return cls(coordinates, train(points, architecture, **training), len(theta))
+        return cls(coordinates=coordinates, fabrics=len(theta),
+                   weights=train(points, architecture, **training))
 
     @cached_property
     def encoder(self) -> Layers:
@@ -130,58 +203,72 @@ class VaePrior:
 
     def as_dict(self) -> dict:
         """All parameters, in JSON's types; the weights as base64 of a safetensors file."""
-        return {
-            "coordinates": self.coordinates.as_dict(),
-            "shift": self.shift,
-            "spread": list(self.spread),
-            "fabrics": self.fabrics,
-            "weights": base64.b64encode(save(self.weights)).decode("ascii"),
-        }
-
-    @classmethod
-    def from_dict(cls, content: dict) -> "VaePrior":
-        """The inverse of :meth:`as_dict`; InputError where a parameter makes no sense."""
-        shift, spread = read_array(content, "shift", ()), read_array(content, "spread", (2,))
-        if shift < 0 or not 0 < spread[0] <= spread[1]:
-            raise InputError("'shift' must not be negative, 'spread' two positive numbers in order")
-        try:
-            weights = load(base64.b64decode(content["weights"], validate=True))
-        except (KeyError, TypeError, ValueError, binascii.Error, SafetensorError):
-            raise InputError("its 'weights' are not base64 of a safetensors file") from None
-        _check_weights(weights)
-        return cls(Coordinates.from_dict(content.get("coordinates")), weights,
-                   read_count(content, "fabrics"), float(shift), (*map(float, spread),))
+        return super().as_dict() | {
+            "weights": base64.b64encode(save(self.weights)).decode("ascii")}
 
 
-def run_layers(layers: Layers, values: np.ndarray) -> np.ndarray:
-    """Output (..., out) of the layers for values (..., in), with tanh between them."""
-    for weight, bias in layers[:-1]:
-        values = np.tanh(values @ weight.T + bias)
-    weight, bias = layers[-1]
-    return values @ weight.T + bias
+def train(
+    points: np.ndarray, architecture: Architecture, *, noise: float = 0.0, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """Weights of an autoencoder (see :class:`VaePrior`) of points (F, 6).
+
+    Adam maximises the importance-weighted bound on the likelihood, of ``DRAWS`` latent vectors a
+    fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more of the latent
+    variables stay unused. The ratio of p(z) to q(z | fabric) grows from no weight to its full
+    weight, the learning rate falls along a cosine.
+
+    Args:
+        noise: standard deviation of what is added to a fabric each time it is seen, in
+            deviations of the table.
+        seed: of the first weights, the batches and all noise.
+    """
+    import torch  # reading and sampling do without
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # sums do not depend on the machine's number of cores
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return _train(torch.tensor(points, dtype=torch.float32), architecture, noise)
+    finally:
+        torch.set_num_threads(threads)
 
 
-def _layers(weights: dict[str, np.ndarray], name: str) -> Layers:
-    count = sum(key.startswith(f"{name}.") for key in weights) // 2
-    return [tuple(weights[f"{name}.{k}.{part}"].astype(np.float64) for part in ("weight", "bias"))
-            for k in range(count)]
+def _train(
+    points: "torch.Tensor", architecture: Architecture, noise: float
+) -> dict[str, np.ndarray]:
+    import torch
 
-
-def _check_weights(weights: dict[str, np.ndarray]) -> None:
-    """InputError unless the arrays are those of an encoder and a decoder that fit each other."""
-    shapes, width, ends = {}, 6, []
-    for name in ("encoder", "decoder"):
-        layer = 0
-        while (bias := weights.get(f"{name}.{layer}.bias")) is not None:
-            shapes[f"{name}.{layer}.weight"] = (bias.size, width)
-            shapes[f"{name}.{layer}.bias"] = (bias.size,)
-            width, layer = bias.size, layer + 1
-        ends.append((width, layer))
-        width //= 2  # of what the encoder gives, half are the means of z
-    (inner, encoding), (outer, decoding) = ends
-    fits = encoding and decoding and inner % 2 == 0 and outer == 12
-    if not fits or {name: array.shape for name, array in weights.items()} != shapes:
-        raise InputError("its weights are not those of an encoder and a decoder of 6 numbers")
-    if not all(array.dtype == np.float32 and np.isfinite(array).all()
-               for array in weights.values()):
-        raise InputError("its weights must be finite numbers of type float32")
+    hidden, latent = architecture.hidden, architecture.latent
+    encoder, decoder = (
+        torch.nn.Sequential(*[part for sizes in pairwise(widths)
+                              for part in (torch.nn.Linear(*sizes), torch.nn.Tanh())][:-1])
+        for widths in ([6, *hidden, 2 * latent], [latent, *reversed(hidden), 12]))
+    optimiser = torch.optim.Adam(
+        [*encoder.parameters(), *decoder.parameters()], lr=architecture.learning_rate,
+        weight_decay=WEIGHT_DECAY, fused=True)
+    steps = architecture.steps
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for step in range(steps):
+        batch = points[torch.randint(len(points), (BATCH,))]
+        if noise:
+            batch = batch + noise * torch.randn_like(batch)
+        mean, log_variance = encoder(batch).chunk(2, dim=-1)
+        draws = torch.randn(DRAWS, *mean.shape)
+        z = mean + torch.exp(0.5 * log_variance) * draws
+        middle, output = decoder(z).chunk(2, dim=-1)
+        log_sigma = SIGMA_MIDDLE + SIGMA_REACH * torch.tanh(output)
+        white = (batch - middle) * torch.exp(-log_sigma)
+        log_ratio = 0.5 * (draws**2 - z**2 + log_variance).sum(dim=-1)
+        weight = min(1.0, (step + 1) / math.ceil(WARM_UP * steps))
+        terms = weight * log_ratio - (0.5 * white**2 + log_sigma).sum(dim=-1)
+        loss = -torch.logsumexp(terms, dim=0).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    weights = {}
+    for name, network in (("encoder", encoder), ("decoder", decoder)):
+        for k, layer in enumerate(network[::2]):
+            weights |= {f"{name}.{k}.weight": layer.weight, f"{name}.{k}.bias": layer.bias}
+    return {name: value.detach().numpy().copy() for name, value in weights.items()}

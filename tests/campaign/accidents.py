@@ -140,7 +140,7 @@ def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
 
 
 def _require_complete(out: Path) -> None:
-    from data.splits import finished_manifest
+    from data.manifest import finished_manifest
 
     finished_manifest(out)
 

@@ -31,25 +31,26 @@ from PIL import Image
 from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
+from apps.drape_file import read_borrowed
+from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import read_capture
-from data.drape_file import read_borrowed
 from data.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.folder import DatasetFolder
 from data.inspect import figures
 from data.inspect.check import check_dataset
 from data.inspect.pictures import histograms
+from data.manifest import json_digest
 from data.prior import load_prior
 from data.recordings import read_recording
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
-from data.shards import SEAL_SIZE, _seal, json_digest, verified_digest
-from data.strip_curves import read_curve
+from data.shards import SEAL_SIZE, _seal, verified_digest
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
 from drapenet.export import TARGETS, read_material
 from drapenet.network import MapNet

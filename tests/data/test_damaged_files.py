@@ -14,12 +14,13 @@ from common.errors import InputError
 from data.folder import DatasetFolder
 from data.frames import read_array
 from data.inspect.check import check_dataset
+from data.manifest import json_digest, read_manifest
+from data.manifest import write_manifest as write
 from data.prior import load_prior
 from data.reading import read_picture
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
-from data.shards import SEAL_SIZE, Shard, _seal, json_digest, read_manifest, verified_digest
-from data.shards import write_manifest as write
+from data.shards import SEAL_SIZE, Shard, _seal, verified_digest
 from sim.scene import Rig
 
 

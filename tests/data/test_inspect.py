@@ -21,8 +21,9 @@ from data.inspect.__main__ import describe, main
 from data.inspect.check import check_dataset
 from data.inspect.figures import prior_samples, read_drapes, report, spread
 from data.inspect.pictures import Shot, contact_sheet, mosaic, take_shots
+from data.manifest import json_digest, read_manifest, write_manifest
 from data.sampling import plan_drape
-from data.shards import Shard, json_digest, read_manifest, verified_digest, write_manifest
+from data.shards import Shard, verified_digest
 from sim.measures import maximum_stretch
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 

@@ -7,7 +7,7 @@ from test_generate import generate, shards, small_config
 
 import data.folder
 from common.provenance import environment, release
-from data.shards import json_digest, read_manifest
+from data.manifest import json_digest, read_manifest
 
 
 def elsewhere():

@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from common.errors import InputError
 from data.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
-from data.prior import GaussianPrior, files, load_prior, sample_admissible, save_prior
+from data.prior import MODELS, GaussianPrior, load_prior, sample_admissible, save_prior
 from data.prior.__main__ import main
 from sim.material import is_admissible
 
@@ -92,11 +92,11 @@ def test_save_and_load(prior, tmp_path):
         ({"kind": ["gaussian"]}, "kind"),
         ({"schema_version": 99}, "schema version"),
         ({"parameters": ["a"]}, "other parameters"),
-        ({"mean": [0, 1]}, "'mean', 6 finite"),
-        ({"mean": None}, "'mean', 6 finite"),
-        ({"mean": "many"}, "'mean', 6 finite"),
+        ({"mean": [0, 1]}, "mean: give 6 finite"),
+        ({"mean": None}, "mean: give 6 finite"),
+        ({"mean": "many"}, "mean: give 6 finite"),
         ({"fabrics": float("inf")}, "no JSON document"),
-        ({"fabrics": 201.5}, "'fabrics', a whole number"),
+        ({"fabrics": 201.5}, "fabrics: .* integer"),
         ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
         ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
         ({"covariance": (np.eye(6) * np.nan).tolist()}, "no JSON document"),
@@ -135,7 +135,7 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
     theta, rejected = sample_admissible(Reluctant(3), np.random.default_rng(0))
     assert rejected == 3
     assert is_admissible(*from_theta(theta))
-    monkeypatch.setattr(files, "MAXIMUM_TRIES", 5)
+    monkeypatch.setattr("data.prior.MAXIMUM_TRIES", 5)
     with pytest.raises(InputError, match="possible fabric"):
         sample_admissible(Reluctant(5), np.random.default_rng(0))
 
@@ -145,8 +145,8 @@ def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
     table.write_text(", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
                      + "\n0.15, 9000, 4000, 6000, -900, -400, -600")
     out.write_text("a good one")
-    monkeypatch.setattr(files, "MAXIMUM_TRIES", 5)
-    monkeypatch.setitem(files.MODELS, "gaussian", lambda theta: Reluctant(5))
+    monkeypatch.setattr("data.prior.MAXIMUM_TRIES", 5)
+    monkeypatch.setitem(MODELS, "gaussian", lambda theta: Reluctant(5))
     with pytest.raises(InputError, match="possible fabric"):
         main(["fit", f"fabrics={table}", f"out={out}", "model=gaussian"])
     assert out.read_text() == "a good one"

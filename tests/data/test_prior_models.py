@@ -26,9 +26,9 @@ from data.prior import (
     sample_admissible,
     save_prior,
 )
-from data.prior.architecture import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from data.prior.coordinates import Coordinates, plausible_range
 from data.prior.mixture import LEAST_VARIANCE
+from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from sim.material import plate_constants, torque
 
 TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"
@@ -87,7 +87,8 @@ def linear_vae(coordinates: Coordinates, rng: np.random.Generator, *, exact: boo
         "decoder.0.bias": np.concatenate([np.zeros(6), output]),
     }
     weights = {name: array.astype(np.float32) for name, array in weights.items()}
-    prior = VaePrior(coordinates, weights, 100, shift=0.0, spread=(1.0, 1.0))
+    prior = VaePrior(coordinates=coordinates, weights=weights, fabrics=100, shift=0.0,
+                     spread=(1.0, 1.0))
     return prior, mixing @ mixing.T + np.diag(sigma**2)
 
 
@@ -210,13 +211,13 @@ def test_files_are_read_back_bit_by_bit(prior, tmp_path):
 
 @pytest.mark.parametrize(("change", "complaint"), [
     ({"weights": [0.5, 0.6, 0.1]}, "add up to 1"),
-    ({"weights": [1.0]}, "'weights', 3 finite"),
-    ({"components": "3"}, "components"),
-    ({"means": None}, "'means', 3 × 6 finite"),
+    ({"weights": [1.0]}, "as many"),
+    ({"weights": []}, "weights: "),
+    ({"means": None}, "means: give K × 6 finite"),
     ({"covariances": [(-np.eye(6)).tolist()] * 3}, "positive definite"),
-    ({"coordinates": None}, "'mean'"),
+    ({"coordinates": None}, "coordinates: "),
     ({"coordinates": {"mean": [0] * 6, "scale": [0] * 6, "bend": 2e-3}}, "must be positive"),
-    ({"coordinates": {"mean": [0] * 6, "scale": [1] * 6, "bend": 1}}, "bend at"),
+    ({"coordinates": {"mean": [0] * 6, "scale": [1] * 6, "bend": 1}}, "coordinates.bend: must be"),
     ({"fabrics": -1}, "fabrics"),
 ])
 def test_bad_mixtures_are_refused(mixture, change, complaint):
@@ -236,8 +237,8 @@ def changed_weights(vae, change):
     (lambda vae: {"weights": "AAAA"}, "not base64 of a safetensors"),
     (lambda vae: {"weights": "ä"}, "not base64 of a safetensors"),
     (lambda vae: {"weights": None}, "not base64 of a safetensors"),
-    (lambda vae: {"shift": -1}, "'shift'"),
-    (lambda vae: {"spread": [1.2, 0.8]}, "'spread'"),
+    (lambda vae: {"shift": -1}, "shift: "),
+    (lambda vae: {"spread": [1.2, 0.8]}, "spread: "),
     (lambda vae: changed_weights(vae, lambda w: w.pop("decoder.1.bias")), "6 numbers"),
     (lambda vae: changed_weights(vae, lambda w: w.clear()), "6 numbers"),
     (lambda vae: changed_weights(vae, lambda w: w.update(more=np.ones(2, np.float32))),

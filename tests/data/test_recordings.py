@@ -26,21 +26,20 @@ def assert_stops(frames: np.ndarray, stops: np.ndarray) -> None:
 def test_stops_of_a_bag(table, tmp_path):
     shown, stops, intrinsics = table
     write_bag(tmp_path / "a.bag", shown, intrinsics)
-    found = read_recording(tmp_path / "a.bag")
-    assert_stops(found.frames, stops)
-    assert found.intrinsics == intrinsics
+    frames, found = read_recording(tmp_path / "a.bag")
+    assert_stops(frames, stops)
+    assert found == intrinsics
     write_bag(tmp_path / "b.bag", shown, intrinsics, unit=5e-4)
-    half = read_recording(tmp_path / "b.bag")
-    assert np.allclose(half.frames, found.frames / 2)
-    assert np.allclose(read_recording(tmp_path / "b.bag", 1e-3).frames, found.frames)
+    assert np.allclose(read_recording(tmp_path / "b.bag")[0], frames / 2)
+    assert np.allclose(read_recording(tmp_path / "b.bag", 1e-3)[0], frames)
 
 
 def test_stops_of_a_file_that_librealsense_recorded(table):
     _, stops, intrinsics = table
-    found = read_recording(FILE)
-    assert_stops(found.frames, stops)
-    assert found.intrinsics.fx == pytest.approx(intrinsics.fx, rel=1e-6)
-    assert found.intrinsics.cy == pytest.approx(intrinsics.cy, rel=1e-6)
+    frames, found = read_recording(FILE)
+    assert_stops(frames, stops)
+    assert found.fx == pytest.approx(intrinsics.fx, rel=1e-6)
+    assert found.cy == pytest.approx(intrinsics.cy, rel=1e-6)
 
 
 def test_a_folder_with_a_recording_is_a_capture(table, tmp_path):

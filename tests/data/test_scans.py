@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from apps.drape_file import read_borrowed
 from common.errors import InputError
-from data.drape_file import read_borrowed
 from data.scans import read_scan, read_scans
 from sim.measures import projected_area
 from sim.mesh import grid_faces

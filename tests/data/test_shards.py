@@ -9,17 +9,8 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.shards import (
-    SCHEMA_VERSION,
-    SEAL_SIZE,
-    Shard,
-    fields,
-    read_manifest,
-    to_counts,
-    verified_digest,
-    write_manifest,
-    write_shard,
-)
+from data.manifest import SCHEMA_VERSION, read_manifest, write_manifest
+from data.shards import SEAL_SIZE, Shard, fields, to_counts, verified_digest, write_shard
 
 VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}

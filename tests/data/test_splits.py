@@ -3,8 +3,8 @@ import pytest
 from test_generate import generate, small_config
 
 from common.errors import InputError
-from data.shards import read_manifest, write_manifest
-from data.splits import FRACTIONS, finished_manifest, split_by_fabric
+from data.manifest import finished_manifest, read_manifest, write_manifest
+from data.splits import FRACTIONS, split_by_fabric
 
 
 def test_split_is_stable_and_has_its_fractions():

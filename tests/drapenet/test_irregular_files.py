@@ -7,17 +7,18 @@ from pathlib import Path
 import pytest
 import torch
 
+from apps.drape_file import read_borrowed
+from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures import read_capture
-from data.drape_file import read_borrowed
 from data.fabrics import read_fabric_table
 from data.frames import read_array, read_exr, read_points
+from data.manifest import read_manifest
 from data.prior import load_prior
 from data.reading import read_picture
 from data.recordings import read_recording
 from data.scans import read_scan
-from data.shards import Shard, read_manifest, verified_digest
-from data.strip_curves import read_curve
+from data.shards import Shard, verified_digest
 from drapenet.checkpoint import load_state, read_header
 from drapenet.export import read_material
 from drapenet.refine.scans import read_cloud

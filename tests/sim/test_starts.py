@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from apps.drape_file import read_borrowed, write_drape
 from common.errors import InputError
-from data.drape_file import read_borrowed, write_drape
 from sim.drape import drape
 from sim.initial import borrowed_positions, initial_positions, interpolate_positions
 from sim.material import Fabric

@@ -9,13 +9,12 @@ import torch
 
 from common.command import schema_of
 from common.errors import InputError
-from data.prior.uniform import UniformPrior
 from drapenet.canonical import AZIMUTHS, ELEVATIONS, elevations
 from sim.drape import drape
 from sim.material import Fabric
 from sim.scene import Rig
 from studies.__main__ import main
-from studies.learned import stiff_first
+from studies.learned import UniformPrior, stiff_first
 from studies.networks import Classes, OnNumbers, OnViews, Outline, Regression, head
 from studies.space import linear_fit
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of, write_curve
 
+from apps.strip_curves import oriented_curve, read_curve
 from common.errors import InputError
-from data.strip_curves import oriented_curve, read_curve
 from sim.cantilever import elastica, heavy_elastica
 from sim.cantilever.tester import bending_length
 

@@ -1,12 +1,11 @@
 """Measured deflection curves of cantilever strips: CSV files, checked and turned upright."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_text
-from common.errors import InputError, one_line
+from common.documents import read_table
+from common.errors import InputError
 
 COLUMNS = ("x_mm", "y_mm")
 FEWEST_POINTS = 12
@@ -29,19 +28,13 @@ def read_curve(path: str | Path) -> np.ndarray:
             hanging strip.
     """
     path = Path(path)
-    try:
-        reader = csv.reader(read_text(path, LARGEST_FILE, "deflection curve").splitlines(),
-                            skipinitialspace=True)
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(f"the curve {path} cannot be read: {one_line(error)}") from None
-    header = [cell.strip() for cell in rows[0][1]] if rows else []
+    header, rows = read_table(path, "deflection curve", LARGEST_FILE)
     if not set(COLUMNS) <= set(header):
         raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "
                          "separated by commas")
     x, y = (header.index(name) for name in COLUMNS)
     points = []
-    for line, row in rows[1:]:
+    for line, row in rows:
         try:
             points.append((float(row[x]), float(row[y])))
         except (ValueError, IndexError):

@@ -1,0 +1,42 @@
+"""Drapes on disk: ``drape.npz``, from which another drape can start.
+
+A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metres, float64;
+``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.DrapeResult`.
+"""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from common.files import replace_file
+from data.arrays import read_arrays
+from sim.drape import DrapeResult
+
+
+def write_drape(path: Path, result: DrapeResult) -> None:
+    """Write ``result`` to ``path`` whole or not at all; InputError where that is refused."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, rest=result.rest, positions=result.positions, faces=result.faces,
+                        held=result.held)
+    replace_file(path, buffer.getvalue())
+
+
+def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Rest points (V, 2) and positions (V, 3), m, of a drape to start another one from.
+
+    Raises:
+        InputError: the file cannot be read or is not of the form described above.
+    """
+    expected = "a drape.npz with rest and positions"
+    arrays = read_arrays(path, ("rest", "positions"), what="the drape", expected=expected)
+    if len(arrays) < 2:
+        raise InputError(f"{path} is not {expected}")
+    rest, positions = arrays["rest"], arrays["positions"]
+    for name, array, columns in (("rest", rest, 2), ("positions", positions, 3)):
+        if array.dtype.kind != "f" or array.shape != (len(rest) if rest.ndim else 0, columns):
+            raise InputError(f"{path}: {name} must be numbers of shape (V, {columns})")
+        if not np.isfinite(array).all():
+            raise InputError(f"{path}: {name} holds numbers that are not finite")
+    return rest, positions

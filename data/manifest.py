@@ -1,0 +1,108 @@
+"""``dataset.json``: what a dataset consists of, with the digests of its settings and shards."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from common.documents import Excerpt, read_json
+from common.errors import InputError
+from common.files import replace_file
+
+SCHEMA_VERSION = 6  # of manifests and shards
+MANIFEST = "dataset.json"
+REMEDY = ("remove it and run the command that made the dataset again, which keeps shards that are "
+          "whole")
+
+
+class _Begun(Excerpt):
+    """What a manifest must hold."""
+
+    remedy = REMEDY
+    identity: str
+    drapes: int = Field(ge=1, le=10**9)
+    config: dict[str, Any] = Field(min_length=1)
+    complete: bool
+    provenance: list[Any] = Field(default_factory=list)
+
+
+class _Named(Excerpt):
+    name: str
+
+
+class _Config(Excerpt):
+    rig: _Named
+    prior: dict[str, Any]
+
+
+class _Finished(_Begun):
+    """What a finished one must hold."""
+
+    config: _Config
+    hash: str
+    shards: dict[Annotated[str, Field(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Field(
+        min_length=1)
+
+
+def write_manifest(root: Path, content: dict) -> None:
+    """Write the dataset's ``dataset.json`` in one step."""
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    replace_file(root / MANIFEST, text.encode())
+
+
+def read_manifest(root: Path) -> dict | None:
+    """The content of ``dataset.json``; None where there is none.
+
+    Raises:
+        InputError: it cannot be read, is damaged, or belongs to another schema version.
+    """
+    path = Path(root) / MANIFEST
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError:
+        pass  # the reader says why
+    content = read_json(path, remedy=REMEDY)
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is damaged; {REMEDY}")
+    if content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
+                         "dataset again, in another folder")
+    (_Finished if content.get("complete") else _Begun).of(content, f"{path} is damaged")
+    return content
+
+
+def finished_manifest(root: str | Path) -> dict:
+    """The content of a dataset's ``dataset.json``.
+
+    Raises:
+        InputError: it is missing, unfinished or damaged, or contradicts itself.
+    """
+    manifest = read_manifest(Path(root))
+    if manifest is None:
+        raise InputError(f"{root} is not a dataset: dataset.json is missing")
+    if not manifest["complete"]:
+        raise InputError(f"{root} is unfinished; complete it with python -m data.generate "
+                         f"out={root} and the settings it was begun with")
+    require_digest(root, manifest["config"], manifest["identity"])
+    return manifest
+
+
+def require_digest(root: str | Path, content: dict, digest: str) -> None:
+    """InputError unless a part of the ``dataset.json`` in ``root`` has the digest given there."""
+    if json_digest(content) != digest:
+        raise InputError(f"{Path(root) / MANIFEST} contradicts itself: its digests are not those "
+                         f"of its content; {REMEDY}")
+
+
+def json_text(content: object) -> str:
+    """The canonical text of a JSON value."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def json_digest(content: object) -> str:
+    """SHA-256 of a JSON value, hexadecimal."""
+    return hashlib.sha256(json_text(content).encode()).hexdigest()
