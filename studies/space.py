@@ -146,7 +146,7 @@ def draw(report: Report) -> Figure:
                       xerr=[middle - low, high - middle], fmt="o", label=label)
     left.set_yticks(range(len(SPACES)), [name.replace(" around ", "\naround ").replace(
         " of three ", "\nof three ") for name in SPACES.values()])
-    left.set(xlabel="error of log α", xlim=(0, None), ylim=(2.5, -0.5))
+    left.set(xlabel="error of log α", xlim=(0, None), ylim=(3.1, -0.5))
     left.legend(fontsize=8, loc="lower left")
     for name, label in (("fitted", "fitted drape"), ("elsewhere", "another start")):
         values = sorted(one[name][0] for one in report["linear"].values() if one[name])

@@ -346,6 +346,7 @@ def draw(report: Report) -> Figure:
         panel.set(xscale="log", title=title)
         panel.set_yticks(range(len(WAYS)), WAYS)
         tick_short_scales(panel.xaxis)
+        panel.tick_params(axis="x", labelsize=8)
     for panel in axes[-1]:
         panel.set_xlabel("mean displacement [mm]; bars: medians")
     axes[0, 0].set_ylim(len(WAYS) - 0.5, -0.5)

@@ -217,6 +217,7 @@ def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
                   if r["fabric"] == shown and "modulus" in r[key]]
         left.plot(*np.transpose(points), marker, color="k", mfc="none", label=label)
     left.set(xlabel="φ, degrees from warp", ylabel="modulus, µN·m", title=f"fabric '{shown}'")
+    curves: list[tuple[list[str], str, np.ndarray]] = []  # names of fabrics with the same curve
     for name in FABRICS:
         cloth = make_fabric(name)
         for k, style in ((0, "-"), (1, ":")):
@@ -225,14 +226,25 @@ def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
                 continue
             law = np.array([cylinder_moduli(cloth, a)[k] for a in np.radians(phi)])
             eq8 = modulus_along(moduli, np.radians(phi))
-            middle.plot(phi, 100 * (eq8 / law - 1), style, label=f"{name}, {'αβ'[k]}")
+            curve = 100 * (eq8 / law - 1)
+            same = [names for names, drawn, other in curves
+                    if drawn == style and np.allclose(other, curve, atol=0.1)]
+            if same:
+                same[0].append(name)
+            else:
+                curves.append(([name], style, curve))
+    for names, style, curve in curves:
+        middle.plot(phi, curve, style, label=f"{', '.join(names)}: {'α' if style == '-' else 'β'}")
     middle.set(xlabel="φ, degrees from warp", ylabel="Eq. 8 against the law, %",
                title="between the sample directions")
     for kind, pairs in plates.items():
         n, error = np.array(pairs).T
         right.loglog(n, 100 * np.abs(error), "o-", label=kind)
+    right.set_xticks(n, [f"{count:g}" for count in n])
+    right.minorticks_off()
     right.set(xlabel="cells along the plate", ylabel="error of the centre's deflection, %",
               title="square plates")
+    middle.set_ylim(top=70)  # room for the legend
     for axis in (left, middle, right):
         axis.legend(fontsize=8)
         axis.grid(alpha=0.3)
