@@ -270,8 +270,8 @@ def demo() -> str:
     contained = " and ".join(
         f"{percent(sum(cell(kind)['inside']['68%']['each'][3:]) / 3)} ({kind})" for kind in RIGS)
     return (f"```\n{printed}\n```\n\n"
-            f"**The capture of the demo is simulated**, so the true moduli are known:\n\n{known}\n\n"
-            "A drape says little about β, so its estimate is pulled towards the β/α of typical "
+            f"**The capture of the demo is simulated**, so the true moduli are known:\n\n{known}\n"
+            "\nA drape says little about β, so its estimate is pulled towards the β/α of typical "
             f"fabrics: the 68 % intervals of β/α contain {contained} of the true values of unseen "
             "fabrics, and one fabric can be missed in several directions at once.")
 
