@@ -152,7 +152,7 @@ class Material:
             "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
             "the warp"]
         if np.any(-self.beta * self.curvature > SOFTENING_LIMIT * self.alpha):
-            notes.append(f"curvature_1_m={self.curvature:g} is outside the law's validity: the "
+            notes.append(f"curvature_1_m={self.curvature:g} is outside the law: the "
                          "torque is continued as a straight line there")
         return {
             "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,

@@ -25,7 +25,7 @@ KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 MG_CM = 1e-6 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 mg·cm
 GF_CM = 1e-3 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 gf·cm²/cm
-MOST_OUTSIDE = 0.5  # share of samples outside the law's validity, from which B is not given
+MOST_OUTSIDE = 0.5  # share of samples outside the law, from which B is not given
 _SOFTENING = np.sinh(np.linspace(np.arcsinh(-4.0), np.arcsinh(10.0), 240))
 _STEPS, _POINTS = 100, 11  # of the strips' integration: error below 1e-6
 

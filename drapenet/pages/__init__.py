@@ -21,11 +21,12 @@ def _environment() -> jinja2.Environment:
     pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "pages"), autoescape=True,
                                undefined=jinja2.StrictUndefined, trim_blocks=True)
     pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure,
+                      "wide": lambda quantity: with_interval(quantity, "interval_90")[1],
                       "base64": lambda data: b64encode(data).decode()}
     return pages
 
 
-def _figure(quantity: dict[str, Any], level: str = "68") -> str:
-    """Median and interval."""
-    middle, interval = with_interval(quantity, f"interval_{level}")
+def _figure(quantity: dict[str, Any]) -> str:
+    """Median and 68 % interval."""
+    middle, interval = with_interval(quantity)
     return f"{middle} ({interval})"
