@@ -114,7 +114,8 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
         _parameter(panels[k // 3, k % 3], fabrics[:, k], for_people(prior)[:, k],
                    f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
-    panels[0, 0].legend(frameon=False)
+    panels[0, 0].set_ylim(top=1.4 * panels[0, 0].get_ylim()[1])  # room for the legend
+    panels[0, 0].legend(frameon=False, loc="upper left")
     columns, converged = drapes.columns, drapes.converged
     groups = {start: converged & (columns["start"] == start)
               for start in np.unique(columns["start"]).tolist()}
