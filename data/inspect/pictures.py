@@ -114,8 +114,6 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
         _parameter(panels[k // 3, k % 3], fabrics[:, k], for_people(prior)[:, k],
                    f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
-    panels[0, 0].set_ylim(top=1.4 * panels[0, 0].get_ylim()[1])  # room for the legend
-    panels[0, 0].legend(frameon=False, loc="upper left")
     columns, converged = drapes.columns, drapes.converged
     groups = {start: converged & (columns["start"] == start)
               for start in np.unique(columns["start"]).tolist()}
@@ -125,7 +123,9 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     _by_start(panels[2, 1], groups, columns["folds"], "folds", whole)
     _by_start(panels[2, 2], groups, 100 * drapes.stretch, "largest strain [%]", 20)
     _by_start(panels[2, 3], groups, columns["iterations"], "Newton iterations", 20)
-    panels[2, 0].legend(frameon=False, title="initial state")
+    for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
+        panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
+        panel.legend(frameon=False, loc="upper left", title=title)
     _plane(panels[0, 3], fabrics, for_people(prior))
     _outcomes(panels[1, 3], columns["status"])
     return _png(figure)
