@@ -14,6 +14,7 @@ from pathlib import Path
 
 from common.command import command
 from common.ctrl_c import deferred
+from common.documents import differences
 from common.errors import InputError
 from common.files import folder_named, require_folder
 from drapenet.config import TrainConfig, learning_rate
@@ -53,9 +54,11 @@ def train(config: TrainConfig) -> Path:
     record = {"run": run, "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = load_state(state, model=network, optimizer=optimizer)
-        if record["run"] != run:
-            raise InputError(f"{out} holds a training with other settings or another dataset; "
-                             "choose another out= or remove it")
+        if changed := differences(record["run"], run):
+            names = ", ".join(name.removeprefix("settings.") for name in changed)
+            raise InputError(f"{out} holds a training with other settings ({names}); choose "
+                             "another out= or remove it. The learning rate depends on all epochs, "
+                             "so that a finished training takes no more of them")
 
     size = config.optim.batch_size
     steps = len(training) // size

@@ -375,8 +375,7 @@ def _complaint(error: Exception, name: str, schema: type) -> str:
         if inside := inside.union(*options.values()):
             return (f"unknown key '{key}'{_nearest(inner, inside)}; keys of {group}: "
                     f"{', '.join(sorted(inside))}")
-        near = _nearest(key, keys_of(name, schema))
-        return f"unknown key '{key}'{near}; {known_keys(name, schema)}"
+        return _unknown(key, name, schema)
     if (wrong := _CONVERSION.match(first)) and wrong[2] in _WANTED:
         return f"{key}={wrong[1]} must be {_WANTED[wrong[2]]}"
     if key:
@@ -391,10 +390,18 @@ def _complaint(error: Exception, name: str, schema: type) -> str:
         known = ", ".join(group_options(option[1]))
         return f"{option[1]}={option[2]} is unknown; choose from {known}"
     if text.startswith("Ambiguous value"):
+        key = _top(re.sub(r"^.*?'[+~]*", "", first))
+        if key and key not in keys_of(name, schema):
+            return _unknown(key, name, schema)
         return f"{first.removesuffix(':')}: it takes one value; --multirun runs a job for each"
     if "hydra/launcher" in text:
         return f"{text}; install it with pip install 'drapenet[cluster]'"
     return text
+
+
+def _unknown(key: str, name: str, schema: type) -> str:
+    known = keys_of(name, schema)
+    return f"unknown key '{key}'{_nearest(key, known)}; {known_keys(name, schema)}"
 
 
 def _nearest(key: str, known: Iterable[str]) -> str:
@@ -437,7 +444,8 @@ def included(name: str) -> dict[str, str]:
 def describe(name: str, usage: str) -> str:
     """The template of ``--help``: usage, keys of ``configs/NAME.yaml`` and of its groups.
 
-    Of a group's alternatives to the default option only what their files say of themselves.
+    Of a group's alternatives to the default option what their files say of themselves, and their
+    keys where the default has others.
     """
     parts = [usage.rstrip()]
     for file, under in {name: "", **included(name)}.items():
@@ -446,11 +454,14 @@ def describe(name: str, usage: str) -> str:
         parts += [f"\nKeys{where} (configs/{file}.yaml):\n", keys.replace(_GLOBAL, "").strip()]
     for group, default in groups_of(name).items():
         parts.append(f"\nGroup {group} (configs/{group}):")
+        usual = read_config(f"{group}/{default}").keys() if default else None
         for option in sorted(group_options(group), key=lambda one: (one != default, one)):
             text = config_text(f"{group}/{option}").replace(_GLOBAL, "")
             about = "".join(itertools.takewhile(lambda line: line[0] == "#",
                                                 text.splitlines(keepends=True)))
-            shown, mark = (text, ", the default") if option == default else (about, "")
+            others = usual is not None and not read_config(f"{group}/{option}").keys() <= usual
+            shown = text if option == default or others else about
+            mark = ", the default" if option == default else ""
             parts.append(f"\n{group}={option}{mark}\n{textwrap.indent(shown, '    ')}".rstrip())
     return "\n".join([*parts, _HYDRA]).replace("$", "$$")
 

@@ -235,3 +235,12 @@ def shown(value: object) -> str:
     with suppress(ValueError):  # of whole numbers with thousands of digits
         return reprlib.repr(value)[:60]
     return "a number of thousands of digits"
+
+
+def differences(old: object, new: object, prefix: str = "") -> list[str]:
+    """Dotted names of the settings that differ."""
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return [] if old == new else [prefix]
+    names = sorted(old.keys() | new.keys())
+    return [difference for name in names for difference in
+            differences(old.get(name), new.get(name), f"{prefix}.{name}" if prefix else name)]

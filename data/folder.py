@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from common.documents import parse_json
+from common.documents import differences, parse_json
 from common.errors import InputError
-from common.files import remove_partial
+from common.files import PARTIAL_SUFFIX, remove_partial
 from common.provenance import environment
 from data.manifest import (
     MANIFEST,
@@ -75,7 +75,8 @@ class DatasetFolder:
         """Create the folder, or see that it holds this dataset, or part of it.
 
         Raises:
-            InputError: the folder cannot be made, holds another dataset, or more drapes.
+            InputError: the folder cannot be made, holds another dataset, more drapes, or other
+                files without a dataset.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -89,8 +90,14 @@ class DatasetFolder:
                 raise InputError(f"{self.root} holds {manifest['drapes']} drapes already; ask for "
                                  "as many or more")
         else:
-            for path in self.root.glob(SHARDS):
+            shards = set(self.root.glob(SHARDS))
+            for path in sorted(shards):
                 self._adopt(path)
+            for path in sorted(self.root.iterdir()):
+                # Hidden files are of the system; files being written are of another job.
+                if path not in shards and path.suffix != PARTIAL_SUFFIX and path.name[0] != ".":
+                    raise InputError(f"{self.root} holds {path.name} and no {MANIFEST}: it is not "
+                                     "a dataset's; choose a new or empty folder")
 
     def _adopt(self, path: Path) -> None:
         """Accept a shard without a manifest beside it, if it is this dataset's."""
@@ -105,7 +112,7 @@ class DatasetFolder:
 
     def _require_same(self, identity: object, settings: dict) -> None:
         if identity != self.identity:
-            changed = ", ".join(_differences(settings, self._settings)) or "unknown settings"
+            changed = ", ".join(differences(settings, self._settings)) or "unknown settings"
             raise InputError(f"{self.root} holds a dataset with other settings ({changed}); choose "
                              "another folder, or remove it")
 
@@ -214,12 +221,3 @@ def _summary(contents: dict[str, Content]) -> dict:
         "hash": json_digest(digests),
         "shards": digests,
     }
-
-
-def _differences(old: object, new: object, prefix: str = "") -> list[str]:
-    """Dotted names of the settings that differ."""
-    if not (isinstance(old, dict) and isinstance(new, dict)):
-        return [] if old == new else [prefix]
-    names = sorted(old.keys() | new.keys())
-    return [difference for name in names for difference in
-            _differences(old.get(name), new.get(name), f"{prefix}.{name}" if prefix else name)]

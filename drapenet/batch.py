@@ -29,6 +29,7 @@ from drapenet.checkpoint import read_header
 from drapenet.output import DONE, ESTIMATE, SAMPLES, SHOWN, THUMBNAIL
 from drapenet.overview import write_overview
 from drapenet.sources import header_for
+from drapenet.table import format_fabrics
 from drapenet.tree import entries_of
 
 _PIECE = 1 << 20  # bytes
@@ -62,10 +63,11 @@ def estimate_tree(
     require_folder(out)
     chosen = str(read_header(checkpoint).path) if checkpoint else ""
     stamps = {entry.place: stamp_of(entry.path, chosen, options) for entry in entries}
-    missing = [entry for entry in entries
-               if _failure(out / entry.place, stamps[entry.place]) is None]
-    print(f"{len(entries) - len(missing)} of {len(entries)} captures are finished; {len(missing)} "
-          "to go. If interrupted, the same command goes on.", flush=True)
+    known = [_failure(out / entry.place, stamps[entry.place]) for entry in entries]
+    missing = [entry for entry, failure in zip(entries, known, strict=True) if failure is None]
+    print(f"{len(entries)} captures of {len({entry.fabric for entry in entries})} fabrics: "
+          f"{known.count('')} estimated, {len(entries) - known.count('') - len(missing)} failed, "
+          f"{len(missing)} to go. If interrupted, the same command goes on.", flush=True)
     if missing:
         count = min(workers or joblib.cpu_count(), len(missing))
         with worker_pool(count) as pool, progress_bar(total=len(missing), unit="capture") as bar:
@@ -73,13 +75,19 @@ def estimate_tree(
                                    chosen, options): entry for entry in missing}
             for future in as_completed(futures):
                 if failure := future.result():
-                    bar.write(f"failed: {futures[future].path}: {failure}")
+                    path = str(futures[future].path)
+                    bar.write(f"failed: {failure if path in failure else f'{path}: {failure}'}")
                 bar.update()
     outcomes = [(entry, _failure(out / entry.place) or "") for entry in entries]
-    failed = write_overview(out, outcomes)
-    print(f"fabrics:  {out / 'fabrics.csv'}\noverview: {out / 'index.html'}")
-    if failed:
-        print(f"failures: {failed}, listed in {out / 'failures.csv'}")
+    fabrics, apart = write_overview(out, outcomes)
+    failed = sum(bool(failure) for _, failure in outcomes)
+    if fabrics:
+        print(format_fabrics([(one.name, len(one.captures), one.content, one.warnings)
+                              for one in fabrics]))
+    print(f"captures: {len(outcomes) - failed} estimated, {failed} failed"
+          + f"; {apart} fabrics not joined" * (apart > 0)
+          + f", see {out / 'failures.csv'}" * (failed + apart > 0))
+    print(f"fabrics:  {out / 'summary.csv'}, {out / 'fabrics.csv'}\noverview: {out / 'index.html'}")
     if all(failure for _, failure in outcomes):
         raise InputError(f"none of {len(outcomes)} captures could be estimated; see "
                          f"{out / 'failures.csv'}")

@@ -1,5 +1,5 @@
-"""Tables and pages of hundreds of captures: ``fabrics.csv``, ``captures.csv``, ``failures.csv``, a
-page of each fabric, and ``index.html``.
+"""Tables and pages of hundreds of captures: ``summary.csv``, ``fabrics.csv``, ``captures.csv``,
+``failures.csv``, a page of each fabric, and ``index.html``.
 
 All are made from the files of finished captures (:mod:`drapenet.batch`), those of one fabric
 joined (:mod:`drapenet.joint`).
@@ -25,7 +25,7 @@ from drapenet.estimate import Estimate
 from drapenet.joint import joint_content
 from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
 from drapenet.pages import render
-from drapenet.table import csv_number, interval_columns
+from drapenet.table import csv_number, interval_columns, with_interval
 from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
@@ -60,24 +60,41 @@ class FabricResult:
     content: dict[str, Any]
     scatter: np.ndarray
 
+    @property
+    def doubted(self) -> int:
+        """Captures with warnings."""
+        return sum(bool(one.content["warnings"]) for one in self.captures)
 
-def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
-    """Write all tables and pages; returns the number of failures.
+    @property
+    def warnings(self) -> int:
+        """Of all captures, and of what they say together."""
+        own = sum(len(one.content["warnings"]) for one in self.captures)
+        together = len(self.content["warnings"]) - self.doubted if len(self.captures) > 1 else 0
+        return own + together
+
+
+def write_overview(
+    out: Path, outcomes: Sequence[tuple[Entry, str]]
+) -> tuple[list[FabricResult], int]:
+    """Write all tables and pages; returns the fabrics, and the number of those whose captures
+    cannot be joined.
 
     Args:
         outcomes: every capture, with the reason why it has no estimate, or ''.
     """
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
-                                   failure), strict=True))
+                                   failure.removeprefix(f"{entry.path}: ")), strict=True))
                 for entry, failure in outcomes if failure]
-    fabrics = []
+    fabrics, apart = [], 0
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
             fabrics.append(_fabric(name, [_finished(out, entry) for entry in entries]))
         except InputError as error:
+            apart += 1
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
+    _write_csv(out / "summary.csv", [_summary_row(one) for one in fabrics])
     _write_csv(out / "fabrics.csv", [_fabric_row(one) for one in fabrics])
     _write_csv(out / "captures.csv", [_capture_row(one) for fabric in fabrics
                                       for one in fabric.captures])
@@ -92,7 +109,7 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> int:
                                     if (out / one.entry.place / REPORT).exists()}))
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
-    return len(failures)
+    return fabrics, apart
 
 
 def _finished(out: Path, entry: Entry) -> Finished:
@@ -122,18 +139,31 @@ def _fabric(name: str, captures: list[Finished]) -> FabricResult:
     return FabricResult(name, place, captures, content, np.exp(np.std(middles, axis=0, ddof=1)))
 
 
+def _summary_row(fabric: FabricResult) -> dict[str, object]:
+    """What fits a screen: alpha with its 68 % interval as text."""
+    row: dict[str, object] = {"fabric": fabric.name, "captures": len(fabric.captures),
+                              "density_g_m2": csv_number(fabric.content["capture"]["density_g_m2"])}
+    for role, moduli in zip(ROLES, fabric.content["moduli"].values(), strict=True):
+        median, interval = with_interval(moduli["alpha_uN_m"])
+        row |= {f"{role}_alpha_uN_m": median, f"{role}_68": interval}
+    return row | {"drape_coefficient_percent": _coefficient(fabric), "warnings": fabric.warnings}
+
+
+def _coefficient(fabric: FabricResult) -> str:
+    values = [one.content["capture"]["drape_coefficient_percent"] for one in fabric.captures]
+    known = [value for value in values if value is not None]
+    return csv_number(np.mean(known)) if known else ""
+
+
 def _fabric_row(fabric: FabricResult) -> dict[str, object]:
-    coefficients = [one.content["capture"]["drape_coefficient_percent"] for one in fabric.captures]
-    known = [value for value in coefficients if value is not None]
-    doubted = sum(bool(one.content["warnings"]) for one in fabric.captures)
     several = len(fabric.captures) > 1
     return {
         "fabric": fabric.name,
         "samples": len({one.entry.sample for one in fabric.captures}),
-        "captures": len(fabric.captures), "captures_with_warnings": doubted,
+        "captures": len(fabric.captures), "captures_with_warnings": fabric.doubted,
         "rig": fabric.content["capture"]["rig"], "directions": fabric.content["convention"],
         **_figures(fabric.content),
-        "drape_coefficient_percent": csv_number(np.mean(known)) if known else "",
+        "drape_coefficient_percent": _coefficient(fabric),
         **{f"alpha_{role}_scatter_factor": csv_number(factor) if several else ""
            for role, factor in zip(ROLES, fabric.scatter, strict=True)},
         "poorly_constrained": "; ".join(fabric.content["poorly_constrained"]),

@@ -1,7 +1,10 @@
 """Estimates in the units that people see, for the terminal."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
+
+WIDEST = 28  # characters of a fabric's name
 
 
 def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[str, str]:
@@ -69,3 +72,21 @@ def format_table(content: dict[str, Any]) -> str:
     if captures := content.get("captures"):
         lines.insert(0, f"joint estimate of {len(captures)} captures")
     return "\n".join(lines + [f"warning: {line}" for line in content["warnings"]])
+
+
+def format_fabrics(rows: Sequence[tuple[str, int, dict[str, Any], int]]) -> str:
+    """A line for each fabric: name, captures, alpha with its 68 % interval from the content of
+    ``estimate.json``, and the number of warnings.
+    """
+    names = [name if len(name) <= WIDEST else f"{name[: WIDEST - 1]}…" for name, *_ in rows]
+    width = max(len("fabric"), *map(len, names))
+    lines = [f"{'fabric':{width}}{'captures':>10}"
+             + "".join(f"{f'alpha {role}':>24}" for role in ("warp/stiff", "bias", "weft/soft"))
+             + f"{'warnings':>10}   [µN·m, 68 %]"]
+    for name, (_, captures, content, warnings) in zip(names, rows, strict=True):
+        figures = [f"{median} ({interval})" for median, interval in (
+            with_interval(moduli["alpha_uN_m"]) for moduli in content["moduli"].values())]
+        lines.append(f"{name:{width}}{captures:>10}"
+                     + "".join(f"{figure:>24}" for figure in figures)
+                     + f"{warnings or '-':>10}")
+    return "\n".join(lines)

@@ -81,7 +81,10 @@ def _stop(error: OSError) -> None:
 
 def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     try:
-        lines = csv.DictReader(read_text(file, LARGEST_TABLE, "list").splitlines(), strict=True)
+        text = read_text(file, LARGEST_TABLE, "list").splitlines()
+        # Spreadsheets write semicolons where the comma is decimal.
+        separator = ";" if text and ";" in text[0] and "," not in text[0] else ","
+        lines = csv.DictReader(text, delimiter=separator, strict=True)
         missing = {"fabric", "capture"} - set(lines.fieldnames or ())
         if missing:
             raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "

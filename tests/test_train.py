@@ -70,7 +70,7 @@ def test_a_checkpoint_describes_itself(words: list[str], tmp_path: Path) -> None
 
 def test_another_setting_in_the_same_folder_is_refused(words: list[str]) -> None:
     train.main([*words, "epochs=1"])
-    with pytest.raises(InputError, match="other settings"):
+    with pytest.raises(InputError, match=r"other settings \(optim\.weight_decay\); choose"):
         train.main([*words, "epochs=1", "optim.weight_decay=0.02"])
 
 

@@ -1,6 +1,6 @@
 """Check a dataset of drapes, and report what it holds.
 
-    python -m data.inspect FOLDER [out=REPORT]
+    python -m data.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
 Checks that the shards of the dataset in FOLDER are those that its dataset.json lists, then says
 what is in it: outcomes, parameters against the prior, drapes, disk use. Writes report.json,
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from common.command import command
 from common.errors import InputError
-from common.files import folder_named, replace_file, require_folder
+from common.files import replace_file, require_folder
 from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots
@@ -31,14 +31,15 @@ class InspectConfig:
     sheet: int
 
 
-@command("inspect", InspectConfig, first="data")
+@command("inspect", InspectConfig, first="data", swept_out=".")
 def main(config: InspectConfig) -> None:
     """Check, print, and write the report."""
     if not config.data:
         raise InputError("the folder of a dataset is needed: python -m data.inspect FOLDER")
     if config.intersections < 0 or config.sheet < 1:
         raise InputError("intersections must not be negative, sheet must be at least 1")
-    root, out = Path(config.data), folder_named(config.out)
+    root = Path(config.data)
+    out = Path(config.out or Path("outputs/inspect") / root.resolve().name)
     require_folder(out)
     manifest = check_dataset(root)
     drapes = read_drapes(root, manifest, intersections=config.intersections)

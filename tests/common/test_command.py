@@ -21,6 +21,7 @@ from common.command import (
     command,
     commands,
     compose_config,
+    describe,
     groups_of,
     keys_of,
     to_hydra,
@@ -144,6 +145,7 @@ def test_quotes_lists_and_other_keys_are_hydras(run):
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
+    (["cuont=1,2"], "^unknown key 'cuont', perhaps count; known keys: count, flag, inner, name"),
     (["nane=a"], r"unknown key 'nane', perhaps name; known keys: count, flag, inner, name"),
     (["inner.txt=a"], "unknown key 'inner.txt', perhaps text; keys of inner: number, text"),
     (["count"], "'count' is not of the form key=value"),
@@ -362,6 +364,13 @@ def test_a_program_error_keeps_its_traceback_and_its_type(monkeypatch, tmp_path)
     with pytest.raises(ZeroDivisionError) as error:
         command("serve", Settings)(broken)([])
     assert error.traceback[-1].name == "broken"
+
+
+def test_help_lists_the_keys_of_alternatives_where_they_are_others():
+    said = describe("infer", "How to infer.")
+    assert all(f"    {key}: " in said for key in ("by", "starts", "coarse_mm", "edge_mm"))
+    said = describe("generate", "")
+    assert "drapes_per_shard" in said and "n_jobs" not in said  # a launcher is Hydra's
 
 
 @pytest.mark.parametrize("script", ["infer.py", "train.py", "serve.py"])

@@ -190,6 +190,15 @@ def test_another_configuration_is_refused(tmp_path):
     assert files(tmp_path) == before
 
 
+def test_a_folder_of_other_things_is_not_a_datasets(tmp_path):
+    (tmp_path / "notes.md").touch()
+    with pytest.raises(InputError, match=r"holds notes.md and no dataset.json"):
+        generate(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.md"]
+    (tmp_path / "notes.md").rename(tmp_path / ".hidden")
+    assert generate(tmp_path, small_config(drapes=2))["drapes"] == 2
+
+
 def test_shards_of_unknown_origin_are_not_touched(tmp_path):
     (tmp_path / "shard_00000.h5").write_text("mine")
     with pytest.raises(InputError, match=r"no dataset\.json, and shard_00000\.h5"):

@@ -1,6 +1,7 @@
 """Trees of captures: what is found, what survives interruption, what reaches a spreadsheet."""
 
 import csv
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from data.captures import write_capture
 from drapenet.overview import _cell, _write_csv
 from drapenet.tree import entries_of, plain_name
 
+TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
 NAMES = [("=cmd|' /C calc'!A0", "1", "a"), ("=cmd|' /C calc'!A0", "2", "a"),
          ("<script>alert(1)</script>", "$x^", "b")]
 
@@ -57,6 +59,14 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     failure, = rows(out / "failures.csv")
     assert failure["fabric"] == "gone" and "does not exist" in failure["reason"]
     pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
+    printed = capsys.readouterr().out
+    assert "4 captures of 3 fabrics: 0 estimated, 0 failed, 4 to go" in printed
+    assert "captures: 3 estimated, 1 failed, see" in printed
+    summary = rows(out / "summary.csv")
+    assert len(summary[0]) == 11 and summary[1]["captures"] == "2"
+    low, high = summary[1]["bias_68"].split(" to ")
+    assert float(low) < float(summary[1]["bias_alpha_uN_m"]) < float(high)
+    assert summary[1]["bias_68"] in printed
     assert len(pages) == 3 and not any("<script>" in page for page in pages)
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
     # What was finished stays; what is not, or has changed, is done again; tables are the same.
@@ -65,7 +75,7 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     done[0].unlink()
     capsys.readouterr()
     infer.main(words)
-    assert "3 of 4 captures are finished; 1 to go" in capsys.readouterr().out
+    assert "of 3 fabrics: 2 estimated, 1 failed, 1 to go" in capsys.readouterr().out
     assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
     assert {name: (out / name).read_bytes() for name in tables} == tables
     file = root / "2" / "capture.yaml"
@@ -82,6 +92,33 @@ def test_a_tree_of_broken_captures_ends_with_an_error_and_a_list(tmp_path, untra
                     f"checkpoint={untrained_checkpoint}", "workers=1"])
     assert "neither capture.yaml" in rows(tmp_path / "out" / "failures.csv")[0]["reason"]
     assert rows(tmp_path / "out" / "fabrics.csv") == []
+
+
+def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(
+    tmp_path, untrained_checkpoint, capsys
+):
+    for place in ("sound/1", "faulty/1", "faulty/2"):
+        shutil.copytree(TWILL, tmp_path / "root" / place)
+    faulty = tmp_path / "root" / "faulty" / "2"
+    shutil.copy(TWILL / "view_1.png", faulty / "view_2.png")
+    shutil.copy(TWILL / "view_2.png", faulty / "view_1.png")
+    out = tmp_path / "out"
+    words = [f"captures={tmp_path / 'root'}", f"checkpoint={untrained_checkpoint}", "workers=1"]
+    infer.main([*words, f"out={out}"])
+    faulty, sound = rows(out / "fabrics.csv")
+    assert sound["flags"] == "" and sound["captures_with_warnings"] == "0"
+    assert "root/faulty/2 has " in faulty["flags"] and "by itself: " in faulty["flags"]
+    count, none = (row["warnings"] for row in rows(out / "summary.csv"))
+    assert int(count) >= 1 and none == "0"
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("faulty") and line.endswith(f" {count}") for line in lines)
+    assert any(line.startswith("sound") and line.endswith(" -") for line in lines)
+    page = (out / "index.html").read_text("utf-8")
+    assert page.count('<tr class="doubted">') == 1 and f"<strong>{count} warning" in page
+    infer.main([*words, f"out={tmp_path / 'strict'}", "strict=true"])
+    failure, = rows(tmp_path / "strict" / "failures.csv")
+    assert failure["sample"] == "" and failure["capture"] == "2"
+    assert failure["reason"].startswith("refused for ")
 
 
 def test_trees_of_every_depth_are_found(tmp_path):
@@ -111,6 +148,15 @@ def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_p
     assert places[-1].parent == places[0].parent  # the same fabric
     assert all(not place.is_absolute() and ".." not in place.parts for place in places)
     assert all(plain_name(name) not in ("", ".", "..") for name in names)
+
+
+def test_a_list_may_have_semicolons(tmp_path):
+    for name, text in (("a", "fabric,capture\nsilk,one\n"), ("b", "fabric;capture\nsilk;one\n"),
+                       ("c", "fabric;sample;capture\n\"silk, red\";;one\n")):
+        (tmp_path / name).write_text(text)
+    found = [entries_of(tmp_path / name)[0] for name in "abc"]
+    assert [(one.fabric, one.sample, one.capture) for one in found] == [
+        ("silk", "", "one"), ("silk", "", "one"), ("silk, red", "", "one")]
 
 
 @pytest.mark.parametrize(("text", "message"), [
