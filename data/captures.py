@@ -51,12 +51,15 @@ DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 DENSITIES_APART = 0.1  # as a share of the least, of specimens of one fabric
 DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
+LEAST_AREA = 0.6  # of the median of the views' cloth
 SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is no cloth
 ISOLATED = 0.025  # m, from the median of its neighbours: such a depth is none
 FEW_ISOLATED = 0.003  # of the cloth's pixels: so many any sensor has
 SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
+EQUAL_TURNS = 4  # views, from which on they are taken to share a whole turn unless stated otherwise
+LEAST_TURN = 6.3  # degrees, a whole turn in radians
 LARGEST_WIDTH = 400  # pixels; of larger pictures every n-th is taken
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
@@ -144,6 +147,8 @@ def _read(path: Path) -> Capture:
         return _read_metric(path)
     if (path / "density.txt").exists():
         return _read_published(path)
+    if (path / "capture.yml").exists():
+        raise InputError(f"{path / 'capture.yml'}: rename it to capture.yaml")
     raise InputError(
         f"capture folder '{path}' has neither capture.yaml nor density.txt; "
         "write capture.yaml with density_g_m2 and intrinsics"
@@ -234,6 +239,8 @@ def write_capture(
         "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
         "rig": rig,
     }
+    if turns is None and 1 < len(views) < EQUAL_TURNS:
+        turns = whole_turns(len(views))
     if turns is not None:
         description["turns_deg"] = np.degrees(turns).round(6).tolist()
     if warp_direction is not None:
@@ -276,9 +283,8 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = board_intrinsics(found.color)
     elif intrinsics is None or known.intrinsics is not None:
         intrinsics = _intrinsics(known.intrinsics, file, width, height)
-    turns = _turns(known.turns_deg, file, len(views))
-    if board and known.turns_deg is None:
-        turns = board_turns(found.color, intrinsics)
+    turns = (board_turns(found.color, intrinsics) if board and known.turns_deg is None
+             else _turns(known.turns_deg, file, len(views)))
     step = -(-width // LARGEST_WIDTH)
     if step > 1:
         views = views[:, ::step, ::step]
@@ -354,19 +360,25 @@ def checked_capture(
                 f"{path}: view {k} is background but for {cloth.sum()} pixels; "
                 "the cloth is missing or too far away"
             )
+        distance = float(np.median(view[cloth]))
+        if not DISTANCE_RANGE[0] <= distance <= DISTANCE_RANGE[1]:
+            raise InputError(
+                f"{path}: view {k} has a median depth of {distance:.4g} m, not within "
+                f"{DISTANCE_RANGE[0]:g} to {DISTANCE_RANGE[1]:g} m; check depth_unit_m "
+                "(0.001 for millimetres)"
+            )
         if cloth.mean() > CLOTH_SHARE[1]:
             raise InputError(
                 f"{path}: view {k} has no background; set every pixel that is not cloth to 0"
             )
-        distance = float(np.median(view[cloth]))
-        if not DISTANCE_RANGE[0] <= distance <= DISTANCE_RANGE[1]:
-            raise InputError(
-                f"{path}: view {k} has the cloth {distance:.4g} m away, not within "
-                f"{DISTANCE_RANGE[0]:g}-{DISTANCE_RANGE[1]:g} m; check the depth unit"
-            )
         border = np.concatenate([cloth[0], cloth[-1], cloth[:, 0], cloth[:, -1]])
         if border.any():
             warnings += (f"view {k}: the cloth touches the picture's border",)
+    areas = (views > 0).sum(axis=(1, 2))
+    if areas.min() < LEAST_AREA * np.median(areas):
+        warnings += (f"view {areas.argmin()} shows {areas.min()} pixels of cloth, less than "
+                     f"{LEAST_AREA:.0%} of the median of the views, {np.median(areas):.0f}: take "
+                     "it again if the cloth was missing or hidden",)
     return Capture(views, intrinsics, turns, density, warp_direction, rig, path, warnings)
 
 
@@ -429,10 +441,17 @@ def checked_density(value: object, what: str = "") -> float:
 
 def _turns(degrees: list[float] | None, file: Path, count: int) -> np.ndarray:
     if degrees is None:
+        if 1 < count < EQUAL_TURNS:
+            raise InputError(f"{file}: turns_deg is missing, and {count} views need not share a "
+                             "whole turn; state the table's angles, such as turns_deg: "
+                             f"{[90 * k for k in range(count)]}")
         return whole_turns(count)
     if len(degrees) != count:
         raise InputError(f"{file}: turns_deg={shown(degrees)}: give one angle for each of the "
                          f"{count} views, such as [0, 90, 180, 270]")
+    if 0 < (largest := max(map(abs, degrees))) <= LEAST_TURN:
+        raise InputError(f"{file}: turns_deg={shown(degrees)} reach only {largest:.3g}° (a whole "
+                         "turn in radians is 6.28); give degrees, of views from several sides")
     return np.radians(degrees) - np.radians(degrees[0])
 
 

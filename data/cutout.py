@@ -35,6 +35,7 @@ _COLUMN_LEAST = 30  # pixels of all frames
 _COLUMN_SPREAD = 4e-3  # m, of a round column's radius
 _COLUMN_NEAR = 1.5e-3, 4e-3  # m beyond the column's radius that still count as column
 _CHANGED = 4e-3  # m at 0.5 m, nearer than the empty scene: cloth
+_SAME = 0.5  # share of the would-be cloth that the empty scene shows, too: it is not empty
 _MOVED = 0.3  # share of the still scene that differs from its picture: the camera has moved
 
 
@@ -131,7 +132,13 @@ def cut_out(
         # Where cloth lies on the plate, and bends down at its side, it is little nearer.
         top = (radius < rig.plate_radius + _SLACK) & (np.abs(height) < _ABOVE)
         near = (background > 0) & (background - frames < _CHANGED * frames / 0.5)
-        cloth &= ~_without_cloth_below(cloth & near & ~top, cloth)
+        same = cloth & near & ~top
+        share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
+        if share > _SAME:
+            doubts.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
+                          f"reach (limit {_SAME:.0%}): take it without cloth, and every view with "
+                          "it")
+        cloth &= ~_without_cloth_below(same, cloth)
         still = solid & (background > 0) & ~_within_reach(radius, height, rig)
         moved = np.abs(frames - background) > 3 * _CHANGED * frames / 0.5
         if still.any() and moved[still].mean() > _MOVED:

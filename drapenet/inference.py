@@ -21,7 +21,7 @@ from drapenet.maps import located_camera
 from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
 from drapenet.pages import render
 from drapenet.predict import predict
-from drapenet.quality import measure, quality_doubts
+from drapenet.quality import measure, quality_doubts, require_plate
 from drapenet.registration import camera_doubts
 from sim.scene import Rig
 
@@ -68,10 +68,18 @@ def capture_doubts(
     """What to say of a capture that is not as it should be, one line each: of the camera as
     located, against the ``setups`` trained on, of the table's turns, and of the views
     (:mod:`drapenet.quality`).
+
+    Raises:
+        InputError: the views do not show cloth on a plate.
     """
+    quality = measure(capture.views, camera, found, Rig.from_name(capture.rig),
+                      turns=capture.turns)
+    try:
+        require_plate(quality)
+    except InputError as error:
+        raise InputError(f"{capture.path}: {error}") from None
     return [*camera_doubts(camera, setups), *turn_doubts(found.turns, capture.turns),
-            *quality_doubts(measure(capture.views, camera, found, Rig.from_name(capture.rig),
-                                    turns=capture.turns))]
+            *quality_doubts(quality)]
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
+from common.errors import InputError
 from data.cameras import Camera
 from drapenet.canonical import DrapeMap, disagreement
 from drapenet.lie import specimen_lie
 from sim.scene import Rig
 
 _INNER = 0.7  # of the plate's radius, where cloth lies flat on it
+_OFF_PLATE = 10e-3  # m, from the plate's plane: not cloth that lies on it
 _TIE = 1.5e-3  # m, depths of a border that a threshold has cut
 LARGEST_SCALE = 0.05  # of the logarithm of the scale
+IMPOSSIBLE_SCALE = 0.15  # of the same; then the views are refused
 LARGEST_OFFSET = 11.5e-3  # m
 LARGEST_BULGE = 0.35e-3  # m
+LARGEST_OFF_PLATE = 0.1  # of the points over the plate's middle; frames that lie on a side have 0.2
 LARGEST_DISAGREEMENT = 3.5e-3  # m
 LARGEST_HOLES = 0.05
 LARGEST_HOLE = 150  # pixels
@@ -39,6 +43,7 @@ class Quality:
         log_scale, offset: how much larger than possible the drape looks, and how far its centre
             lies from the plate's axis, m (:mod:`drapenet.lie`).
         bulge: m, by which cloth on the plate is not flat, up in the middle.
+        off_plate: share of the points over the plate's middle that lie off its plane.
         disagreement: m, between what two views see of the same cloth.
         misread: what would explain a disagreement; empty where nothing does.
         holes: share of the cloth's pixels that have no depth; hole: pixels of the largest.
@@ -49,6 +54,7 @@ class Quality:
     log_scale: float
     offset: float
     bulge: float
+    off_plate: float
     disagreement: float
     misread: str
     holes: float
@@ -73,9 +79,10 @@ def measure(
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
     lie = specimen_lie(found, rig)
     several = len(views) > 1
+    bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
     return Quality(
         log_scale=lie.log_scale if several else np.nan, offset=lie.offset if several else np.nan,
-        bulge=_bulge(np.concatenate(clouds) - [*found.centre, 0.0], rig), disagreement=gap,
+        bulge=bulge, off_plate=off_plate, disagreement=gap,
         misread=_misread(views, camera, clouds, turns, rig, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
@@ -90,8 +97,8 @@ def _misread(
     """The reading of the views, if any, by which they agree much better than by the given one."""
     if not np.isfinite(gap):
         return ""
-    readings = {"the table turned the other way; give turns_deg, or number the views backwards":
-                -turns}
+    readings = {"the table turned the other way, or the pictures are mirrored; give turns_deg, "
+                "number the views backwards, or switch off the mirroring": -turns}
     count = len(views)
     for later in range(1, count):
         stayed = turns.copy()
@@ -131,7 +138,7 @@ def quality_doubts(quality: Quality) -> list[str]:
                       "length of the ray; check the lens's distortion")
     if q.misread:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth, and by less than 1/{BETTER:g} of that if {q.misread}")
+                      f"cloth, but fit better by a factor of more than {BETTER:g} if {q.misread}")
     elif q.disagreement > LARGEST_DISAGREEMENT:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
                       f"cloth (sound captures: up to {1e3 * LARGEST_DISAGREEMENT:g} mm): check "
@@ -150,14 +157,34 @@ def quality_doubts(quality: Quality) -> list[str]:
     return doubts
 
 
-def _bulge(points: np.ndarray, rig: Rig) -> float:
-    """m, from the middle to the edge of the plate, of the paraboloid through the cloth on it."""
+def require_plate(quality: Quality) -> None:
+    """InputError where what was taken for cloth on the plate cannot be it."""
+    if abs(quality.log_scale) > IMPOSSIBLE_SCALE:
+        raise InputError(
+            f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "
+            f"(limit {IMPOSSIBLE_SCALE:.0%}, and cloth does not stretch); check depth unit and "
+            "scale, fx and fy, the rig, and that the pictures are upright")
+    if quality.off_plate > LARGEST_OFF_PLATE:
+        raise InputError(
+            f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
+            f"{1e3 * _OFF_PLATE:g} mm off its plane (limit {LARGEST_OFF_PLATE:.0%}), so what was "
+            "found is not a drape on a plate; check that the pictures are upright, neither turned "
+            "nor mirrored, that all show the cloth, and the rig; python -m data.capture shows what "
+            "was cut out")
+
+
+def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
+    """Bulge of the cloth on the plate, m, from the middle to the edge of the paraboloid through
+    it, and the share of points (N, 3), m, over the plate that lie off its plane.
+    """
     reach = _INNER * rig.plate_radius
-    x, y, z = points[np.hypot(points[:, 0], points[:, 1]) < reach].T
+    over = points[np.hypot(points[:, 0], points[:, 1]) < reach]
+    flat = np.abs(over[:, 2]) < _OFF_PLATE
+    x, y, z = over[flat].T
     if len(z) < 30:
-        return np.nan
+        return np.nan, 1.0
     design = np.column_stack([np.ones(len(z)), x, y, (x**2 + y**2) / reach**2])
-    return -float(np.linalg.lstsq(design, z, rcond=None)[0][3])
+    return -float(np.linalg.lstsq(design, z, rcond=None)[0][3]), 1.0 - float(flat.mean())
 
 
 def _cut(view: np.ndarray) -> float:

@@ -164,7 +164,10 @@ def doubts(
         return ["mended"]
     camera = located_camera(checked.views, checked.intrinsics, rig)
     found = drape_map(checked.views, camera, rig, turns=checked.turns)
-    return [*checked.warnings, *capture_doubts(checked, setups, camera, found)]
+    try:
+        return [*checked.warnings, *capture_doubts(checked, setups, camera, found)]
+    except InputError as error:
+        return [str(error)]
 
 
 def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -161,6 +161,14 @@ def test_what_lies_apart_from_the_cloth_does_not_count(folder):
                for w in read_capture(folder).warnings)
 
 
+def test_a_view_with_half_of_the_cloth_is_reported(folder):
+    file = folder / "view_2.png"
+    clean = np.array(Image.open(file))
+    half = np.median(np.nonzero(clean)[0])
+    Image.fromarray(np.where(np.arange(len(clean))[:, None] < half, clean, 0)).save(file)
+    assert any("view 2 shows" in w and "of the median" in w for w in read_capture(folder).warnings)
+
+
 def test_depths_unlike_all_around_them_are_left_out(folder):
     file = folder / "view_2.png"
     clean = np.array(Image.open(file))
@@ -274,7 +282,9 @@ BAD_METRIC = {
     "no background": (
         picture("view_1.png", lambda a: np.where(a > 0, a, 900).astype(a.dtype)),
         "view 1 shows the whole scene (has no background) but view 0 is cut out"),
-    "depth in other units": (setting(depth_unit_m=1.0), "check the depth unit"),
+    "three views without turns": (remove("view_3.png"), "turns_deg is missing"),
+    "turns in radians": (setting(turns_deg=[0, 1.571, 3.142, 4.712]), "give degrees"),
+    "depth in other units": (setting(depth_unit_m=1.0), "median depth of"),
     "truncated picture": (truncate("view_1.png", 0.6), "view_1.png cannot be read"),
     "truncated header": (truncate("view_1.png", 0.005), "view_1.png is not a PNG"),
     "empty picture": (write("view_0.png", b""), "view_0.png is not a PNG"),

@@ -79,6 +79,8 @@ def test_the_empty_scene_helps_and_a_moved_camera_is_reported(scene):
     moved = np.roll(scene.background, 60, axis=0) + 0.1
     assert any("background.png" in doubt
                for doubt in cut_out(scene.frames, intrinsics, Rig(), moved).doubts)
+    draped = cut_out(scene.frames, intrinsics, Rig(), scene.frames[1])
+    assert any("take it without cloth" in doubt for doubt in draped.doubts)
 
 
 def test_what_is_cut_out_stays_as_it_is(scene):

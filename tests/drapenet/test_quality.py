@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from common.errors import InputError
 from data.cameras import CameraRig
 from data.setups import Setups, SyntheticCapture
 from drapenet.canonical import drape_map
 from drapenet.lie import fit
 from drapenet.maps import located_camera
-from drapenet.quality import measure, quality_doubts
+from drapenet.quality import measure, quality_doubts, require_plate
 from sim.drape import drape
 from sim.material import Fabric
 from sim.scene import Rig
@@ -79,6 +80,21 @@ def test_a_fault_is_named(
 ) -> None:
     views = spoil(sound.views.copy(), sound)
     assert said in doubts(replace(sound, views=views.astype(np.float32)))
+
+
+@pytest.mark.parametrize("spoil", [
+    lambda views: views[:, ::-1], lambda views: views[:, ::-1, ::-1], lambda views: 1.3 * views])
+def test_what_cannot_be_a_drape_on_the_plate_is_refused(
+    sound: SyntheticCapture, spoil: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    camera = located_camera(sound.views, sound.intrinsics, RIG)
+    found = drape_map(sound.views, camera, RIG, turns=sound.turns)
+    require_plate(measure(sound.views, camera, found, RIG, turns=sound.turns))
+    views = np.ascontiguousarray(spoil(sound.views), np.float32)
+    camera = located_camera(views, sound.intrinsics, RIG)
+    found = drape_map(views, camera, RIG, turns=sound.turns)
+    with pytest.raises(InputError, match="upright"):
+        require_plate(measure(views, camera, found, RIG, turns=sound.turns))
 
 
 def test_a_specimen_off_the_axis_is_measured() -> None:
