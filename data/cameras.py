@@ -114,15 +114,8 @@ class Camera(Intrinsics):
     def resized(self, width: int, height: int) -> "Camera":
         """The same view on another pixel grid (pixel *corners* of the picture stay in place)."""
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
-            width=width,
-            height=height,
-            world_to_camera=self.world_to_camera,
-        )
+        return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5,
+                      (self.cy + 0.5) * sy - 0.5, width, height, self.world_to_camera)
 
 
 @dataclass(frozen=True)
@@ -237,21 +230,12 @@ class CameraRig:
         return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(fields(Jitter)) + 1)))
 
     def _camera(self, deviates: np.ndarray) -> Camera:
-        focal, shift_x, shift_y, distance, pitch, above, aside, roll = deviates.tolist()
-        nominal, base, sigma = self.intrinsics, self.pose, self.jitter
-        pose = Pose(
-            distance=base.distance + sigma.distance * distance,
-            pitch=base.pitch + sigma.pitch * pitch,
-            above=base.above + sigma.above * above,
-            aside=base.aside + sigma.aside * aside,
-            roll=base.roll + sigma.roll * roll,
-        )
-        return Camera(
-            fx=nominal.fx * (1 + sigma.focal * focal),
-            fy=nominal.fy * (1 + sigma.focal * focal),
-            cx=nominal.cx + sigma.principal * shift_x,
-            cy=nominal.cy + sigma.principal * shift_y,
-            width=nominal.width,
-            height=nominal.height,
-            world_to_camera=pose.world_to_camera(),
-        )
+        focal, shift_x, shift_y, *moved = deviates.tolist()
+        nominal, sigma = self.intrinsics, self.jitter
+        pose = Pose(*(getattr(self.pose, field.name) + getattr(sigma, field.name) * deviate
+                      for field, deviate in zip(fields(Pose), moved, strict=True)))
+        scale = 1 + sigma.focal * focal
+        return Camera(nominal.fx * scale, nominal.fy * scale,
+                      nominal.cx + sigma.principal * shift_x,
+                      nominal.cy + sigma.principal * shift_y, nominal.width, nominal.height,
+                      pose.world_to_camera())

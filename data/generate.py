@@ -77,8 +77,17 @@ def generate_dataset(
                    if folder.content(shard) is None]
         if missing:
             folder.begin()
-        _fill(folder, missing, of=sum(len(config.rows(shard)) for shard in mine), workers=workers,
-              progress=progress, solver=solver)
+        drapes, left = (sum(len(config.rows(shard)) for shard in some)
+                        for some in (mine, missing))
+        with progress_bar(total=drapes, initial=drapes - left, unit="drape", smoothing=0.05,
+                          disable=not progress) as bar:
+            def report(made: int, failed: int) -> None:
+                bar.set_postfix_str(f"{failed} failed", refresh=False)
+                bar.update(drapes - left + made - bar.n)
+
+            outcome = make_shards(folder, missing, workers=workers, solver=solver, report=report)
+        if progress and missing:
+            print(outcome, file=sys.stderr)
         manifest = folder.finish(made=bool(missing), progress=progress)
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
@@ -86,30 +95,6 @@ def generate_dataset(
         raise InputError(f"shards of {out} were removed or damaged meanwhile; run the same command "
                          "again")
     return manifest
-
-
-def _fill(
-    folder: DatasetFolder,
-    shards: list[int],
-    *,
-    of: int,
-    workers: int,
-    progress: bool,
-    solver: Solver | None,
-) -> None:
-    """Make ``shards``, the missing ones of a part of ``of`` drapes, and show how far they are."""
-    missing = sum(len(folder.config.rows(shard)) for shard in shards)
-    bar = progress_bar(total=of, initial=of - missing, unit="drape", disable=not progress,
-                       smoothing=0.05)
-
-    def show(drapes: int, failed: int) -> None:
-        bar.set_postfix_str(f"{failed} failed", refresh=False)
-        bar.update(of - missing + drapes - bar.n)
-
-    with bar:
-        outcome = make_shards(folder, shards, workers=workers, solver=solver, report=show)
-    if progress and shards:
-        print(outcome, file=sys.stderr)
 
 
 @command("generate", Options, check=config_from_options)

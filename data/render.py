@@ -81,20 +81,7 @@ class DepthRenderer:
     ) -> np.ndarray:
         """The pictures of a capture, (K, height, width) float32 m, background 0.
 
-        ``turns`` (K,), rad, is how far the table had turned in each.
+        ``orientation``, rad, is that of the warp in the first one: 0 to the right, pi/2 away from
+        the camera. ``turns`` (K,), rad, is how far the table had turned in each.
         """
         return np.stack([self.view(camera, orientation + turn) for turn in turns])
-
-
-def render_views(
-    positions: np.ndarray, faces: np.ndarray, camera: Camera, orientation: float = 0.0
-) -> np.ndarray:
-    """Four views of a drape, (4, height, width) float32 z-depth in metres, background 0.
-
-    Args:
-        positions: (V, 3) m; faces: (F, 3); see :class:`DepthRenderer`, which is the better choice
-            for several orientations of one drape.
-        orientation: direction of the warp axis in the first view, radians; 0 is to the right in
-            the picture, pi/2 away from the camera.
-    """
-    return DepthRenderer(positions, faces).views(camera, orientation)

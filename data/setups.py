@@ -160,8 +160,8 @@ class Setups:
         pose = Pose(distance, rng.uniform(*self.pitch), far * rng.uniform(*self.above),
                     far * rng.uniform(*self.aside), self.roll * rng.standard_normal())
         focal = nominal.fx * far * rng.uniform(*self.fill)
-        return Camera(fx=focal, fy=focal, cx=nominal.cx, cy=nominal.cy, width=nominal.width,
-                      height=nominal.height, world_to_camera=pose.world_to_camera())
+        return Camera(focal, focal, nominal.cx, nominal.cy, nominal.width, nominal.height,
+                      pose.world_to_camera())
 
     def _cut_out(
         self, noisy: np.ndarray, views: np.ndarray, camera: Camera, rng: np.random.Generator

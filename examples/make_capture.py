@@ -23,7 +23,7 @@ from common.files import folder_named, replace_file, require_folder
 from data.cameras import CameraRig
 from data.captures import checked_density, whole_turns, write_capture
 from data.rasterise import camera_tensors
-from data.render import VIEWS, render_views
+from data.render import VIEWS, DepthRenderer
 from data.scenes import raw_scene
 from data.sensor import load_sensor
 from data.structured_light import StructuredLight
@@ -79,7 +79,8 @@ def main(config: MakeCaptureConfig) -> None:
         views, background, direction = scene.frames, scene.background, scene.orientation
     else:
         camera = rig.sample(rng)
-        views = torch.from_numpy(render_views(result.positions, result.faces, camera, direction))
+        drawn = DepthRenderer(result.positions, result.faces)
+        views = torch.from_numpy(drawn.views(camera, direction))
         intrinsics, _ = camera_tensors([camera])
         generator = torch.Generator().manual_seed(config.seed)
         views = noise(views, intrinsics[0], generator).numpy()

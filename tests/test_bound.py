@@ -18,7 +18,7 @@ from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES
 from data.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.prior import load_prior
-from data.render import render_views
+from data.render import DepthRenderer
 from drapenet.refine.cloth import law_moves
 from sim.drape import drape
 from sim.material import Fabric
@@ -72,13 +72,13 @@ def agree(found, drapes, distance):
 def test_information_is_what_pictures_of_moved_drapes_show(draped, information):
     """The diagonal: squared differences of depths over the noise, one pixel in a hundred."""
     moves = sensitivities(draped).positions
-    here = render_views(draped.positions, draped.faces, CAM, TURN)
+    here = DepthRenderer(draped.positions, draped.faces).views(CAM, TURN)
     # Pixels at a silhouette or a jump from fold to fold are not compared.
     nearest, farthest = (f(here, (1, 3, 3)) for f in (minimum_filter, maximum_filter))
     smooth = (nearest > 0) & (farthest - nearest < 12e-3)
     assert smooth.sum() == information.pixels
     for k, step in ((0, 0.01), (4, 1e-4)):
-        views = [render_views(draped.positions + s * moves[k], draped.faces, CAM, TURN)
+        views = [DepthRenderer(draped.positions + s * moves[k], draped.faces).views(CAM, TURN)
                  for s in (step, -step)]
         change = (views[0] - views[1])[smooth].astype(float) / (2 * step)
         expected = (change**2).sum() / (1e-3**2 * 100)

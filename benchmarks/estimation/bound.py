@@ -20,7 +20,7 @@ import numpy as np
 from data.cameras import Camera
 from data.fabrics import THETA_NAMES
 from data.nuisances import NAMES, Nuisances
-from data.render import QUARTERS, render_views
+from data.render import QUARTERS, DepthRenderer
 from drapenet.refine.cloth import law_moves
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from sim.drape import DrapeResult
@@ -137,7 +137,7 @@ def depth_information(
     moves |= zip(("size", "cut"), moves_with_size(tangent, result.rig), strict=True)
     moves |= law_moves(tangent, nuisances or Nuisances())
     moves["plate"] = moves_with_plate(tangent, result.rig)
-    views = render_views(tangent.positions, result.faces, camera, orientation)
+    views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(
         views,
         camera,

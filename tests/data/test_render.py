@@ -8,7 +8,7 @@ import pytest
 
 from common.errors import InputError
 from data.cameras import Camera, CameraRig
-from data.render import DepthRenderer, render_views
+from data.render import DepthRenderer
 
 
 def camera_at_origin(**changes: float) -> Camera:
@@ -26,7 +26,7 @@ def markers(*centres: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarra
 
 
 def render_markers(*centres: tuple[float, float, float]) -> np.ndarray:
-    return render_views(*markers(*centres), CameraRig.load().nominal())
+    return DepthRenderer(*markers(*centres)).views(CameraRig.load().nominal())
 
 
 def place(view: np.ndarray) -> tuple[float, float, float]:
@@ -61,12 +61,12 @@ def test_orientation_turns_the_specimen_counter_clockwise_in_the_first_view():
     for angle in (0.7, math.pi / 2, -2.0):
         c, s = math.cos(angle), math.sin(angle)
         by_hand = positions @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        views = render_views(positions, faces, camera, angle)
-        expected = render_views(by_hand, faces, camera)
+        views = DepthRenderer(positions, faces).views(camera, angle)
+        expected = DepthRenderer(by_hand, faces).views(camera)
         # Rays are single precision: a silhouette pixel may differ.
         assert np.mean(np.abs(views - expected) > 1e-5) < 1e-4
-    quarter = render_views(positions, faces, camera, math.pi / 2)
-    views = render_views(positions, faces, camera)
+    quarter = DepthRenderer(positions, faces).views(camera, math.pi / 2)
+    views = DepthRenderer(positions, faces).views(camera)
     assert np.mean(np.abs(quarter - np.roll(views, -1, axis=0)) > 1e-5) < 1e-4
 
 

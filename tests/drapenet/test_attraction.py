@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.cameras import CameraRig
-from data.render import render_views
+from data.render import DepthRenderer
 from drapenet.refine.attraction import BENT, captured_shape, smoothed
 from drapenet.refine.depth import DepthViews
 from sim.drape import drape
@@ -46,7 +46,7 @@ def test_soft_cloth_takes_the_captured_folds() -> None:
     fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
     truth = drape(fabric, edge=4e-3, seed=3)
     camera, turn = CameraRig.load().nominal(), 0.4
-    views = render_views(truth.positions, truth.faces, camera, turn)
+    views = DepthRenderer(truth.positions, truth.faces).views(camera, turn)
     specimen = {"rig": Rig(), "edge": 4e-3}
     objective = DepthViews(views, camera, make_specimen(**specimen).mesh.faces, turn=turn)
     shape = captured_shape(fabric, *objective.points(objective.start), **specimen)

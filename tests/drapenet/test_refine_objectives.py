@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.cameras import Camera, CameraRig
-from data.render import DepthRenderer, render_views
+from data.render import DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.guided import surface_positions
 from drapenet.refine.objective import (
@@ -35,7 +35,7 @@ def camera() -> Camera:
 @pytest.fixture(scope="module")
 def compared(camera: Camera) -> tuple[np.ndarray, DepthViews]:
     positions, faces = dome()
-    views = render_views(positions, faces, camera, 0.3)
+    views = DepthRenderer(positions, faces).views(camera, 0.3)
     return positions, DepthViews(views, camera, faces, turn=0.3)
 
 
@@ -62,7 +62,7 @@ def test_what_is_compared_is_what_is_rendered(
     compared: tuple[np.ndarray, DepthViews], camera: Camera
 ) -> None:
     positions, objective = compared
-    expected = render_views(positions, objective._faces, camera, 0.3)
+    expected = DepthRenderer(positions, objective._faces).views(camera, 0.3)
     rendered = objective.render(positions, objective.start)
     both = (rendered > 0) & (expected > 0)
     assert both.sum() > 0.999 * (expected > 0).sum()
@@ -101,7 +101,7 @@ def test_views_of_any_turns_are_compared(camera: Camera) -> None:
 
 def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
     positions, faces = dome()
-    views = render_views(positions - [0, 0, 2e-4], faces, camera, 0.0)
+    views = DepthRenderer(positions - [0, 0, 2e-4], faces).views(camera, 0.0)
     fine, coarse = (DepthViews(views, camera, faces, weights=DepthWeights(
         border_sigma=np.inf).on_mesh(edge)) for edge in (EDGE, 2 * EDGE))
     costs = [value(d.residuals(positions, d.start)) for d in (fine, coarse)]
@@ -111,7 +111,7 @@ def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
 
 def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:
     positions, faces = dome()
-    views = render_views(positions, faces, camera) + np.float32(0)
+    views = DepthRenderer(positions, faces).views(camera) + np.float32(0)
     weights = DepthWeights(limit=1.0, border_sigma=np.inf, border_limit=np.inf)
     objective = DepthViews(views, camera, faces, weights=weights)
     x, y, _ = positions.T

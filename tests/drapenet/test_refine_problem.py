@@ -13,7 +13,7 @@ from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from data.nuisances import NuisanceConfig, Nuisances
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
-from data.render import QUARTERS, render_views
+from data.render import QUARTERS, DepthRenderer
 from drapenet.canonical import square_turn
 from drapenet.refine import problem as problems
 from drapenet.refine.attraction import Springs, plane_springs
@@ -282,7 +282,7 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
 def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
     camera = CameraRig.load().nominal()
     for turn in (0.2, 1.3, 2.5):
-        views = render_views(shape.positions, shape.faces, camera, turn)
+        views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)
         objective = DepthViews(views, camera, shape.faces)
         found = square_turn(objective.points(objective.start)[0], Rig())
         gap = (found - turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
@@ -293,7 +293,7 @@ def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
 def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     truth = drape(fabric_from_theta(THETA), edge=4e-3, start="fold", seed=5)
     camera = CameraRig.load().nominal()
-    views = render_views(truth.positions, truth.faces, camera, 1.0)
+    views = DepthRenderer(truth.positions, truth.faces).views(camera, 1.0)
     prior = load_prior("gaussian")
     values = []
     seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.02, rig=Rig(), edge=3e-3,
@@ -311,7 +311,7 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
 
 def test_an_interrupted_search_hands_back_the_best_so_far(shape: DrapeResult) -> None:
     camera = CameraRig.load().nominal()
-    views = render_views(shape.positions, shape.faces, camera, 1.0)
+    views = DepthRenderer(shape.positions, shape.faces).views(camera, 1.0)
 
     def stop(simulations: int, value: float) -> None:
         if simulations >= 4 and math.isfinite(value):

@@ -10,7 +10,7 @@ import pytest
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.fabrics import THETA_NAMES, fabric_from_theta
-from data.render import QUARTERS, render_views
+from data.render import QUARTERS, DepthRenderer
 from drapenet.estimate import Estimate
 from drapenet.refine import refined
 from drapenet.refine.cloth import LAWS, OFFSET, Cloth
@@ -39,7 +39,7 @@ def draped() -> DrapeResult:
 
 def capture_of(shape: DrapeResult) -> Capture:
     camera = CameraRig.load().nominal()
-    views = render_views(shape.positions, shape.faces, camera, 0.5).astype(np.float32)
+    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
     return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig().name, Path(), ())
 
 

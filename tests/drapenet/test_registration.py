@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.cameras import CameraRig
-from data.render import render_views
+from data.render import DepthRenderer
 from data.setups import Setups
 from drapenet.registration import (
     camera_doubts,
@@ -34,7 +34,7 @@ def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
 def test_the_camera_is_found_again(seed: int) -> None:
     rig = CameraRig.load()
     camera = rig.sample(np.random.default_rng(seed))
-    views = render_views(*skirt(7), camera, 0.2)
+    views = DepthRenderer(*skirt(7)).views(camera, 0.2)
     # Intrinsics are given, so only the pose is to be found, from the rig's nominal one.
     first_guess = replace(camera, world_to_camera=rig.nominal().world_to_camera)
     found = locate_camera(views, first_guess).world_to_camera
@@ -44,7 +44,7 @@ def test_the_camera_is_found_again(seed: int) -> None:
 
 def test_a_camera_outside_the_set_ups_is_doubted() -> None:
     rig = CameraRig.load()
-    views = render_views(*skirt(7), rig.sample(np.random.default_rng(1)), 0.2)
+    views = DepthRenderer(*skirt(7)).views(rig.sample(np.random.default_rng(1)), 0.2)
 
     def doubts(pictures: np.ndarray, **changes: float) -> str:
         nominal = replace(rig.nominal(), **changes)
@@ -62,7 +62,7 @@ def test_a_camera_outside_the_set_ups_is_doubted() -> None:
 @pytest.mark.parametrize("folds", [4, 7, 11])
 def test_folds_are_counted(folds: int) -> None:
     camera = CameraRig.load().nominal()
-    views = render_views(*skirt(folds), camera, 0.2)
+    views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
     profile = radius_profile(views, locate_camera(views, camera), height=-0.04)
     assert count_folds(profile) == folds
     # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
@@ -73,7 +73,7 @@ def test_the_profile_turns_with_the_specimen() -> None:
     camera = CameraRig.load().nominal()
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
-        views = render_views(vertices, faces, camera, orientation)
+        views = DepthRenderer(vertices, faces).views(camera, orientation)
         profile = radius_profile(views, camera, height=-0.04)
         azimuth = (np.nanargmax(profile) + 0.5) / len(profile) * 2 * np.pi
         assert np.cos(azimuth - orientation) > 0.9
