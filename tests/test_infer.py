@@ -109,7 +109,7 @@ BAD = {
     "a gap in the views": (lambda c, _: (c / "view_3.png").rename(c / "view_5.png"),
                            "view_3.png"),
     "ninth view": (lambda c, _: [shutil.copy(c / "view_0.png", c / f"view_{k}.png")
-                                 for k in range(4, 9)], "9 views"),
+                                 for k in range(4, 9)], "9 files"),
     "turns of other views": (spoil_yaml(turns_deg=[0, 90]), "turns_deg"),
     "copied view": (lambda c, _: shutil.copy(c / "view_0.png", c / "view_2.png"),
                     "view_0.png and view_2.png are the same picture"),
