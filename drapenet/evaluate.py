@@ -175,7 +175,7 @@ def require_unseen(header: Header, generation: dict) -> None:
     Raises:
         InputError: the datasets have one seed and prior.
     """
-    training = header.content["dataset"]["generation"]
+    training = header.dataset.generation
     # A fabric depends on the prior, the seed and its index only.
     if (generation["prior"] == training["prior"]
             and generation["sampling"]["seed"] == training["sampling"]["seed"]):
@@ -222,7 +222,7 @@ def main(config: EvaluateConfig) -> None:
 
 def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
     """New drapes as those that a checkpoint was trained on were made."""
-    training = header.content["dataset"]["generation"]
+    training = header.dataset.generation
     words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig}",
              "dataset=specimens", "nuisances=real",
               f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
