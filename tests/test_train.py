@@ -102,7 +102,7 @@ def test_bad_settings_are_one_line(words: list[str], word: str, message: str) ->
 
 def test_validation_has_other_fabrics_and_no_neighbours(words: list[str]) -> None:
     config = compose_config("train", words, schema=TrainConfig)
-    training, unseen, _, _ = open_captures(config)
+    training, unseen, _ = open_captures(config)
     assert not set(training.maps.fabric) & set(unseen.maps.fabric)
     assert len(training) + len(unseen) == 80
     first, again = (next(training.epoch(seed=1, epoch=2, size=16)) for _ in range(2))
