@@ -8,8 +8,8 @@ import io
 import re
 import warnings
 import zipfile
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from PIL import Image
 from pydantic import BeforeValidator, Field
+from starlette.exceptions import HTTPException
 
 from common.documents import LARGEST_TEXT, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
@@ -61,12 +62,17 @@ TEXTS = ("rig", "refine", "name")
 NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
-class RequestError(Exception):
-    """A request that is not taken: an HTTP status and a sentence."""
+class RequestError(HTTPException):
+    """A request that is not taken: an HTTP status and, as its detail, a sentence."""
 
-    def __init__(self, status: int, sentence: str):
-        super().__init__(sentence)
-        self.status, self.sentence = status, sentence
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """A RequestError for a document or a number that is not what it must be."""
+    try:
+        yield
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,7 @@ class Upload:
         return self.fields.get("refine") == "yes"
 
 
+@_explained()
 def checked_upload(
     files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
 ) -> Upload:
@@ -99,7 +106,8 @@ def checked_upload(
     Raises:
         RequestError: with the status 413, 415 or 422.
     """
-    fields = _fields(texts)
+    given = {key: text.strip() for key, text in texts.items() if text.strip()}
+    fields = Form.of(given, "").model_dump(exclude_none=True)
     if not files:
         raise RequestError(422, "no files; give the views of a drape, a zip with them, or a scan")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
@@ -112,11 +120,12 @@ def checked_upload(
     for name, data in found.items():
         _require_pixels(name, data, settings.pixels)
     if scans:
-        _require_density(fields.get("density_g_m2"))
+        checked_density(fields.get("density_g_m2"))
     return Upload(found, fields, scans[0] if scans else None,
                   plain_name(fields.get("name") or title)[:40])
 
 
+@_explained()
 def write_upload(upload: Upload, folder: Path) -> None:
     """Write an upload to a new ``folder``, a capture with its description, or the scan alone.
 
@@ -131,21 +140,6 @@ def write_upload(upload: Upload, folder: Path) -> None:
             files["capture.yaml"] = _description(files.pop("capture.yaml", None), upload.fields)
     for name, data in files.items():
         (folder / name).write_bytes(data)
-
-
-def _fields(texts: Mapping[str, str]) -> dict[str, Any]:
-    given = {key: text.strip() for key, text in texts.items() if text.strip()}
-    try:
-        return Form.of(given, "").model_dump(exclude_none=True)
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
-
-
-def _require_density(value: object) -> None:
-    try:
-        checked_density(value)
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
 
 
 def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
@@ -264,7 +258,5 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
         return yaml.safe_dump(content).encode()
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
     except (yaml.YAMLError, RecursionError) as error:
         raise RequestError(422, f"capture.yaml cannot be read ({one_line(error)})") from None
