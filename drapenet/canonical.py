@@ -101,8 +101,8 @@ def drape_map(
     clouds = [cloud - [*centre, 0] for cloud in clouds]
     if zero is None:
         zero = 0.0 if rig.specimen == "disc" else side_direction(
-            *_fused(clouds, turns, rig), rig)
-    distance, weight = _fused(clouds, turns + zero, rig)
+            *fused(clouds, turns, rig), rig)
+    distance, weight = fused(clouds, turns + zero, rig)
     pixel = np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx
     return DrapeMap(distance, weight * (pixel / PIXEL) ** 2, zero, turns, centre)
 
@@ -130,11 +130,6 @@ def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
             f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
             for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
             if not abs(turn - given) < LARGEST_TURN_ERROR]
-
-
-def square_turn(points: np.ndarray, rig: Rig) -> float:
-    """:func:`side_direction` of a drape's points (N, 3), m, in the plate's axes, from all sides."""
-    return side_direction(*_fused([points], np.zeros(1), rig), rig)
 
 
 def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
@@ -183,10 +178,12 @@ def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float
     return float(np.sqrt(np.square(np.minimum(gap, _LARGEST_GAP)).mean()))
 
 
-def _fused(
+def fused(
     clouds: list[np.ndarray], turns: np.ndarray, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, without gaps, and weights of all views' points together."""
+    """Distances, without gaps, and weights of all views' points together, (N, 3) m of each, in the
+    plate's axes; ``turns``: (K,) rad.
+    """
     total, weight = np.zeros((2, AZIMUTHS, ELEVATIONS))
     for cloud, turn in zip(clouds, turns, strict=True):
         sums, part = _binned(cloud, turn, rig, AZIMUTHS, ELEVATIONS)

@@ -76,9 +76,8 @@ class Maps:
 def located_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
     """The camera of views (K, H, W), m: its intrinsics as given, its pose from the plate."""
     nominal = CameraRig.load(rig.name).nominal()
-    given = {name: getattr(intrinsics, name) for name in ("fx", "fy", "cx", "cy", "width",
-                                                          "height")}
-    return locate_camera(views, replace(nominal, **given), plate_radius=rig.plate_radius)
+    return locate_camera(views, replace(nominal, **vars(intrinsics)),
+                         plate_radius=rig.plate_radius)
 
 
 def make_maps(
