@@ -71,10 +71,9 @@ def measure(
     clouds = [camera.cloth_points(view) for view in views]
     gap = disagreement(clouds, turns, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    lie = specimen_lie(found, rig)
-    several = len(views) > 1
+    log_scale, offset = specimen_lie(found, rig) if len(views) > 1 else (np.nan, np.nan)
     return Quality(
-        log_scale=lie.log_scale if several else np.nan, offset=lie.offset if several else np.nan,
+        log_scale=log_scale, offset=offset,
         bulge=_bulge(np.concatenate(clouds) - [*found.centre, 0.0], rig), disagreement=gap,
         misread=_misread(views, camera, clouds, turns, rig, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
