@@ -5,6 +5,7 @@ upload is run, unpickled, or used as a path.
 """
 
 import io
+import math
 import re
 import warnings
 import zipfile
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import yaml
 from PIL import Image
 from pydantic import BeforeValidator, Field
@@ -22,6 +22,7 @@ from starlette.exceptions import HTTPException
 
 from common.documents import LARGEST_TEXT, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
+from data.arrays import header_of
 from data.captures import INTRINSICS_KEYS, MARKS, Description, checked_density
 from data.frames import BACKGROUND
 from drapenet.service.settings import Settings
@@ -202,8 +203,12 @@ def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
 
 
 def _require_pixels(name: str, data: bytes, most: int) -> None:
-    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked."""
+    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked, and
+    a text that nobody writes.
+    """
     suffix = Path(name).suffix
+    if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
+        raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
     try:
         if suffix == ".png":
             with warnings.catch_warnings():
@@ -211,25 +216,16 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
                 with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
                     size = picture.size
         elif suffix == ".npy":
-            stream = io.BytesIO(data)
-            version = np.lib.format.read_magic(stream)
-            read = {(1, 0): np.lib.format.read_array_header_1_0,
-                    (2, 0): np.lib.format.read_array_header_2_0}[version]
-            size = read(stream)[0]
+            size, _ = header_of(data)
         else:
-            if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
-                raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
             return
-    except RequestError:
-        raise
     except Image.DecompressionBombError:
         raise RequestError(413, f"{name} has too many pixels; at most {most / 1e6:g} million"
                            ) from None
     except Exception as error:  # whatever a library makes of a hostile header
         raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
                       ) from None
-    count = int(np.prod([int(side) for side in size], dtype=object))
-    if count > most:
+    if (count := math.prod(size)) > most:
         raise RequestError(413, f"{name} has {count} pixels; at most {most / 1e6:g} million, "
                            "save it smaller")
 
