@@ -20,7 +20,7 @@ def covered(places: np.ndarray) -> np.ndarray:
 
 
 def inside(places: np.ndarray) -> dict[str, float]:
-    """:func:`covered` over all T, by level, such as "68%"."""
+    """:func:`covered` of ranks (N, T), over all T, by level, such as "68%"."""
     return {f"{level:.0%}": share for level, share in
             zip(LEVELS, covered(places).mean(axis=1).tolist(), strict=True)}
 
