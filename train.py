@@ -41,7 +41,7 @@ def train(config: TrainConfig) -> Path:
         )
 
     device = choose_device(config)
-    training, unseen, scale, manifest = open_captures(config)
+    training, unseen, manifest = open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
 
     torch.manual_seed(config.seed)  # the first weights are the only thing drawn from it
@@ -90,7 +90,7 @@ def train(config: TrainConfig) -> Path:
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]
-                content = describe(config, training, scale, manifest, metrics, epoch)
+                content = describe(config, training, manifest, metrics, epoch)
                 save_checkpoint(checkpoint, model=network, half=config.half_precision,
                                 description=content)
             # Last, so that an interruption before this line repeats the epoch and nothing else.

@@ -14,8 +14,8 @@ from common.errors import InputError
 LARGEST_ARCHIVE = 64 << 20  # bytes, of the file and of each of its arrays
 
 
-def array_of(data: bytes) -> np.ndarray:
-    """The array, of any shape, in the bytes of an npy file; its header may claim any size.
+def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type that the header of an npy file's bytes claims.
 
     Raises:
         Exception: whatever numpy, tokenize and others make of damage.
@@ -23,6 +23,16 @@ def array_of(data: bytes) -> np.ndarray:
     version = np.lib.format.read_magic(stream := io.BytesIO(data))
     shape, _, kind = {(1, 0): np.lib.format.read_array_header_1_0,
                       (2, 0): np.lib.format.read_array_header_2_0}[version](stream)
+    return shape, kind
+
+
+def array_of(data: bytes) -> np.ndarray:
+    """The array, of any shape, in the bytes of an npy file; its header may claim any size.
+
+    Raises:
+        Exception: as :func:`header_of`.
+    """
+    shape, kind = header_of(data)
     if math.prod(shape) * kind.itemsize > len(data):
         raise ValueError(f"{len(data)} bytes are too few for an array of shape {shape}")
     return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)

@@ -101,8 +101,8 @@ def drape_map(
     clouds = [cloud - [*centre, 0] for cloud in clouds]
     if zero is None:
         zero = 0.0 if rig.specimen == "disc" else side_direction(
-            *_fused(clouds, turns, rig), rig)
-    distance, weight = _fused(clouds, turns + zero, rig)
+            *fused(clouds, turns, rig), rig)
+    distance, weight = fused(clouds, turns + zero, rig)
     pixel = np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx
     return DrapeMap(distance, weight * (pixel / PIXEL) ** 2, zero, turns, centre)
 
@@ -130,11 +130,6 @@ def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
             f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
             for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
             if not abs(turn - given) < LARGEST_TURN_ERROR]
-
-
-def square_turn(points: np.ndarray, rig: Rig) -> float:
-    """:func:`side_direction` of a drape's points (N, 3), m, in the plate's axes, from all sides."""
-    return side_direction(*_fused([points], np.zeros(1), rig), rig)
 
 
 def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
@@ -173,8 +168,7 @@ def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float
     if len(clouds) < 2:
         return np.nan
     turns, centre = _registered(clouds, turns, rig)
-    maps = np.stack([_distances(cloud - [*centre, 0.0], turn, rig)
-                     for cloud, turn in zip(clouds, turns, strict=True)])[..., :_HANGING]
+    maps = _distances(clouds, centre, turns, rig)[..., :_HANGING]
     often = np.isfinite(maps).sum(axis=0)
     gap = np.abs(maps - np.nansum(maps, axis=0) / np.maximum(often, 1))[:, often > 1]
     gap = gap[np.isfinite(gap)]
@@ -183,10 +177,12 @@ def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float
     return float(np.sqrt(np.square(np.minimum(gap, _LARGEST_GAP)).mean()))
 
 
-def _fused(
+def fused(
     clouds: list[np.ndarray], turns: np.ndarray, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, without gaps, and weights of all views' points together."""
+    """Distances, without gaps, and weights of all views' points together, (N, 3) m of each, in the
+    plate's axes; ``turns``: (K,) rad.
+    """
     total, weight = np.zeros((2, AZIMUTHS, ELEVATIONS))
     for cloud, turn in zip(clouds, turns, strict=True):
         sums, part = _binned(cloud, turn, rig, AZIMUTHS, ELEVATIONS)
@@ -220,28 +216,28 @@ def _registered(
     First the turns alone, in whole degrees, from what neighbours in the circle have in common;
     then both together, by least squares.
     """
-    def seen_from(shift: np.ndarray, turns: np.ndarray) -> list[np.ndarray]:
-        return [_distances(cloud - [*shift, 0], turn, rig)
-                for cloud, turn in zip(clouds, turns, strict=True)]
-
     shift = np.array([0.0, NEARER])
-    turns = turns + np.radians(_whole_degrees(seen_from(shift, turns)))
-    start = turns
+    start = turns = turns + np.radians(_whole_degrees(_distances(clouds, shift, turns, rig)))
     for _ in range(_ROUNDS):
-        maps = seen_from(shift, turns)
+        maps = _distances(clouds, shift, turns, rig)
         change = _least_squares(maps, turns, np.concatenate([shift - [0, NEARER], turns - start]),
                                 rig)
         shift, turns = shift + change[:2], turns + change[2:]
     return turns, shift
 
 
-def _distances(points: np.ndarray, turn: float, rig: Rig) -> np.ndarray:
-    """(_DEGREES, _ROWS) mean distance of one view's points; NaN where it sees none."""
-    total, weight = _binned(points, turn, rig, _DEGREES, _ROWS)
+def _distances(
+    clouds: list[np.ndarray], shift: np.ndarray, turns: np.ndarray, rig: Rig
+) -> np.ndarray:
+    """(K, _DEGREES, _ROWS) mean distance of each view's points from the axis at ``shift`` (2,), m;
+    NaN where it sees none.
+    """
+    total, weight = np.stack([_binned(cloud - [*shift, 0.0], turn, rig, _DEGREES, _ROWS)
+                              for cloud, turn in zip(clouds, turns, strict=True)], axis=1)
     return np.where(weight > 0, total / np.where(weight > 0, weight, 1), np.nan)
 
 
-def _whole_degrees(maps: list[np.ndarray]) -> np.ndarray:
+def _whole_degrees(maps: np.ndarray) -> np.ndarray:
     """Corrections (K,), degrees, of all turns but the first, that make neighbours agree best."""
     count = len(maps)
     steps = np.arange(-_REACH, _REACH + 1)
@@ -274,7 +270,7 @@ def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _least_squares(
-    maps: list[np.ndarray], turns: np.ndarray, so_far: np.ndarray, rig: Rig
+    maps: np.ndarray, turns: np.ndarray, so_far: np.ndarray, rig: Rig
 ) -> np.ndarray:
     """Change (2 + K,) of centre, m, and turns, rad, that makes all views agree better.
 
@@ -284,11 +280,10 @@ def _least_squares(
     Args:
         so_far: (2 + K,) what was changed already, from its expectation.
     """
-    stack = np.stack(maps)
-    seen = np.isfinite(stack)
+    seen = np.isfinite(maps)
     often = seen.sum(axis=0)
     # NaN where no view sees cloth, and so are slopes next to it.
-    mean = np.where(seen, stack, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
+    mean = np.where(seen, maps, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
     borders = elevations(rig)
     height = np.linspace(borders[0], borders[-1], 2 * _ROWS + 1)[1::2]
     azimuth = np.radians(np.arange(_DEGREES) + 0.5)
@@ -305,7 +300,7 @@ def _least_squares(
         columns[k, 0] = -(np.cos(turn) * by_x - np.sin(turn) * by_y)
         columns[k, 1] = -(np.sin(turn) * by_x + np.cos(turn) * by_y)
         columns[k, 2 + k] = by_azimuth
-    gaps = np.where(seen & (often > 1), stack - mean, 0.0)
+    gaps = np.where(seen & (often > 1), maps - mean, 0.0)
     columns = np.where(seen[:, None], columns, 0.0)
     columns = columns - columns.sum(axis=0) / np.maximum(often, 1)
     used = seen & (often > 1) & np.isfinite(columns).all(axis=1)

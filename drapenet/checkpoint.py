@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,11 +22,11 @@ from common.documents import (
     read_bytes,
     read_json,
     require_regular,
-    shown,
 )
 from common.errors import InputError, one_line
 from common.files import remove_partial, replace_file
 from data.fabrics import THETA_NAMES
+from drapenet.convention import SWAPPED
 
 if TYPE_CHECKING:
     import torch
@@ -77,10 +76,15 @@ class _Config(Excerpt):
     setup: dict[str, Any]
 
 
-class Description(Excerpt):
-    """A checkpoint's JSON file, but for what is there for people only."""
+class Header(Excerpt):
+    """A checkpoint's JSON file, which :func:`drapenet.training.describe` makes, but for what is
+    there for people only; ``path`` is the weights' file.
+    """
 
     remedy = "copy both files again"
+    kind: Literal[SCHEMA] = Field(alias="schema")
+    schema_version: Literal[SCHEMA_VERSION] = Field(
+        description="use the program version that wrote it")
     rig: str
     model: _Model
     targets: _Targets
@@ -89,60 +93,39 @@ class Description(Excerpt):
     weights: _Weights
     validation: dict[str, Any]
     config: _Config
+    path: Path = Path()
 
     @model_validator(mode="after")
-    def _alike(self) -> Description:
+    def _alike(self) -> Header:
         if not len(self.targets.mean) == len(self.targets.std) == self.model.targets:
             raise ValueError("targets.mean and targets.std must have model.targets="
                              f"{self.model.targets} numbers each")
         return self
 
-
-class Record(Schema):
-    """What training's state says of a run: its settings, how far it is, its least loss."""
-
-    run: dict[str, Any]
-    epochs_done: int = Field(ge=0, le=10**9)
-    best_loss: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Header:
-    """A checkpoint's JSON file, validated.
-
-    Attributes:
-        path: the weights' file.
-        content: the JSON object; :func:`drapenet.training.describe` makes it.
-    """
-
-    path: Path
-    content: dict[str, Any]
-
-    @property
-    def rig(self) -> str:
-        """Name of the rig whose drapes the network knows."""
-        return self.content["rig"]
+    def __hash__(self) -> int:
+        return hash(self.weights.sha256)
 
     @property
     def scale(self) -> TargetScale:
         """Standardisation of the targets."""
         from drapenet.targets import TargetScale
 
-        targets = self.content["targets"]
-        return TargetScale(np.array(targets["mean"]), np.array(targets["std"]))
+        return TargetScale(np.array(self.targets.mean), np.array(self.targets.std))
 
-    def fabrics(self, what: str) -> np.ndarray:
-        """(6,) of theta over the fabrics trained on: their ``low`` and ``high``, between which 98 %
-        lie, or their standard ``deviation``.
+    @property
+    def spread(self) -> np.ndarray:
+        """(6,) standard deviation of theta over the fabrics trained on, with their yarns in either
+        order: an estimate names them otherwise than the dataset does.
         """
-        return np.array(self.content["fabrics"][what])
+        spread = np.array(self.fabrics.deviation)
+        return (spread + spread[SWAPPED]) / 2
 
     @property
     def setups(self) -> Setups:
         """The set-ups of the captures trained on."""
         from data.setups import Setups
 
-        return Setups.from_config(self.content["config"]["setup"])
+        return Setups.from_config(self.config.setup)
 
     def require_rig(self, rig: str) -> None:
         """InputError for captures of another rig than the checkpoint's."""
@@ -153,11 +136,16 @@ class Header:
     @property
     def identity(self) -> dict[str, str]:
         """What identifies this checkpoint: file name, its hash, the dataset's hash."""
-        return {
-            "file": self.path.name,
-            "sha256": self.content["weights"]["sha256"],
-            "dataset_sha256": self.content["dataset"]["sha256"],
-        }
+        return {"file": self.path.name, "sha256": self.weights.sha256,
+                "dataset_sha256": self.dataset.sha256}
+
+
+class Record(Schema):
+    """What training's state says of a run: its settings, how far it is, its least loss."""
+
+    run: dict[str, Any]
+    epochs_done: int = Field(ge=0, le=10**9)
+    best_loss: float | None
 
 
 def bundled(rig: str) -> Path:
@@ -184,15 +172,8 @@ def read_header(path: str | Path) -> Header:
         if not os.path.exists(file):
             raise InputError(f"no checkpoint file {file}; give checkpoint=NAME.safetensors with "
                              "NAME.json beside it, or train one with 'make train'")
-    content = read_json(description, remedy=Description.remedy)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError(f"{description} does not describe a checkpoint of this project")
-    if content.get("schema_version") != SCHEMA_VERSION:
-        version = shown(content.get("schema_version"))
-        raise InputError(f"{description} has schema version {version}, this program reads "
-                         f"{SCHEMA_VERSION}; use the program version that wrote it")
-    Description.of(content, description)
-    return Header(weights, content)
+    content = read_json(description, remedy=Header.remedy)
+    return Header.of(content, description).model_copy(update={"path": weights})
 
 
 def load_model(header: Header) -> MapNet:
@@ -208,10 +189,10 @@ def load_model(header: Header) -> MapNet:
     from drapenet.network import MapNet
 
     data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
-    if hashlib.sha256(data).hexdigest() != header.content["weights"]["sha256"]:
+    if hashlib.sha256(data).hexdigest() != header.weights.sha256:
         raise InputError(f"{header.path} is not the file that its JSON describes; copy both again")
     try:
-        model = MapNet(**header.content["model"])
+        model = MapNet(**header.model.model_dump())
         tensors = {name: value.to(torch.float32) if value.is_floating_point() else value
                    for name, value in load(data).items()}
         model.load_state_dict(tensors, strict=True)

@@ -90,11 +90,10 @@ def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estima
     """Name the directions, and say what is doubtful."""
     theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
     names = STIFF_SOFT if capture.warp_direction is None else WARP_WEFT
-    spread = header.fabrics("deviation")
-    spread = (spread + spread[SWAPPED]) / 2  # the yarns are named otherwise than the dataset's
-    estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, spread,
+    estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, header.spread,
                         (*capture.warnings, *doubts))
-    low, high = (np.stack([edge, edge[SWAPPED]]) for edge in map(header.fabrics, ("low", "high")))
+    edges = np.array([header.fabrics.low, header.fabrics.high])
+    low, high = np.stack([edges, edges[:, SWAPPED]], axis=1)
     outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
     lines = [f"{name} lies outside the fabrics of the training set: an extrapolation"
              for name, out in zip(modulus_names(names), outside, strict=True) if out]

@@ -32,9 +32,9 @@ from data.options import Options, config_from_options
 from data.prior.table import TablePrior
 from data.records import DatasetConfig
 from data.sampling import SOFT
+from drapenet.calibration import covered, inside, ranks, rms_with_interval
 from drapenet.checkpoint import Header, bundled, load_model, read_header
 from drapenet.config import EvaluateConfig
-from drapenet.coverage import LEVELS, covered, ranks
 from sim.scene import Rig
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from drapenet.network import MapNet
 
 _AT_ONCE = 64  # captures
-_RESAMPLES = 400  # of the bootstrap
 _FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
 
@@ -122,23 +121,15 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
         known: whether the network is given membrane and friction.
     """
     with deferred():  # torch takes seconds, and a bad word should be refused at once
-        import torch
-
-        from drapenet.maps import WEIGHT_UNIT
-        from drapenet.network import known_of
         from drapenet.predict import sample_targets
-        from drapenet.targets import MODULI, targets_of
+        from drapenet.targets import MODULI
+        from drapenet.training import CaptureSet
 
-    rig = Rig.from_name(header.rig)
-    truth = targets_of(maps.theta, maps.warp, disc=rig.specimen == "disc")
-    means, places = [], []
-    for rows in np.array_split(np.arange(len(maps)), -(-len(maps) // _AT_ONCE)):
-        given = [np.where(known, maps.nuisance(name)[rows], np.nan)
-                 for name in ("membrane", "friction")]
-        samples = sample_targets(
-            network, header, torch.from_numpy(maps.distance[rows]).float(),
-            torch.from_numpy(maps.weight[rows]) * WEIGHT_UNIT,
-            known_of(torch.from_numpy(maps.views[rows]), *map(torch.from_numpy, given)))
+    disc = Rig.from_name(header.rig).specimen == "disc"
+    captures = CaptureSet(maps, disc=disc, scale=header.scale)
+    truth, means, places = captures.truth, [], []
+    for rows, batch in captures.in_order(_AT_ONCE, known=known):
+        samples = sample_targets(network, header, batch)
         means.append(samples.mean(axis=0)[:, :MODULI])
         places.append(ranks(samples, truth[rows])[:, :MODULI])
     spread = header.scale.std[:MODULI]
@@ -149,21 +140,10 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
         "beta_over_alpha": rms_with_interval(errors[:, 3:], maps.fabric),
         "prior": {"log_alpha": float(np.std(truth[:, :3] / spread[:3], axis=0).mean()),
                   "beta_over_alpha": float(np.std(truth[:, 3:6] / spread[3:], axis=0).mean())},
-        "inside": {f"{level:.0%}": {"mean": float(share.mean()), "each": share.round(3).tolist()}
-                   for level, share in zip(LEVELS, covered(places), strict=True)},
+        "inside": {level: {"mean": mean, "each": each.round(3).tolist()} for (level, mean), each
+                   in zip(inside(places).items(), covered(places), strict=True)},
         "captures": len(maps), "drapes": len(np.unique(maps.index)),
     }
-
-
-def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
-    """Root mean square of errors (N, 3), and its 95 % interval over fabrics (N,)."""
-    _, place = np.unique(fabric, return_inverse=True)
-    count = np.bincount(place)
-    squares = np.bincount(place, np.square(errors).mean(axis=1))
-    drawn = np.random.default_rng(0).integers(len(count), size=(_RESAMPLES, len(count)))
-    resampled = np.sqrt(squares[drawn].sum(axis=1) / count[drawn].sum(axis=1))
-    return {"rmse": float(np.sqrt(squares.sum() / count.sum())),
-            "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist()}
 
 
 def require_unseen(header: Header, generation: dict) -> None:
@@ -175,7 +155,7 @@ def require_unseen(header: Header, generation: dict) -> None:
     Raises:
         InputError: the datasets have one seed and prior.
     """
-    training = header.content["dataset"]["generation"]
+    training = header.dataset.generation
     # A fabric depends on the prior, the seed and its index only.
     if (generation["prior"] == training["prior"]
             and generation["sampling"]["seed"] == training["sampling"]["seed"]):
@@ -222,7 +202,7 @@ def main(config: EvaluateConfig) -> None:
 
 def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
     """New drapes as those that a checkpoint was trained on were made."""
-    training = header.content["dataset"]["generation"]
+    training = header.dataset.generation
     words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig}",
              "dataset=specimens", "nuisances=real",
               f"dataset.starts=[{','.join(training['sampling']['starts'])}]",

@@ -42,27 +42,16 @@ class LieConfig:
     seed: int
 
 
-@dataclass(frozen=True)
-class Lie:
-    """What a map shows of the specimen; NaN for a rig without coefficients.
-
-    Attributes:
-        log_scale: logarithm of the drape's size over what it can be.
-        offset: m, of the specimen's centre from the plate's axis.
+def specimen_lie(found: DrapeMap, rig: Rig) -> tuple[float, float]:
+    """Logarithm of the size of the drape that ``found`` shows over what it can be, and offset, m,
+    of the specimen's centre from the plate's axis; NaN for a rig without coefficients.
     """
-
-    log_scale: float
-    offset: float
-
-
-def specimen_lie(found: DrapeMap, rig: Rig) -> Lie:
-    """Scale and place of the specimen that ``found`` shows."""
     table = json.loads(FILE.read_text(encoding="utf-8"))
     if rig.name not in table:
-        return Lie(math.nan, math.nan)
+        return math.nan, math.nan
     scale, offset = table[rig.name]["log_scale"], table[rig.name]["offset"]
-    return Lie(float(_scale_features(found) @ scale["coefficients"] + scale["constant"]),
-               float(np.abs(_offset_features(found) @ offset["coefficients"])))
+    return (float(_scale_features(found) @ scale["coefficients"] + scale["constant"]),
+            float(np.abs(_offset_features(found) @ offset["coefficients"])))
 
 
 def _bands(values: np.ndarray) -> np.ndarray:

@@ -64,21 +64,20 @@ class Maps:
 
     def chosen(self, rows: np.ndarray) -> "Maps":
         """Some of the rows."""
-        return Maps(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Maps(*(column[rows] for column in vars(self).values()))
 
     @staticmethod
     def joined(parts: "list[Maps]") -> "Maps":
         """The rows of all parts."""
-        return Maps(*(np.concatenate([getattr(part, field.name) for part in parts])
-                      for field in fields(Maps)))
+        return Maps(*map(np.concatenate, zip(*(vars(part).values() for part in parts),
+                                           strict=True)))
 
 
 def located_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
     """The camera of views (K, H, W), m: its intrinsics as given, its pose from the plate."""
     nominal = CameraRig.load(rig.name).nominal()
-    given = {name: getattr(intrinsics, name) for name in ("fx", "fy", "cx", "cy", "width",
-                                                          "height")}
-    return locate_camera(views, replace(nominal, **given), plate_radius=rig.plate_radius)
+    return locate_camera(views, replace(nominal, **vars(intrinsics)),
+                         plate_radius=rig.plate_radius)
 
 
 def make_maps(
@@ -119,9 +118,8 @@ def _write_maps(shard: Path, path: Path, **options: Any) -> None:
     import torch
 
     torch.set_num_threads(1)
-    maps = maps_of_shard(shard, **options)
     content = io.BytesIO()
-    np.savez(content, **{field.name: getattr(maps, field.name) for field in fields(maps)})
+    np.savez(content, **vars(maps_of_shard(shard, **options)))
     remove_partial(path.parent, path.name)
     replace_file(path, content.getvalue())
 

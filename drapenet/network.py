@@ -1,11 +1,16 @@
 """ResNet-18 on maps of drapes, which close around the axis."""
 
+from dataclasses import dataclass, replace
+
+import numpy as np
 import torch
 import torchvision
 from torch.nn.functional import pad
 
 from drapenet.canonical import AZIMUTHS
+from drapenet.maps import WEIGHT_UNIT
 from drapenet.posterior import Mixture, outputs_of
+from drapenet.targets import Symmetry
 
 CHANNELS = 4
 """Distance, weight, and two that say where azimuth 0 is: cos and sin of twice the azimuth."""
@@ -31,6 +36,44 @@ def known_of(
 
     return torch.stack([views.float() / 4 - 1, *flagged(torch.log(membrane / _MEMBRANE)),
                         *flagged(friction / _FRICTION - 1)], dim=1)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Captures as the network sees them, and what it should say.
+
+    Attributes:
+        distance, weight: (N, AZIMUTHS, ELEVATIONS) float32, m and logarithm of 1 + weight.
+        known: (N, KNOWN), see :func:`known_of`.
+        targets: (N, T) standardised; None of fabrics that are to be estimated.
+    """
+
+    distance: torch.Tensor
+    weight: torch.Tensor
+    known: torch.Tensor
+    targets: torch.Tensor | None = None
+
+    @classmethod
+    def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, given: np.ndarray,
+           targets: torch.Tensor | None = None) -> "Batch":
+        """From maps as :class:`drapenet.maps.Maps` has them.
+
+        Args:
+            given: (N, 2) membrane, N/m along the yarns, and friction, N·m per metre; NaN where they
+                are not known.
+        """
+        return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
+                   known_of(torch.from_numpy(views), *torch.from_numpy(given).T), targets)
+
+    def turned(self, symmetry: Symmetry) -> "Batch":
+        """The same captures in other turns and reflections; the targets stay."""
+        return replace(self, distance=symmetry.of_maps(self.distance),
+                       weight=symmetry.of_maps(self.weight))
+
+    def through(self, network: torch.nn.Module) -> Mixture:
+        """The network's posterior, on its device."""
+        device = next(network.parameters()).device
+        return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
 
 
 class AroundConv(torch.nn.Conv2d):

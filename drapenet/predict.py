@@ -14,8 +14,8 @@ import torch
 from data.fabrics import from_theta
 from drapenet.canonical import DrapeMap
 from drapenet.checkpoint import Header
-from drapenet.maps import WEIGHT_UNIT, compressed
-from drapenet.network import MapNet, known_of
+from drapenet.maps import compressed
+from drapenet.network import Batch, MapNet
 from drapenet.targets import MODULI, Symmetry
 from sim.material import is_admissible
 
@@ -39,22 +39,17 @@ class Draws:
 
 
 @torch.no_grad()
-def sample_targets(
-    network: MapNet, header: Header, distance: torch.Tensor, weight: torch.Tensor,
-    known: torch.Tensor,
-) -> np.ndarray:
+def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
     """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.targets`), in their units.
 
-    Args:
-        network: of ``header``, in evaluation mode.
-        distance, weight, known: (N, ...), scaled, as for :class:`drapenet.network.MapNet`.
+    ``network``: of ``header``, in evaluation mode.
     """
-    symmetry, many = Symmetry.all(), len(distance)
+    symmetry, many = Symmetry.all(), len(batch.known)
     disc = len(header.scale.mean) > MODULI
     drawn = []
     for k in range(len(symmetry.cells)):
         shown = Symmetry(symmetry.cells[k].expand(many), symmetry.mirror[k].expand(many))
-        mixture = network(shown.of_maps(distance), shown.of_maps(weight), known).cpu()
+        mixture = batch.turned(shown).through(network).cpu()
         samples = mixture.sample(DRAWS, torch.Generator().manual_seed(k)).double()
         targets = torch.from_numpy(header.scale.decode(samples.numpy()))
         drawn += [shown.undone(part, disc=disc) for part in targets]
@@ -71,12 +66,9 @@ def predict(
         network: of ``header``, in evaluation mode.
         membrane: N/m along the yarns, friction: N·m per metre; where they are known.
     """
-    distance, weight = map(torch.from_numpy, compressed(maps))
-    views = torch.tensor([len(one.turns) for one in maps])
-    given = [torch.full((len(maps),), np.nan if value is None else value)
-             for value in (membrane, friction)]
-    samples = sample_targets(network, header, distance.float(), weight * WEIGHT_UNIT,
-                             known_of(views, *given))
+    given = np.tile(np.array([membrane, friction], np.float32), (len(maps), 1))  # None is NaN
+    batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)
+    samples = sample_targets(network, header, batch)
     return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]
 
 

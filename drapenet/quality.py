@@ -77,12 +77,10 @@ def measure(
     clouds = [camera.cloth_points(view) for view in views]
     gap = disagreement(clouds, turns, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    lie = specimen_lie(found, rig)
-    several = len(views) > 1
+    log_scale, offset = specimen_lie(found, rig) if len(views) > 1 else (np.nan, np.nan)
     bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
     return Quality(
-        log_scale=lie.log_scale if several else np.nan, offset=lie.offset if several else np.nan,
-        bulge=bulge, off_plate=off_plate, disagreement=gap,
+        log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
         misread=_misread(views, camera, clouds, turns, rig, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),

@@ -78,12 +78,8 @@ class Symmetry:
 
     def undone(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
         """The inverse of :meth:`of_targets`."""
-        if not disc:
-            return self.of_targets(targets, disc=False)
-        axis = torch.complex(targets[:, 6], targets[:, 7])
-        axis = axis * torch.exp(-2j * self.cells * (2 * torch.pi / AZIMUTHS))
-        return torch.column_stack([targets[:, :MODULI], axis.real,
-                                   torch.where(self.mirror, -1.0, 1.0) * axis.imag]).to(targets)
+        back = torch.where(self.mirror, self.cells, -self.cells)  # a reflection undoes itself
+        return Symmetry(back, self.mirror).of_targets(targets, disc=disc)
 
 
 @dataclass(frozen=True)

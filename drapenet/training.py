@@ -7,29 +7,33 @@ uninterrupted one would have done.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
 
 from common.errors import InputError
 from common.provenance import release
 from data.manifest import finished_manifest
+from data.nuisances import NAMES
 from data.setups import Setups
 from data.splits import split_by_fabric
+from drapenet.calibration import inside, ranks
 from drapenet.config import ModelConfig, TrainConfig
-from drapenet.coverage import LEVELS, covered, ranks
-from drapenet.maps import WEIGHT_UNIT, Maps, make_maps
-from drapenet.network import MapNet, known_of
-from drapenet.posterior import Mixture
+from drapenet.maps import Maps, make_maps
+from drapenet.network import Batch, MapNet
 from drapenet.targets import MODULI, Symmetry, TargetScale, targets_of
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+    from tqdm import tqdm
+
 _UNSEEN_AT_ONCE = 128
+_GIVEN = [NAMES.index(name) for name in ("membrane", "friction")]
 _FEW = 1000  # captures that the mean distance is taken of
 
 
@@ -52,40 +56,23 @@ def choose_device(config: TrainConfig) -> torch.device:
     return torch.device(config.device)
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Captures as the network sees them, and what it should say.
-
-    Attributes:
-        distance, weight: (N, AZIMUTHS, ELEVATIONS) float32, m and logarithm of 1 + weight.
-        known: (N, KNOWN), see :func:`drapenet.network.known_of`.
-        targets: (N, T) standardised.
-    """
-
-    distance: torch.Tensor
-    weight: torch.Tensor
-    known: torch.Tensor
-    targets: torch.Tensor
-
-    def through(self, network: MapNet) -> Mixture:
-        """The network's posterior, on its device."""
-        device = next(network.parameters()).device
-        return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
-
-
 class CaptureSet:
     """Maps of captures with standardised targets.
 
     Args:
         maps: of captures of one rig.
-        scale: of the targets.
         disc: whether specimens are discs.
+        scale: of the targets; None: of these captures.
+
+    Attributes:
+        truth: (N, T) targets in their units.
     """
 
-    def __init__(self, maps: Maps, *, scale: TargetScale, disc: bool) -> None:
+    def __init__(self, maps: Maps, *, disc: bool, scale: TargetScale | None = None) -> None:
         self.maps, self.disc = maps, disc
-        targets = scale.encode(targets_of(maps.theta, maps.warp, disc=disc))
-        self.targets = torch.from_numpy(targets).float()
+        self.truth = targets_of(maps.theta, maps.warp, disc=disc)
+        self.scale = scale or TargetScale.fit(self.truth, disc=disc)
+        self.targets = torch.from_numpy(self.scale.encode(self.truth)).float()
 
     def __len__(self) -> int:
         return len(self.maps)
@@ -106,17 +93,19 @@ class CaptureSet:
             revealed: (N, 2) bool, whether the membrane and the friction are given as known.
             symmetry: turns and reflections to show them in.
         """
-        maps = self.maps
-        distance = torch.from_numpy(maps.distance[rows]).float()
-        weight = torch.from_numpy(maps.weight[rows]).float() * WEIGHT_UNIT
-        targets = self.targets[rows]
+        maps, targets = self.maps, self.targets[rows]
         if symmetry is not None:
-            distance, weight = symmetry.of_maps(distance), symmetry.of_maps(weight)
             targets = symmetry.of_targets(targets, disc=self.disc)
-        given = [np.where(revealed[:, k], maps.nuisance(name)[rows], np.nan)
-                 for k, name in enumerate(("membrane", "friction"))]
-        known = known_of(torch.from_numpy(maps.views[rows]), *map(torch.from_numpy, given))
-        return Batch(distance, weight, known, targets)
+        given = np.where(revealed, maps.nuisances[rows][:, _GIVEN], np.nan)
+        batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], given, targets)
+        return batch if symmetry is None else batch.turned(symmetry)
+
+    def in_order(self, most: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
+        """Rows and captures, all once, as they are, at most so many at a time; ``known``: whether
+        membrane and friction are given.
+        """
+        for rows in np.array_split(np.arange(len(self)), -(-len(self) // most)):
+            yield rows, self.batch(rows, revealed=np.full((len(rows), 2), known))
 
     def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
         """All captures once, each in a random turn, in batches of ``size``; a function of (seed,
@@ -130,9 +119,9 @@ class CaptureSet:
             yield self.batch(order[start : start + size], revealed=revealed, symmetry=symmetry)
 
 
-def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, TargetScale, dict]:
+def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     """Training and validation captures, of different fabrics, made where they are missing; the
-    targets' scale; the dataset's description.
+    dataset's description.
 
     Raises:
         InputError: no finished dataset, too few drapes, or set-ups that make no sense.
@@ -154,9 +143,8 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, TargetSc
         raise InputError(f"{config.data} has {len(training)} captures to train on and "
                          f"{len(unseen)} to validate with; generate more drapes or lower "
                          "optim.batch_size")
-    scale = TargetScale.fit(targets_of(training.theta, training.warp, disc=disc), disc=disc)
-    sets = (CaptureSet(maps, scale=scale, disc=disc) for maps in (training, unseen))
-    return *sets, scale, manifest
+    known = CaptureSet(training, disc=disc)
+    return known, CaptureSet(unseen, disc=disc, scale=known.scale), manifest
 
 
 @torch.no_grad()
@@ -165,32 +153,29 @@ def validate(network: MapNet, captures: CaptureSet) -> dict:
 
     Returns:
         ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
-        of the means, standardised; ``inside``: share of the true moduli in the intervals of each
-        level of :data:`drapenet.coverage.LEVELS`; ``samples``.
+        of the means, standardised; ``inside`` (:func:`drapenet.calibration.inside`); ``samples``.
     """
     network.eval()
     losses, errors, places = [], [], []
-    for rows in np.array_split(np.arange(len(captures)), -(-len(captures) // _UNSEEN_AT_ONCE)):
-        batch = captures.batch(rows, revealed=np.zeros((len(rows), 2), bool))
+    for _, batch in captures.in_order(_UNSEEN_AT_ONCE):
         mixture = batch.through(network).cpu()
         losses.append(-mixture.log_likelihood(batch.targets))
         draws = mixture.sample(400, torch.Generator().manual_seed(0))
         errors.append((draws.mean(dim=0) - batch.targets)[:, :MODULI])
         places.append(ranks(draws.numpy(), batch.targets.numpy())[:, :MODULI])
     squares = torch.cat(errors).double().square()
-    inside = covered(np.concatenate(places))
     return {
         "loss": torch.cat(losses).double().mean().item(),
         "rmse_log_alpha": squares[:, :3].mean().sqrt().item(),
         "rmse_beta_over_alpha": squares[:, 3:].mean().sqrt().item(),
-        "inside": {f"{level:.0%}": float(share) for level, share in
-                   zip(LEVELS, inside.mean(axis=1), strict=True)},
+        "inside": inside(np.concatenate(places)),
         "samples": len(captures),
     }
 
 
 def log_metrics(
-    board: SummaryWriter, bar: tqdm, metrics: dict, *, epoch: int, train_loss: float, rate: float
+    board: "SummaryWriter", bar: "tqdm", metrics: dict, *, epoch: int, train_loss: float,
+    rate: float,
 ) -> None:
     """Write an epoch's figures to TensorBoard and beside the progress bar."""
     board.add_scalar("loss/train", train_loss, epoch)
@@ -207,8 +192,7 @@ def log_metrics(
 
 
 def describe(
-    config: TrainConfig, training: CaptureSet, scale: TargetScale, manifest: dict, metrics: dict,
-    epoch: int,
+    config: TrainConfig, training: CaptureSet, manifest: dict, metrics: dict, epoch: int
 ) -> dict:
     """The content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
     theta = training.maps.theta
@@ -217,7 +201,7 @@ def describe(
         "rig": manifest["config"]["rig"]["name"],
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": training.network(config.model),
-        "targets": {"mean": scale.mean.tolist(), "std": scale.std.tolist()},
+        "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
         # Of theta along the two yarns, which have one distribution here, and between them.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
                     "deviation": theta.std(axis=0).tolist()},

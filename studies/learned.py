@@ -26,12 +26,11 @@ from data.prior import load_prior
 from data.prior.base import Stored
 from data.prior.table import TablePrior
 from data.splits import split_by_fabric
+from drapenet.calibration import inside, ranks, rms_with_interval
 from drapenet.config import ModelConfig, TrainConfig, learning_rate
 from drapenet.convention import FIRST, SECOND, SWAPPED
-from drapenet.coverage import LEVELS, covered, ranks
-from drapenet.evaluate import rms_with_interval
 from drapenet.maps import Maps, make_maps
-from drapenet.targets import MODULI, TargetScale, targets_of
+from drapenet.targets import MODULI, TargetScale
 from drapenet.training import CaptureSet
 from sim.scene import Rig
 from studies.networks import COMPONENTS, OnMaps, OnNumbers, OnOutlines, OnViews
@@ -188,7 +187,7 @@ def learner(one: Training, config: dict[str, Any]) -> Learner:
         rest = StackedSet(maps.chosen(held), *(part[held] for part in other), scale=stacked.scale)
         return Learner(stacked, {"fabrics": rest}, stacked.scale, OnViews(
             one.network, channels=CHANNELS, answer=one.answer, targets=TARGETS))
-    scale = TargetScale.fit(targets_of(maps.theta[~held], maps.warp[~held], disc=False), disc=False)
+    scale = CaptureSet(maps.chosen(~held), disc=False).scale
     unseen = {"fabrics": maps.chosen(held)}
     if one.table:
         unseen["table"] = captured("table", config)
@@ -247,9 +246,7 @@ def learn(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
         result["unseen"][name] = {
             "log_alpha": rms_with_interval(errors[:, :3], captures.maps.fabric),
             "beta_over_alpha": rms_with_interval(errors[:, 3:], captures.maps.fabric),
-            **({"inside": dict(zip([f"{level:.0%}" for level in LEVELS],
-                                   covered(places).mean(axis=1).tolist(), strict=True))}
-               if places is not None else {})}
+            **({"inside": inside(places)} if places is not None else {})}
     if one.keep:
         result["arrays"] = {name: value.numpy()
                             for name, value in made.network.state_dict().items()}
@@ -306,8 +303,7 @@ def judged(
     along the targets' own yarns.
     """
     means, places = [], []
-    for rows in np.array_split(np.arange(len(captures)), -(-len(captures) // _AT_ONCE)):
-        part = captures.batch(rows, revealed=np.zeros((len(rows), 2), bool))
+    for _, part in captures.in_order(_AT_ONCE):
         answer = part.through(made.network)
         means.append(made.scale.decode(answer.mean.numpy())[:, :MODULI])
         if posterior:

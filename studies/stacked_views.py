@@ -97,12 +97,8 @@ class StackedSet(CaptureSet):
         self.maps, self.disc = maps, False  # pictures can be shown in quarter turns only
         self.views, self.focal = torch.from_numpy(views), torch.from_numpy(focal).float()
         targets = targets_of(maps.theta, orientation, disc=True)
-        if scale is None:
-            scale = TargetScale.fit(targets, disc=True)
-            # Turns and reflections are those of a vector from the origin.
-            scale.mean[MODULI:], scale.std[MODULI:] = 0.0, scale.std[MODULI:].mean()
-        self.scale = scale
-        self.targets = torch.from_numpy(scale.encode(targets)).float()
+        self.scale = scale or TargetScale.fit(targets, disc=True)
+        self.targets = torch.from_numpy(self.scale.encode(targets)).float()
 
     def batch(
         self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import ESTIMATOR, REPORTS
 from data.setups import Setups
+from drapenet.calibration import inside, ranks
 from drapenet.convention import LINEAR, RATIO
-from drapenet.coverage import LEVELS, covered, ranks
 from studies.captured import draped, read, rms, seen, specimen, spread
 from studies.study import Report, Study, over_fabrics
 
@@ -45,14 +45,12 @@ def run(config: dict[str, Any]) -> Report:
                                   for key in ("error", "deviation", "rank"))
         drawn = rng.integers(len(error), size=(400, len(error)))
         resampled = [rms(error[rows][..., LINEAR]) for rows in drawn]
-        inside = covered(rank.reshape(-1, 6))
         report["views"][count] = {
             "log_alpha": rms(error[..., LINEAR]),
             "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist(),
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
-            "inside": {f"{level:.0%}": float(share.mean())
-                       for level, share in zip(LEVELS, inside, strict=True)}}
+            "inside": inside(rank.reshape(-1, 6))}
     known = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))
     report["bound"] = known["rms"]["all nuisances unknown"]["standardised_log_alpha"]
     return report

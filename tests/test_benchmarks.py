@@ -22,7 +22,7 @@ from benchmarks.physics import default_mesh, meshes
 from benchmarks.physics.scans import Search, rounded
 from common.configs import group_options, read_config
 from common.errors import InputError
-from drapenet.checkpoint import read_header, save_checkpoint
+from drapenet.checkpoint import save_checkpoint
 from drapenet.network import MapNet
 from sim.cloth import Cloth
 from sim.drape import drape
@@ -326,7 +326,7 @@ def test_drapes_of_an_estimate_are_compared_with_other_samples():
 
 @pytest.fixture(scope="module")
 def disc_checkpoint(untrained_checkpoint, tmp_path_factory):
-    content = read_header(untrained_checkpoint).content
+    content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
     model = content["model"] | {"targets": 8}
     targets = {"mean": content["targets"]["mean"] + [0.0, 0.0],
                "std": content["targets"]["std"] + [0.5, 0.5]}

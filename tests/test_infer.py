@@ -127,7 +127,7 @@ BAD = {
     "intrinsics of another picture": (
         spoil_yaml(intrinsics={"fx": -1.0, "fy": 100.0, "cx": 59.5, "cy": 44.5}), "intrinsics"),
     "checkpoint of another rig": (spoil_header(rig="disc300_support180"), "disc300_support180"),
-    "checkpoint of another schema": (spoil_header(schema_version=7), "schema version 7"),
+    "checkpoint of another schema": (spoil_header(schema_version=7), "schema_version=7 must be 2"),
     "checkpoint missing": (lambda _, f: f.unlink(), "no checkpoint file"),
     "checkpoint damaged": (lambda _, f: truncate(f), "copy both again"),
 }
@@ -257,7 +257,7 @@ def test_estimate_says_what_it_is(
             assert own[unit]["median"] == pytest.approx(reference[unit]["median"] / 2)
             assert own[unit]["interval_90"][0] < own[unit]["interval_68"][0] < own[unit]["median"]
         assert 0.1 < own["alpha_uN_m"]["median"] < 1000  # µN·m of a fabric, not another unit
-    assert content["checkpoint"]["sha256"] == read_header(checkpoint).content["weights"]["sha256"]
+    assert content["checkpoint"]["sha256"] == read_header(checkpoint).weights.sha256
     assert content["warp_axis"]["direction_deg"] == pytest.approx(math.degrees(0.4))
     assert content["capture"]["turns_deg"] == pytest.approx([0, 90, 180, 270], abs=1)
     assert "68 % interval" in capsys.readouterr().out

@@ -53,19 +53,19 @@ def test_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
     assert whole.keys() == resumed.keys()
     for name, value in whole.items():
         assert torch.equal(value, resumed[name]), name
-    first, second = (read_header(tmp_path / run / "drapenet").content for run in ("out", "broken"))
-    assert first["weights"] == second["weights"]
-    assert first["validation"] == second["validation"]
+    first, second = (read_header(tmp_path / run / "drapenet") for run in ("out", "broken"))
+    assert first.weights == second.weights
+    assert first.validation == second.validation
 
 
 def test_a_checkpoint_describes_itself(words: list[str], tmp_path: Path) -> None:
     train.main([*words, "epochs=1"])
     header = read_header(tmp_path / "out" / "drapenet.safetensors")
     assert load_model(header).training is False
-    assert header.content["dataset"]["sha256"] == f"{8:064x}"
-    assert header.content["config"]["model"]["width"] == 4
+    assert header.dataset.sha256 == f"{8:064x}"
+    assert header.model.width == 4
     assert header.setups == Setups.load()
-    assert (header.fabrics("low") < header.fabrics("high")).all()
+    assert (np.array(header.fabrics.low) < header.fabrics.high).all()
 
 
 def test_another_setting_in_the_same_folder_is_refused(words: list[str]) -> None:
@@ -102,7 +102,7 @@ def test_bad_settings_are_one_line(words: list[str], word: str, message: str) ->
 
 def test_validation_has_other_fabrics_and_no_neighbours(words: list[str]) -> None:
     config = compose_config("train", words, schema=TrainConfig)
-    training, unseen, _, _ = open_captures(config)
+    training, unseen, _ = open_captures(config)
     assert not set(training.maps.fabric) & set(unseen.maps.fabric)
     assert len(training) + len(unseen) == 80
     first, again = (next(training.epoch(seed=1, epoch=2, size=16)) for _ in range(2))

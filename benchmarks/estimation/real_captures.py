@@ -37,7 +37,7 @@ from data.options import Options, config_from_options
 from data.sampling import Stream, stream
 from data.scans import Scan, read_scan, read_scans
 from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.convention import LINEAR, STIFF_SOFT, SWAPPED
+from drapenet.convention import LINEAR, STIFF_SOFT
 from drapenet.estimate import Estimate
 from sim.drape import drape
 from sim.material import MICRO, REFERENCE_DENSITY
@@ -158,10 +158,8 @@ def estimate_all(
         "identity": header.identity, "captures": config["captures"], "seed": config["seed"]}
         for scan in scans.values()}
     run_cases(captured, cases, folder=folder, workers=config["workers"], sources=ESTIMATOR)
-    spread = header.fabrics("deviation")
-    spread = (spread + spread[SWAPPED]) / 2  # the yarns are named otherwise than the dataset's
     return {key: Estimate(load_arrays(folder, f"estimate_{scan.name}")["samples"], STIFF_SOFT, 0.0,
-                          1.0, REFERENCE_DENSITY, spread) for key, scan in scans.items()}
+                          1.0, REFERENCE_DENSITY, header.spread) for key, scan in scans.items()}
 
 
 def drape_all(

@@ -30,9 +30,9 @@ from data.cameras import CameraRig
 from data.captures import Capture
 from data.nuisances import NAMES
 from data.setups import Setups
+from drapenet.calibration import inside, ranks
 from drapenet.checkpoint import bundled, read_header
 from drapenet.convention import LINEAR, RATIO, SWAPPED
-from drapenet.coverage import LEVELS, covered, ranks
 from sim.drape import drape
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import fold_outline
@@ -126,8 +126,7 @@ def judge(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
         "log_alpha_median": float(np.median(np.abs(errors[:, LINEAR]))),
         "log_alpha_worst_fabric": float(np.abs(errors[:, LINEAR]).mean(axis=1).max()),
         "beta_over_alpha_mm": 1e3 * float(np.sqrt(np.square(errors[:, RATIO]).mean())),
-        "inside": {f"{level:.0%}": float(share.mean())
-                   for level, share in zip(LEVELS, covered(places), strict=True)},
+        "inside": inside(places),
         "fabrics": len(truth),
     }
 

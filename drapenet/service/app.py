@@ -103,8 +103,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(TrustedHostMiddleware,
                        allowed_hosts=["*"] if settings.host in ("0.0.0.0", "::") else allowed)
     app.middleware("http")(_guarded)
-    app.exception_handler(RequestError)(_refused)
-    app.exception_handler(HTTPException)(_plain_error)
+    app.exception_handler(HTTPException)(_refused)
     app.exception_handler(ClientDisconnect)(_closed)
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
@@ -319,11 +318,7 @@ def _answer(status: int, sentence: str) -> JSONResponse:
     return JSONResponse({"error": sentence}, status_code=status, headers=headers)
 
 
-async def _refused(request: Request, error: RequestError) -> JSONResponse:
-    return _answer(error.status, error.sentence)
-
-
-async def _plain_error(request: Request, error: HTTPException) -> JSONResponse:
+async def _refused(request: Request, error: HTTPException) -> JSONResponse:
     return _answer(error.status_code, str(error.detail))
 
 

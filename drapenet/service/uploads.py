@@ -5,22 +5,24 @@ upload is run, unpickled, or used as a path.
 """
 
 import io
+import math
 import re
 import warnings
 import zipfile
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import yaml
 from PIL import Image
 from pydantic import BeforeValidator, Field
+from starlette.exceptions import HTTPException
 
 from common.documents import LARGEST_TEXT, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
+from data.arrays import header_of
 from data.captures import INTRINSICS_KEYS, MARKS, Description, checked_density
 from data.frames import BACKGROUND
 from drapenet.service.settings import Settings
@@ -61,12 +63,17 @@ TEXTS = ("rig", "refine", "name")
 NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
-class RequestError(Exception):
-    """A request that is not taken: an HTTP status and a sentence."""
+class RequestError(HTTPException):
+    """A request that is not taken: an HTTP status and, as its detail, a sentence."""
 
-    def __init__(self, status: int, sentence: str):
-        super().__init__(sentence)
-        self.status, self.sentence = status, sentence
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """A RequestError for a document or a number that is not what it must be."""
+    try:
+        yield
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,7 @@ class Upload:
         return self.fields.get("refine") == "yes"
 
 
+@_explained()
 def checked_upload(
     files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
 ) -> Upload:
@@ -99,7 +107,8 @@ def checked_upload(
     Raises:
         RequestError: with the status 413, 415 or 422.
     """
-    fields = _fields(texts)
+    given = {key: text.strip() for key, text in texts.items() if text.strip()}
+    fields = Form.of(given, "").model_dump(exclude_none=True)
     if not files:
         raise RequestError(422, "no files; give the views of a drape, a zip with them, or a scan")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
@@ -112,11 +121,12 @@ def checked_upload(
     for name, data in found.items():
         _require_pixels(name, data, settings.pixels)
     if scans:
-        _require_density(fields.get("density_g_m2"))
+        checked_density(fields.get("density_g_m2"))
     return Upload(found, fields, scans[0] if scans else None,
                   plain_name(fields.get("name") or title)[:40])
 
 
+@_explained()
 def write_upload(upload: Upload, folder: Path) -> None:
     """Write an upload to a new ``folder``, a capture with its description, or the scan alone.
 
@@ -131,21 +141,6 @@ def write_upload(upload: Upload, folder: Path) -> None:
             files["capture.yaml"] = _description(files.pop("capture.yaml", None), upload.fields)
     for name, data in files.items():
         (folder / name).write_bytes(data)
-
-
-def _fields(texts: Mapping[str, str]) -> dict[str, Any]:
-    given = {key: text.strip() for key, text in texts.items() if text.strip()}
-    try:
-        return Form.of(given, "").model_dump(exclude_none=True)
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
-
-
-def _require_density(value: object) -> None:
-    try:
-        checked_density(value)
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
 
 
 def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
@@ -208,8 +203,12 @@ def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
 
 
 def _require_pixels(name: str, data: bytes, most: int) -> None:
-    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked."""
+    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked, and
+    a text that nobody writes.
+    """
     suffix = Path(name).suffix
+    if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
+        raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
     try:
         if suffix == ".png":
             with warnings.catch_warnings():
@@ -217,25 +216,16 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
                 with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
                     size = picture.size
         elif suffix == ".npy":
-            stream = io.BytesIO(data)
-            version = np.lib.format.read_magic(stream)
-            read = {(1, 0): np.lib.format.read_array_header_1_0,
-                    (2, 0): np.lib.format.read_array_header_2_0}[version]
-            size = read(stream)[0]
+            size, _ = header_of(data)
         else:
-            if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
-                raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
             return
-    except RequestError:
-        raise
     except Image.DecompressionBombError:
         raise RequestError(413, f"{name} has too many pixels; at most {most / 1e6:g} million"
                            ) from None
     except Exception as error:  # whatever a library makes of a hostile header
         raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
                       ) from None
-    count = int(np.prod([int(side) for side in size], dtype=object))
-    if count > most:
+    if (count := math.prod(size)) > most:
         raise RequestError(413, f"{name} has {count} pixels; at most {most / 1e6:g} million, "
                            "save it smaller")
 
@@ -264,7 +254,5 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
         return yaml.safe_dump(content).encode()
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None
-    except InputError as error:
-        raise RequestError(422, str(error)) from None
     except (yaml.YAMLError, RecursionError) as error:
         raise RequestError(422, f"capture.yaml cannot be read ({one_line(error)})") from None

@@ -428,7 +428,7 @@ def _read_upload(folder: Path) -> None:
     try:
         write_upload(checked_upload([("capture.zip", data)], texts, settings), written)
     except RequestError as error:
-        raise InputError(error.sentence) from None
+        raise InputError(error.detail) from None
     read_capture(written)
 
 

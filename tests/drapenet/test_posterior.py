@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from drapenet.coverage import LEVELS, covered, ranks
+from drapenet.calibration import LEVELS, covered, ranks
 from drapenet.posterior import Mixture, outputs_of
 
 

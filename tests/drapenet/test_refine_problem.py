@@ -14,7 +14,7 @@ from data.nuisances import NuisanceConfig, Nuisances
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
 from data.render import QUARTERS, DepthRenderer
-from drapenet.canonical import square_turn
+from drapenet.canonical import fused, side_direction
 from drapenet.refine import problem as problems
 from drapenet.refine.attraction import Springs, plane_springs
 from drapenet.refine.cloth import (
@@ -284,7 +284,8 @@ def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
     for turn in (0.2, 1.3, 2.5):
         views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)
         objective = DepthViews(views, camera, shape.faces)
-        found = square_turn(objective.points(objective.start)[0], Rig())
+        points = objective.points(objective.start)[0]
+        found = side_direction(*fused([points], np.zeros(1), Rig()), Rig())
         gap = (found - turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
         assert abs(gap) < math.radians(6)
 

@@ -8,7 +8,6 @@ from drapenet.canonical import AZIMUTHS, ELEVATIONS
 from drapenet.config import ModelConfig
 from drapenet.maps import Maps
 from drapenet.network import MapNet
-from drapenet.targets import TargetScale, targets_of
 from drapenet.training import CaptureSet, validate
 
 
@@ -34,8 +33,8 @@ def test_training_learns_all_three_directions(
 ) -> None:
     """Without the directions the errors would be 0.8, without anything 1."""
     training, unseen = (shown(count, disc=disc, seed=seed) for count, seed in ((640, 0), (128, 1)))
-    scale = TargetScale.fit(targets_of(training.theta, training.warp, disc=disc), disc=disc)
-    training, unseen = (CaptureSet(maps, scale=scale, disc=disc) for maps in (training, unseen))
+    training = CaptureSet(training, disc=disc)
+    unseen = CaptureSet(unseen, disc=disc, scale=training.scale)
     torch.manual_seed(0)
     network = MapNet(**training.network(ModelConfig(width=4, components=1)))
     optimizer = torch.optim.AdamW(network.parameters(), lr=5e-3)

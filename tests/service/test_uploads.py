@@ -142,8 +142,8 @@ def test_what_is_no_capture_is_refused_with_a_sentence(case, settings, tmp_path)
     files, fields, status, sentence = REFUSED[case]
     with pytest.raises(RequestError) as refused:
         write_upload(checked_upload(files, fields, settings), tmp_path / "capture")
-    assert refused.value.status == status
-    assert sentence in refused.value.sentence and "\n" not in refused.value.sentence
+    assert refused.value.status_code == status
+    assert sentence in refused.value.detail and "\n" not in refused.value.detail
 
 
 def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from studies import table3
 from studies.table3 import NETWORK, OWN_FRICTION, PLAIN, PRIOR, REFINED, SCANS, TRUTH, WAYS
 
-CONFIG = {"scanned": 9, "samples": 2, "workers": 1, "cases": "", "refine": True}
+CONFIG = {"scanned": 9, "samples": 2, "workers": 1, "cases": "", "refined": True}
 
 
 def _report(scans=()):
