@@ -86,7 +86,7 @@ def run_cases(
     """Results of ``work(**settings)`` for every case, from ``folder`` where it is finished.
 
     Each case becomes ``folder/NAME.json`` as soon as it is done, with its settings and a digest
-    of the sources that it depends on. A file of other settings or sources is made anew; so an
+    of the sources that it depends on. A file of other settings or sources is made again; so an
     interrupted run goes on where it stopped, and old figures never mix with new ones.
 
     Args:

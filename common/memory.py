@@ -10,7 +10,7 @@ def keep_freed_memory() -> None:
     """Keep the memory of large arrays for the next ones; without effect where there is no glibc.
 
     By default glibc gives arrays beyond 32 MiB back to the system after every use, and fetching
-    them anew takes a tenth of the time of drapes with 101 x 101 vertices. What a process has once
+    them again takes a tenth of the time of drapes with 101 x 101 vertices. What a process has once
     used it then keeps to its end.
     """
     try:

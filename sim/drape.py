@@ -148,7 +148,7 @@ def drape(
         seed: of the initial shape; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES` is the
             triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        laws: of bending, membrane and energies of your own; made anew on every mesh.
+        laws: of bending, membrane and energies of your own; made again on every mesh.
         options: of the final minimisation.
 
     Returns:

@@ -15,7 +15,7 @@ from sim.self_contact import contact_near, self_intersections, untangled
 from sim.state import State
 
 _DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
-_ROUND = 25  # Newton steps after which the places of self-contact are chosen anew
+_ROUND = 25  # Newton steps after which the places of self-contact are chosen again
 
 
 @dataclass(eq=False)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 WORDS = {
     r"tells?|told": "identifies, distinguishes, reports",
-    r"put down|laid anew": "placed, registered again",
+    r"put down": "placed",
+    r"anew": "again",
     r"errs": "has a bias of",
     r"hardly": "little, nearly",
     r"(?:is|are) no (?:number|plate|drape|capture|scan|prior|estimate|dataset|strip)s?": "is not a",

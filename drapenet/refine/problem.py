@@ -145,7 +145,7 @@ class Problem:
         return trial.value
 
     def weigh(self) -> None:
-        """Set :attr:`doubt` by how well the best trial meets the objective, and its value anew."""
+        """Set :attr:`doubt` by how well the best trial meets the objective, and its value again."""
         best = self.best
         found = self.objective.linearised(best.drape.positions, best.nuisance)
         freedom = max(found.independent - len(best.x), 1.0)

@@ -92,7 +92,7 @@ class _Factor:
 
     Args:
         pattern: of the matrices.
-        order: (n,) int32, how an earlier analysis found to eliminate; None to find it anew.
+        order: (n,) int32, how an earlier analysis found to eliminate; None to find it again.
         single: whether to calculate in single precision.
     """
 

@@ -99,7 +99,7 @@ def test_refinement_changes_a_stiff_drape_by_little():
 
 
 def test_only_the_coarser_meshes_are_soft():
-    """The forces on a drape balance in a scene and under laws made anew, in full stiffness."""
+    """The forces on a drape balance in a scene and under laws made again, in full stiffness."""
     result = drape(isotropic(20, 2), edge=0.005, seed=1)
     assert result.coarse == (Status.CONVERGED,)
     residuals = []
