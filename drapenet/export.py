@@ -417,7 +417,7 @@ TARGETS = {
         "g·mm²/s²: α · 10⁹, at most 2 · 10⁶",
         "keys and defaults as written by ttiimmaacc/mcp-for-clo3d; unit from Unreal's importer of "
         "CLO's USD",
-        "β; stretch, shear, thickness and friction are CLO's defaults; not opened in CLO",
+        "β; stretch, shear, thickness and friction, which get CLO's defaults; not opened in CLO",
         _jfab),
     "u3m": Target(
         "fabric.u3m", "Browzwear, U3M 1.1",
@@ -433,9 +433,10 @@ TARGETS = {
         "β; the proposal's names may change; not opened in Unreal", _usd),
     "arcsim": Target(
         "arcsim.json", "ARCSim", "`bending` [3][5], `density` kg/m²",
-        "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; rows: edges along warp, bias, weft bend "
-        "weft, bias, warp", "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
-        "β beyond 40 m⁻¹; `stretching` and damping are yours", _arcsim),
+        "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; a row each for edges along warp, bias, "
+        "weft, which bend weft, bias, warp",
+        "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
+        "β beyond 40 m⁻¹; add `stretching` and damping yourself", _arcsim),
     "newton": Target(
         "newton_fabric.py", "Newton 1.8",
         "Style3D `edge_aniso_ke`; VBD `edge_bending_properties`",
@@ -451,7 +452,7 @@ TARGETS = {
         "nothing", _neutral),
     "csv": Target(
         "material.csv", "spreadsheets", "moduli with intervals, µN·m and nN·m²", "as estimated",
-        "this project", "identity but for the name", _table),
+        "this project", "origin and warnings; the name is kept", _table),
     "torque": Target(
         "torque.csv", "tools with a curve", "torque per width, mN, over curvature, 1/m",
         "ακ + βκ², straight beyond the law's limit", "`docs/physics.md`", "intervals", _torque),
@@ -511,9 +512,9 @@ def main(config: ExportConfig) -> None:
         print(table())
         return
     if not config.estimate:
-        raise InputError("give an estimate: estimate=FILE, an estimate.json")
+        raise InputError("estimate= is missing; give an estimate.json: estimate=FILE")
     if not config.to:
-        raise InputError(f"give to=NAME, one of {', '.join(TARGETS)} or all")
+        raise InputError(f"to= is missing; give one of {', '.join(TARGETS)} or all")
     names, path = targets_named(config.to), Path(config.estimate)
     material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
                              edge=1e-3 * config.edge_mm, name=config.name)
