@@ -107,7 +107,8 @@ def check(config: InferConfig) -> None:
     """InputError for values out of range, or keys that do not go together."""
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
     if config.refine["by"] not in ways:
-        raise InputError(f"refine={config.refine['by']}: a {kind} takes {' or '.join(ways)}")
+        raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
+                         f"{' or '.join(ways)}")
     for key, value in config.refine.items():
         if key != "by" and not (isinstance(value, int | float) and value > 0):
             raise InputError(f"refine.{key}={value} must be a positive number")
@@ -117,7 +118,7 @@ def check(config: InferConfig) -> None:
     if len(given) > 1:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
-        raise InputError("no capture; give capture=DIR, a folder with depth images")
+        raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
     if config.export:
         from drapenet.export import targets_named
 

@@ -56,9 +56,9 @@ def train(config: TrainConfig) -> Path:
         record = load_state(state, model=network, optimizer=optimizer)
         if changed := differences(record["run"], run):
             names = ", ".join(name.removeprefix("settings.") for name in changed)
-            raise InputError(f"{out} holds a training with other settings ({names}); choose "
-                             "another out= or remove it. The learning rate depends on all epochs, "
-                             "so that a finished training takes no more of them")
+            raise InputError(f"{out} contains a training with other settings ({names}); choose "
+                             "another out=, or remove it (epochs must be the same, because the "
+                             "learning rate depends on them)")
 
     size = config.optim.batch_size
     steps = len(training) // size
@@ -84,8 +84,8 @@ def train(config: TrainConfig) -> Path:
             train_loss = torch.stack(losses).mean().item()
             finite = all(part.isfinite().all() for part in network.parameters())
             if not math.isfinite(train_loss) or not finite:
-                raise InputError(f"the loss of epoch {epoch} is not finite; try a smaller "
-                                 "optim.learning_rate, and another out=")
+                raise InputError(f"the loss of epoch {epoch} is not finite; train again with a "
+                                 "smaller optim.learning_rate and another out=")
             metrics = validate(network, unseen)
             log_metrics(board, bar, metrics, epoch=epoch, train_loss=train_loss, rate=rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:

@@ -114,8 +114,10 @@ def print_estimate(config: EstimateConfig) -> None:
     if not config.density > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
     check_density(1e-3 * config.density)
-    if config.rounds < 0 or not 0 < config.width <= 500:
-        raise InputError("rounds must not be negative, width must lie between 0 and 500 mm")
+    if config.rounds < 0:
+        raise InputError(f"rounds={config.rounds} must not be negative")
+    if not 0 < config.width <= 500:
+        raise InputError(f"width={config.width:g} must lie between 0 and 500 mm")
     if config.out:
         require_file(Path(config.out))
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}

@@ -41,7 +41,8 @@ def main(config: DrapeConfig) -> None:
     """Simulate, print what came out, and write the files."""
     folder = folder_named(config.out)
     if len(config.offset) != 2:
-        raise InputError("offset needs two values in mm: along warp, along weft")
+        raise InputError(f"offset={config.offset} has {len(config.offset)} values; give two in mm, "
+                         "along warp and along weft")
     fabric = Fabric(
         alpha=np.array(config.alpha) * MICRO,
         beta=np.array(config.beta) * NANO,

@@ -36,7 +36,8 @@ def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
     rest, positions = arrays["rest"], arrays["positions"]
     for name, array, columns in (("rest", rest, 2), ("positions", positions, 3)):
         if array.dtype.kind != "f" or array.shape != (len(rest) if rest.ndim else 0, columns):
-            raise InputError(f"{path}: {name} must be numbers of shape (V, {columns})")
+            raise InputError(f"{path}: {name} must be numbers of shape (V, {columns}); they have "
+                             f"the type {array.dtype} and the shape {array.shape}")
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} holds numbers that are not finite")
     return rest, positions

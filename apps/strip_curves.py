@@ -52,7 +52,8 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
         InputError: as for :func:`read_curve`.
     """
     if (places := len(np.unique(points, axis=0))) < FEWEST_POINTS:
-        raise InputError(f"{places} different points are too few; give {FEWEST_POINTS} or more")
+        raise InputError(f"the curve has {places} different points; give at least "
+                         f"{FEWEST_POINTS}")
     if not np.isfinite(points).all():
         raise InputError("all coordinates must be finite numbers")
     curve = points - points[0]
@@ -63,14 +64,15 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
                          f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; give its columns in mm")
     reach, drop = curve[-1]
     if abs(reach) < 1e-3 * span or drop == 0:
-        raise InputError("the free end must lie beside and below the clamp's edge")
+        raise InputError(f"the free end is at ({1e3 * reach:.3g}, {1e3 * drop:.3g}) mm from the "
+                         "clamp's edge; it must lie beside and below it: check the columns")
     # A smooth hanging strip is at most reach + drop long; more is disorder.
     if length > 3 * (abs(reach) + abs(drop)):
         raise InputError("the points are out of order; list them from the clamp to the free end")
     curve = curve * np.sign([reach, drop])
     if _bends_up(curve):
-        raise InputError("the curve begins steeply and ends level; list its points from the "
-                         "clamp's edge to the free end")
+        raise InputError("the curve is steep at its first point and level at its last; list the "
+                         "points from the clamp's edge to the free end")
     return curve
 
 

@@ -311,7 +311,8 @@ def as_schema(config: Any, schema: type) -> Any:
     content = OmegaConf.to_container(config, resolve=True)  # keys that + has added are refused
     typed = OmegaConf.merge(OmegaConf.structured(schema), content)
     if missing := OmegaConf.missing_keys(typed):
-        raise InputError(f"keys without a value: {', '.join(sorted(missing))}")
+        raise InputError(f"a value is missing for {', '.join(sorted(missing))}; give it as "
+                         "key=value")
     settings = OmegaConf.to_object(typed)
     check_counts(vars(settings))
     _require_finite(asdict(settings))
@@ -346,12 +347,12 @@ def explained(
         raise InputError(_complaint(error, name, schema)) from error
     except Exception as error:
         if sweep:  # whatever the launcher's classes are
-            raise InputError(f"a job could not be started or ended early ({one_line(error)}); what "
-                             "is whole stays, run the same command again") from error
+            raise InputError(f"a job could not be started, or ended early ({one_line(error)}); "
+                             "complete files are kept: run the same command again") from error
         if not isinstance(error, ValueError | TypeError):
             raise
         # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
-        raise InputError(f"{one_line(error)}; look at: {' '.join(words)}") from error
+        raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
 
 
 _WANTED = {"Integer": "a whole number, such as 3", "Float": "a finite number, such as 3",

@@ -149,7 +149,7 @@ def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again
         from_json(data, allow_inf_nan=False)  # bounds the depth, which json does not
         return json.loads(data, object_pairs_hook=_without_repeats)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{what} is damaged or no JSON document ({one_line(error)}); "
+        raise InputError(f"{what} is damaged or not a JSON document ({one_line(error)}); "
                          f"{remedy}") from None
 
 
@@ -168,7 +168,7 @@ def read_text(file: Path, largest: int = LARGEST_TEXT, kind: str = "description"
     try:
         return read_bytes(file, largest, kind).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{file} is not text in UTF-8; save it as such") from None
+        raise InputError(f"{file} is not UTF-8 text; save it in this encoding") from None
 
 
 def read_table(
@@ -202,7 +202,8 @@ def read_bytes(file: Path, largest: int, kind: str) -> bytes:
     except (OSError, ValueError) as error:  # ValueError of a name with a null byte
         raise _unreadable(file, error) from None
     if len(data) > size:
-        raise InputError(f"{file} grows while it is read; read it again")
+        raise InputError(f"{file} was being written while it was read; run the command again when "
+                         "it is complete")
     return data
 
 
@@ -219,7 +220,8 @@ def require_regular(file: Path, largest: int, kind: str) -> None:
 def _unreadable(file: Path, error: Exception) -> InputError:
     if isinstance(error, InputError):
         return error
-    return InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})")
+    return InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error}); check "
+                      "the path and the permissions")
 
 
 def _require(file: Path, found: os.stat_result, largest: int, kind: str) -> int:

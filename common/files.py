@@ -47,7 +47,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 def folder_named(out: str) -> Path:
     """The folder of a key ``out=``, which must have a name: an empty one would be the current."""
     if not out:
-        raise InputError("out= needs the name of a folder")
+        raise InputError("out= is empty; give the name of a folder")
     return Path(out)
 
 
@@ -119,8 +119,8 @@ def remove_file(path: Path) -> None:
         path.unlink(missing_ok=True)
         remove_partial(path.parent, path.name)
     except OSError as error:
-        raise InputError(f"cannot remove {path}: {error.strerror}; remove it by hand, it is "
-                         "from an earlier run") from None
+        raise InputError(f"cannot remove {path}, which is left from an earlier run: "
+                         f"{error.strerror}; remove it by hand") from None
 
 
 def remove_partial(folder: Path, pattern: str) -> None:

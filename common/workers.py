@@ -78,8 +78,8 @@ def worker_pool(
             pool._work_ids.queue.clear()
             pool.shutdown(kill_workers=True)
         if isinstance(error, process_executor.TerminatedWorkerError):
-            raise InputError("a worker process was killed, perhaps for lack of memory; "
-                             "run the same command again with fewer workers") from None
+            raise InputError("a worker process was killed, perhaps because memory ran out; "
+                             "run the same command again with a smaller workers=") from None
         raise
     if initializer is None:
         _kept.clear()  # the processes of a pool that nobody holds end

@@ -49,7 +49,8 @@ class Intrinsics:
                 "give finite pixels and positive focal lengths"
             )
         if not all(isinstance(size, (int, np.integer)) for size in (self.width, self.height)):
-            raise InputError(f"picture size {self.width}x{self.height} must be whole pixels")
+            raise InputError(f"the picture size {self.width}x{self.height} must be two whole "
+                             "numbers of pixels")
         # No lens is centred on a picture's edge; intrinsics of another picture size are.
         for centre, size in ((self.cx, self.width), (self.cy, self.height)):
             if not 0.1 * size < centre < 0.9 * size:
@@ -150,7 +151,9 @@ class Pose:
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         across = self.above**2 + self.aside**2
         if across >= self.distance**2:
-            raise InputError("camera distance must exceed the plate's offset from the optical axis")
+            raise InputError(f"the camera's distance, {1e3 * self.distance:g} mm, must exceed the "
+                             f"plate's offset from the optical axis, {1e3 * math.sqrt(across):.4g} "
+                             "mm; increase distance_mm")
         transform = np.eye(4)
         transform[:3, :3] = turn @ level
         transform[:3, 3] = self.aside, -self.above, math.sqrt(self.distance**2 - across)

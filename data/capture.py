@@ -57,7 +57,7 @@ def main(config: CaptureConfig) -> None:
               f"{1e3 * SQUARE:g} mm")
         return
     if not config.frames:
-        raise InputError("frames= needs the folder of the frames")
+        raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
     out = folder_named(config.out)
     require_folder(out)
     capture = read_capture(config.frames)

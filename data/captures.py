@@ -135,7 +135,8 @@ def read_capture(path: str | Path) -> Capture:
     try:
         return _read(path)
     except OSError as error:
-        raise InputError(f"capture '{path}' cannot be read ({one_line(error)})") from None
+        raise InputError(f"capture '{path}' cannot be read ({one_line(error)}); check its "
+                         "permissions") from None
 
 
 def _read(path: Path) -> Capture:
@@ -184,9 +185,10 @@ def require_alike(
         marked: whether each says where the warp lies.
         densities: kg/m².
     """
-    for what, values in (("rig", set(rigs)), ("warp_direction_deg", set(marked))):
+    for right, values in (("have the same rig", set(rigs)),
+                          ("state warp_direction_deg, or none of them", set(marked))):
         if len(values) > 1:
-            raise InputError(f"captures of one fabric must agree in {what}; give those that do not "
+            raise InputError(f"captures of one fabric must all {right}; estimate those that differ "
                              "as another fabric")
     least, most = min(densities), max(densities)
     if most > (1 + DENSITIES_APART) * least:
@@ -222,15 +224,19 @@ def write_capture(
     path = Path(path)
     views = np.asarray(views)
     if views.shape[1:] != (intrinsics.height, intrinsics.width):
-        raise InputError(f"views of shape {views.shape} do not fit the intrinsics")
+        raise InputError(f"views have the shape {views.shape}, but the intrinsics are for "
+                         f"{intrinsics.width}x{intrinsics.height} pixels; give the intrinsics of "
+                         "this picture size")
     if not 1 <= len(views) <= MOST_VIEWS:
-        raise InputError(f"{len(views)} views: a capture has one to {MOST_VIEWS}")
+        raise InputError(f"{len(views)} views given; a capture has 1 to {MOST_VIEWS}")
     pictures = {f"view_{k}": view for k, view in enumerate(views)}
     if background is not None:
         pictures["background"] = background
     counts = np.rint(np.stack(list(pictures.values())) / depth_unit)
     if not (np.isfinite(counts).all() and counts.min() >= 0 and counts.max() <= 65535):
-        raise InputError(f"depth does not fit 16 bits at {depth_unit:g} m per count")
+        raise InputError(f"depth from {depth_unit * counts.min():.4g} to "
+                         f"{depth_unit * counts.max():.4g} m does not fit 16 bits at "
+                         f"{depth_unit:g} m per count; choose a larger depth_unit")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"'{path}' exists already; remove it or choose another folder")
     description = {
@@ -323,8 +329,8 @@ def _read_published(path: Path) -> Capture:
     height, width = counts.shape[1:]
     if (width, height) not in PUBLISHED_SIZES:
         raise InputError(
-            f"{path}: pictures of {width}x{height} pixels; the 8-bit format is 240x180 or 480x360"
-        )
+            f"{path}: pictures have {width}x{height} pixels; the 8-bit format has 240x180 or "
+            "480x360: export them in one of these sizes")
     keep = PUBLISHED_SIZES[width, height]
     counts = counts[:, ::keep, ::keep]
     views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
@@ -354,19 +360,18 @@ def checked_capture(
         warnings += _remove_specks(view, f"view {k}")
         cloth = view > 0
         if not cloth.any():
-            raise InputError(f"{path}: view {k} is all background; no cloth in the picture")
+            raise InputError(f"{path}: view {k} shows no cloth: all pixels are background or "
+                             "specks; take the view again")
         if cloth.mean() < CLOTH_SHARE[0]:
             raise InputError(
-                f"{path}: view {k} is background but for {cloth.sum()} pixels; "
-                "the cloth is missing or too far away"
-            )
+                f"{path}: view {k} shows only {cloth.sum()} pixels of cloth, at least "
+                f"{CLOTH_SHARE[0] * cloth.size:.0f} are needed; move the camera nearer")
         distance = float(np.median(view[cloth]))
         if not DISTANCE_RANGE[0] <= distance <= DISTANCE_RANGE[1]:
             raise InputError(
-                f"{path}: view {k} has a median depth of {distance:.4g} m, not within "
-                f"{DISTANCE_RANGE[0]:g} to {DISTANCE_RANGE[1]:g} m; check depth_unit_m "
-                "(0.001 for millimetres)"
-            )
+                f"{path}: view {k}: the cloth is {distance:.4g} m from the camera; it must be "
+                f"{DISTANCE_RANGE[0]:g} to {DISTANCE_RANGE[1]:g} m away: check depth_unit_m "
+                "(0.001 for millimetres)")
         if cloth.mean() > CLOTH_SHARE[1]:
             raise InputError(
                 f"{path}: view {k} has no background; set every pixel that is not cloth to 0"

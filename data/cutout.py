@@ -105,9 +105,9 @@ def cut_out(
         return CutOut(frames, seen, frames, plate, None, ())
     if plate is None:
         raise InputError(
-            f"no plate of {1e3 * rig.plate_diameter:g} mm with cloth on it is found in the "
-            "frames; check the rig, the depth unit and the intrinsics, or cut the cloth out: set "
-            "all that is not cloth to 0")
+            f"no plate of {1e3 * rig.plate_diameter:g} mm diameter with cloth on it was found in "
+            "the frames; check rig, depth_unit_m and intrinsics, or set every pixel that is not "
+            "cloth to 0")
     doubts = [] if plate.table is not None else [
         "no table is seen below the plate; look with python -m data.capture whether only cloth is "
         "cut out"]

@@ -87,8 +87,8 @@ class DatasetFolder:
             settings = manifest["config"] | {"prior": manifest.get("prior")}
             self._require_same(manifest["identity"], settings)
             if manifest["drapes"] > self.config.drapes:
-                raise InputError(f"{self.root} holds {manifest['drapes']} drapes already; ask for "
-                                 "as many or more")
+                raise InputError(f"{self.root} contains {manifest['drapes']} drapes; drapes="
+                                 f"{self.config.drapes} must be {manifest['drapes']} or more")
         else:
             shards = set(self.root.glob(SHARDS))
             for path in sorted(shards):
@@ -105,7 +105,7 @@ class DatasetFolder:
             verified_digest(path)
         except (InputError, OSError):
             raise InputError(f"{self.root} has no {MANIFEST}, and {path.name} in it is damaged or "
-                             "something else; remove it, or choose another folder") from None
+                             "not a shard; remove it, or choose another folder") from None
         with Shard(path) as file:
             self._require_same(file.attribute("identity"),
                                parse_json(file.attribute("config") or "", path))
@@ -152,8 +152,8 @@ class DatasetFolder:
                 "config": json_text(self._settings),
             })
         except InputError as error:
-            raise InputError(f"{error}; make room or choose another folder, and run the same "
-                             "command again: nothing that was finished is lost") from None
+            raise InputError(f"{error}; free disk space or choose another folder, and run the same "
+                             "command again: finished shards are kept") from None
 
     def begin(self) -> None:
         """Say in the manifest that there is work to do."""

@@ -111,9 +111,10 @@ def read_frames(
             file: _grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
             for file in numbered(folder, "color_{}.png")})
         if color.shape != frames.shape:
-            raise InputError(f"{folder}: {len(color)} color pictures of {dimensions(color[0])} "
-                             f"pixels do not fit {len(frames)} views of {dimensions(frames[0])}; "
-                             "give as many of the same pixels (the SDK's color aligned to depth)")
+            raise InputError(f"{folder}: there are {len(color)} color pictures of "
+                             f"{dimensions(color[0])} pixels but {len(frames)} views of "
+                             f"{dimensions(frames[0])}; give one color picture for each view, of "
+                             "the same size (the SDK's color aligned to depth)")
     return Frames(np.minimum(frames, FARTHEST).astype(np.float32), background, intrinsics, color)
 
 
@@ -165,7 +166,7 @@ def _median(files: list[Path]) -> np.ndarray:
         if len(files) * frames[0].size > MOST_PIXELS:
             raise InputError(f"{file.parent}: a view has {len(files)} frames of "
                              f"{dimensions(frames[0])} pixels; give at most "
-                             f"{MOST_PIXELS // frames[0].size}")
+                             f"{MOST_PIXELS // frames[0].size}, leave the others out")
     return median_depth(np.stack(frames))
 
 
@@ -178,7 +179,8 @@ def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
 
 def _require_metres(depths: np.ndarray, file: Path) -> None:
     if depths.size and (middle := float(np.median(depths))) > FARTHEST:
-        raise InputError(f"{file}: its depth is about {middle:.4g}; give metres")
+        raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
+                         "depth in metres")
 
 
 def read_array(file: Path) -> np.ndarray:
@@ -188,7 +190,8 @@ def read_array(file: Path) -> np.ndarray:
     try:
         depth = array_of(data)
     except Exception as error:  # tokenize's errors among others, of a damaged header
-        raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}") from None
+        raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}: save it with "
+                         "numpy.save") from None
     if depth.ndim != 2 or depth.dtype.kind != "f" or depth.itemsize > 8:
         raise InputError(f"{wrong}; it holds {shown(depth.shape)} of {shown(str(depth.dtype))}")
     require_size(file, *depth.shape[::-1])
@@ -211,7 +214,7 @@ def read_exr(file: Path) -> np.ndarray:
     except InputError:
         raise
     except Exception as error:  # the library has no error class
-        raise InputError(f"{file} is damaged or no OpenEXR picture ({type(error).__name__}); "
+        raise InputError(f"{file} is damaged or not an OpenEXR picture ({type(error).__name__}); "
                          "export the view again") from None
     name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)
     if name is None and len(channels) != 1:
@@ -232,7 +235,7 @@ def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
         raise InputError(f"{file} is not a PLY file; export the view again")
     if int(count[1]) > MOST_POINTS:
         raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
-                         f"{MOST_POINTS}")
+                         f"{MOST_POINTS}: reduce the cloud")
     try:
         # From memory: a PLY may name other files, such as pictures, which are not read.
         loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False,

@@ -92,8 +92,8 @@ def generate_dataset(
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
     if parts == 1 and not manifest["complete"]:
-        raise InputError(f"shards of {out} were removed or damaged meanwhile; run the same command "
-                         "again")
+        raise InputError(f"shards of {out} were removed or damaged during the run; run the same "
+                         "command again")
     return manifest
 
 

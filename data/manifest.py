@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from common.documents import Excerpt, read_json
+from common.documents import Excerpt, read_json, shown
 from common.errors import InputError
 from common.files import replace_file
 
@@ -69,8 +69,9 @@ def read_manifest(root: Path) -> dict | None:
     if not isinstance(content, dict):
         raise InputError(f"{path} is damaged; {REMEDY}")
     if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{path} has another schema version than {SCHEMA_VERSION}; generate the "
-                         "dataset again, in another folder")
+        raise InputError(f"{path} has the schema version {shown(content.get('schema_version'))}; "
+                         f"this program reads version {SCHEMA_VERSION}: generate the dataset "
+                         "again, in another folder")
     (_Finished if content.get("complete") else _Begun).of(content, f"{path} is damaged")
     return content
 
@@ -83,10 +84,10 @@ def finished_manifest(root: str | Path) -> dict:
     """
     manifest = read_manifest(Path(root))
     if manifest is None:
-        raise InputError(f"{root} is not a dataset: dataset.json is missing")
+        raise InputError(f"{root} is not a dataset: dataset.json is missing; check the path")
     if not manifest["complete"]:
         raise InputError(f"{root} is unfinished; complete it with python -m data.generate "
-                         f"out={root} and the settings it was begun with")
+                         f"out={root} and its original settings")
     require_digest(root, manifest["config"], manifest["identity"])
     return manifest
 
@@ -94,8 +95,8 @@ def finished_manifest(root: str | Path) -> dict:
 def require_digest(root: str | Path, content: dict, digest: str) -> None:
     """InputError unless a part of the ``dataset.json`` in ``root`` has the digest given there."""
     if json_digest(content) != digest:
-        raise InputError(f"{Path(root) / MANIFEST} contradicts itself: its digests are not those "
-                         f"of its content; {REMEDY}")
+        raise InputError(f"{Path(root) / MANIFEST}: its digests do not match its content; "
+                         f"{REMEDY}")
 
 
 def json_text(content: object) -> str:

@@ -105,8 +105,9 @@ class NuisanceConfig:
             if not 0 <= getattr(self, name) < math.inf:
                 raise InputError(f"nuisances: {name}={getattr(self, name):g} must not be negative")
         if not (max(self.size, self.plate) <= 0.005 and self.cut <= math.radians(10)):
-            raise InputError("nuisances: at most size_mm=5, plate_mm=5 and cut_deg=10 are "
-                             "possible")
+            raise InputError(f"nuisances: size_mm={1e3 * self.size:g} plate_mm="
+                             f"{1e3 * self.plate:g} cut_deg={math.degrees(self.cut):g}: at most 5, "
+                             "5 and 10 are allowed")
 
     def sample(self, cloth: np.random.Generator, specimen: np.random.Generator) -> Nuisances:
         """Draw those of a cloth and those of a specimen of it, each from its own generator."""

@@ -25,7 +25,8 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
         with Image.open(file, formats=["PNG"]) as picture:
             require_size(file, *picture.size)
             if picture.mode not in modes:
-                raise InputError(f"{file}: picture of kind {picture.mode}; it must be {kind}")
+                raise InputError(f"{file} is a picture of the type {picture.mode}; it must be "
+                                 f"{kind}: export it as such")
             picture.verify()  # checksums, which reading the pixels does not check
         with Image.open(file, formats=["PNG"]) as picture:
             return np.array(picture)
@@ -47,7 +48,7 @@ def numbered(folder: Path, pattern: str, *, most: int = MOST_VIEWS) -> list[Path
                          f"{MOST_VIEWS} views, {pattern.format(0)} and so on")
     if len(found) > most:
         raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
-                         "are read")
+                         "are read: leave the others out")
     expected = [pattern.format(k) for k in range(len(found))]
     for name in expected:
         if name not in found:
@@ -100,6 +101,6 @@ def require_size(what: str | Path, width: int, height: int) -> None:
     if not (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]
             and SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]):
         raise InputError(
-            f"{what}: wrong size, {width}x{height} pixels; views have from "
+            f"{what}: {width}x{height} pixels; views have from "
             f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
             f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")

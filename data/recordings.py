@@ -138,7 +138,8 @@ def _motion(
     for time, counts in frames:
         small = counts[::_STEP, ::_STEP].astype(np.float32) * np.float32(scale)
         if recent and small.shape != recent[0][1].shape:
-            raise InputError(f"{file}: its depth pictures change in size; record again")
+            raise InputError(f"{file}: the size of its depth pictures changes; record again with "
+                             "one resolution")
         while len(recent) > 1 and time - recent[1][0] >= _LATER:
             recent.pop(0)
         times.append(time)
@@ -207,8 +208,8 @@ def _camera(reader: Any, topic: Any, shape: tuple[int, ...], file: Path) -> Intr
         if (message.height, message.width) != tuple(shape):
             return None
         if lens.size and np.abs(lens).max() > _DISTORTED:
-            raise InputError(f"{file}: its lens is distorted (coefficient {np.abs(lens).max():.3g}"
-                             "); record undistorted depth")
+            raise InputError(f"{file}: the lens distortion {np.abs(lens).max():.3g} exceeds "
+                             f"{_DISTORTED:g}; record undistorted depth")
         fx, _, cx, _, fy, cy = (float(value) for value in matrix.ravel()[:6])
         return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=int(message.width),
                           height=int(message.height))

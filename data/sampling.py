@@ -16,6 +16,7 @@ import numpy as np
 from common.errors import InputError
 from data.nuisances import NuisanceConfig, Nuisances
 from data.prior import Prior, prior_content, prior_from_content, sample_admissible
+from sim.material import MICRO
 
 STARTS = ("sine", "fold", "ring")
 """Initial states that need no other drape."""
@@ -68,12 +69,13 @@ class SamplingConfig:
         if self.starts_per_fabric < 1:
             raise InputError(f"starts_per_fabric={self.starts_per_fabric} must be at least 1")
         if not set(self.starts) <= {*STARTS, BORROWED}:
-            raise InputError(f"starts must be some of {', '.join(STARTS)}, {BORROWED}")
+            raise InputError(f"starts={list(self.starts)} must be some of {', '.join(STARTS)}, "
+                             f"{BORROWED}")
         if not set(self.starts) & set(STARTS):
-            raise InputError(f"starts must hold {' or '.join(STARTS)}: the first drapes have "
-                             "nothing to borrow")
+            raise InputError(f"starts={list(self.starts)} must contain "
+                             f"{' or '.join(STARTS)}: the first drapes have nothing to borrow")
         if not 0 <= self.drift <= 0.02:
-            raise InputError(f"the drift must lie between 0 and 20 mm, not {self.drift * 1e3:g}")
+            raise InputError(f"drift_mm={self.drift * 1e3:g} must lie between 0 and 20")
         if not 0 <= self.soft_share <= _LARGEST_SHARE:
             raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
                              f"{_LARGEST_SHARE:g}")
@@ -145,7 +147,7 @@ def draw_fabric(
     usual = _share_of_soft(json.dumps(prior_content(prior)))
     if not usual:
         raise InputError(f"soft_share={soft_share:g}: none of {_COUNTED} samples of the prior is "
-                         f"soft; give 0")
+                         f"soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     if rng.random() < soft_share:
         while not _is_soft(theta):
             theta, more = sample_admissible(prior, rng)

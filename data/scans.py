@@ -51,13 +51,18 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     count = len(positions) if positions.ndim else 0
     shapes = positions.shape == (count, 3) and rest.shape == (count, 2)
     if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(f"{path}: vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
+        raise InputError(f"{path}: arrays have the shapes {positions.shape}, {rest.shape} and "
+                         f"{faces.shape}; vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
     if not 3 <= count <= LARGEST_SCAN or not 1 <= len(faces) <= LARGEST_SCAN:
-        raise InputError(f"{path}: a scan has from 3 to {LARGEST_SCAN} vertices and triangles")
-    if faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= count:
-        raise InputError(f"{path}: faces must be indices of vertices")
+        raise InputError(f"{path} has {count} vertices and {len(faces)} triangles; a scan has 3 to "
+                         f"{LARGEST_SCAN} vertices and at most as many triangles")
+    if faces.dtype.kind not in "iu":
+        raise InputError(f"{path}: faces have the type {faces.dtype}; they must be whole numbers")
+    if faces.min() < 0 or faces.max() >= count:
+        raise InputError(f"{path}: faces refer to the vertices {faces.min()} to {faces.max()}; "
+                         f"they are numbered from 0 to {count - 1}: export the mesh again")
     if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
-        raise InputError(f"{path}: a face is there twice; leave repeated faces out")
+        raise InputError(f"{path} has the same face twice; leave repeated faces out")
     if not all(a.dtype.kind in "fiu" and np.isfinite(a).all() for a in (positions, rest)):
         raise InputError(f"{path}: vertices and rest must be finite numbers")
     scan = Scan(
@@ -88,10 +93,14 @@ def _check_place(scan: Scan, path: Path, rig: Rig) -> None:
         raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
                          f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
     flat = scan.positions[radius < 0.9 * rig.plate_radius]
-    if not len(flat) or np.abs(flat[:, 2]).max() > _FLAT:
-        raise InputError(f"{path}: cloth on the support must lie in the plane z = 0, z up")
+    if not len(flat):
+        raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
+    if (off := np.abs(flat[:, 2]).max()) > _FLAT:
+        raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
+                         f"plane z = 0, at most {1e3 * _FLAT:g} mm is allowed; move the support's "
+                         "top to z = 0, with z pointing up")
     if scan.positions[:, 2].min() > -_FLAT:
-        raise InputError(f"{path}: nothing hangs below the support")
+        raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
 
 
 def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:

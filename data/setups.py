@@ -103,7 +103,8 @@ class Setups:
             shares = getattr(self, name)
             shares = list(shares.values()) if isinstance(shares, dict) else shares
             if not (min(shares, default=-1) >= 0 and abs(sum(shares) - 1) < 1e-6):
-                raise InputError(f"setup: the shares of {name} must add up to 1")
+                raise InputError(f"setup: the shares of {name} add up to {sum(shares):g}; they "
+                                 "must add up to 1, and none may be negative")
 
     @classmethod
     def load(cls, name: str = "real") -> "Setups":

@@ -199,8 +199,8 @@ def require_unchanged(root: Path, digests: Mapping[str, str]) -> None:
     except OSError as error:
         raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
     if changed:
-        raise InputError(f"{root} holds other content than {MANIFEST} says in {some(changed)}; "
-                         "remove it and generate it again")
+        raise InputError(f"{root}: the content of {some(changed)} differs from its digest in "
+                         f"{MANIFEST}; remove these files and generate them again")
 
 
 def some(names: Sequence[str]) -> str:
@@ -238,14 +238,14 @@ class Shard:
         except OSError:
             raise InputError(f"{self.path} is not a readable HDF5 file; "
                              "generate it again") from None
-        if self.attribute("schema_version") != SCHEMA_VERSION:
+        if (found := self.attribute("schema_version")) != SCHEMA_VERSION:
             self.close()
-            raise InputError(f"{self.path} has another schema version than {SCHEMA_VERSION}; "
-                             "generate it again")
+            raise InputError(f"{self.path} has the schema version {found}; this program reads "
+                             f"version {SCHEMA_VERSION}: generate it again")
         if wrong := self._wrong_array():
             self.close()
-            raise InputError(f"{self.path}: {wrong} is not as docs/data_format.md has it; generate "
-                             "it again")
+            raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
+                             "docs/data_format.md; generate the shard again")
 
     def _wrong_array(self) -> str:
         """The first array that is missing, of another type or shape, too large, or that stands in
@@ -291,8 +291,8 @@ class Shard:
             most = faces.max(axis=(1, 2), initial=0)
             sound["faces"] &= (most[column["mesh"]][done] < vertices[done]).all()
         if wrong := [name for name, right in sound.items() if not right]:
-            raise InputError(f"{self.path}: {wrong[0]} holds values that no drape has; generate it "
-                             "again")
+            raise InputError(f"{self.path}: {wrong[0]} has values that no drape has; generate the "
+                             "shard again")
 
     def __enter__(self) -> "Shard":
         return self

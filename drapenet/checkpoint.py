@@ -190,7 +190,8 @@ def load_model(header: Header) -> MapNet:
 
     data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
     if hashlib.sha256(data).hexdigest() != header.weights.sha256:
-        raise InputError(f"{header.path} is not the file that its JSON describes; copy both again")
+        raise InputError(f"{header.path} and its JSON do not belong together (checksum); copy "
+                         "both again")
     try:
         model = MapNet(**header.model.model_dump())
         tensors = {name: value.to(torch.float32) if value.is_floating_point() else value
@@ -198,7 +199,8 @@ def load_model(header: Header) -> MapNet:
         model.load_state_dict(tensors, strict=True)
     except (SafetensorError, RuntimeError, TypeError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"{header.path} does not fit the network: {reason}") from None
+        raise InputError(f"{header.path} does not fit the network: {reason}; copy it again"
+                         ) from None
     return model.eval()
 
 

@@ -52,22 +52,29 @@ class TrainConfig:
     def check(self) -> None:
         """Raise InputError for settings that make no sense."""
         optim = self.optim
-        if self.epochs < 1 or self.captures < 1 or optim.batch_size < 2:
-            raise InputError("training needs epochs >= 1, captures >= 1, optim.batch_size >= 2")
-        if not (1 <= self.model.width <= 512 and 1 <= self.model.components <= 32):
-            raise InputError("model.width must lie between 1 and 512, model.components between 1 "
-                             "and 32")
+        for name, value, low, high in (
+                ("seed", self.seed, 0, 2**63 - 1), ("threads", self.threads, 0, MOST_CORES),
+                ("workers", self.workers, 1, MOST_CORES), ("fabrics", self.fabrics, 0, 10**9),
+                ("model.width", self.model.width, 1, 512),
+                ("model.components", self.model.components, 1, 32)):
+            if not low <= value <= high:
+                raise InputError(f"{name}={value} must lie between {low} and {high}")
+        for name, value, least in (
+                ("epochs", self.epochs, 1), ("captures", self.captures, 1),
+                ("optim.batch_size", optim.batch_size, 2),
+                ("optim.weight_decay", optim.weight_decay, 0)):
+            if not value >= least:
+                raise InputError(f"{name}={value} must be at least {least}")
+        for name, value in (("optim.learning_rate", optim.learning_rate),
+                            ("optim.clip", optim.clip)):
+            if not value > 0:
+                raise InputError(f"{name}={value} must be positive")
         if not 0 < self.validation_fraction < 1:
-            raise InputError("validation_fraction must lie between 0 and 1")
+            raise InputError(f"validation_fraction={self.validation_fraction} must lie between 0 "
+                             "and 1")
         if not 0 <= optim.warm_up < 1:
-            raise InputError("optim.warm_up is a share of the training, from 0 to below 1")
-        if not (optim.learning_rate > 0 and optim.weight_decay >= 0 and optim.clip > 0):
-            raise InputError("optim.learning_rate and optim.clip must be positive, "
-                             "optim.weight_decay not negative")
-        for name, low, high in (("seed", 0, 2**63 - 1), ("threads", 0, MOST_CORES),
-                                ("workers", 1, MOST_CORES), ("fabrics", 0, 10**9)):
-            if not low <= getattr(self, name) <= high:
-                raise InputError(f"{name}={getattr(self, name)} must lie between {low} and {high}")
+            raise InputError(f"optim.warm_up={optim.warm_up} must be a share of the training, from "
+                             "0 to below 1")
 
     def defining(self) -> dict:
         """The settings that a resumed run must share: all but places and machinery."""

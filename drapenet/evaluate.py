@@ -159,8 +159,8 @@ def require_unseen(header: Header, generation: dict) -> None:
     # A fabric depends on the prior, the seed and its index only.
     if (generation["prior"] == training["prior"]
             and generation["sampling"]["seed"] == training["sampling"]["seed"]):
-        raise InputError("the training set has the same seed and prior, so that its fabrics are "
-                         "not unseen; choose another seed")
+        raise InputError(f"seed={training['sampling']['seed']} is that of the training set with "
+                         "the same prior, so these fabrics are not unseen; choose another seed")
 
 
 @command("evaluate", EvaluateConfig)

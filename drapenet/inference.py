@@ -127,9 +127,8 @@ def estimate_capture(
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
     doubts = capture_doubts(capture, header.setups, camera, found)
     if strict and (wrong := [*doubts, *capture.warnings]):  # pixels left out are the least of it
-        count = f"{len(wrong)} faults" if len(wrong) > 1 else "one fault"
-        raise InputError(f"{capture.path}: refused for {count}: {'; '.join(wrong)}; strict=false "
-                         "estimates it anyway", longest=LONGEST_LIST)
+        raise InputError(f"{capture.path}: refused because strict=true: {'; '.join(wrong)}; "
+                         "strict=false estimates it with a warning", longest=LONGEST_LIST)
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
     name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")

@@ -72,7 +72,8 @@ def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
             if parts:
                 yield (parts[0], "/".join(parts[1:-1]), parts[-1]), Path(folder)
     except OSError as error:
-        raise InputError(f"{root} cannot be read ({one_line(error)})") from None
+        raise InputError(f"{root} cannot be read ({one_line(error)}); check the "
+                         "permissions") from None
 
 
 def _stop(error: OSError) -> None:

@@ -98,18 +98,18 @@ def check_density(density: float) -> None:
     """InputError for a density in kg/m² that no fabric has, such as one in g/m²."""
     low, high = DENSITIES
     if not low <= density <= high:
-        raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is no fabric's, "
-                         f"{1e3 * low:g} to {1e3 * high:g} g/m²; check its unit")
+        raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is outside the "
+                         f"range of fabrics, {1e3 * low:g} to {1e3 * high:g} g/m²; check the unit")
 
 
 def _check_units(alpha: np.ndarray, beta: np.ndarray) -> None:
     low, high = ALPHAS
     for value in alpha[(alpha < low) | (alpha > high)].tolist():
-        raise InputError(f"alpha={value / MICRO:g} µN·m ({value:g} N·m) is no fabric's, "
-                         f"{low / MICRO:g} to {high / MICRO:g} µN·m; check its unit")
+        raise InputError(f"alpha={value / MICRO:g} µN·m ({value:g} N·m) is outside the range of "
+                         f"fabrics, {low / MICRO:g} to {high / MICRO:g} µN·m; check the unit")
     for value in beta[np.abs(beta) > LARGEST_RATIO * alpha].tolist():
-        raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is no fabric's with this "
-                         f"alpha: |beta|/alpha exceeds {LARGEST_RATIO:g} m; check its unit")
+        raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is outside the range of "
+                         f"fabrics: |beta|/alpha exceeds {LARGEST_RATIO:g} m; check the unit")
 
 
 def bias_limit(alpha: np.ndarray) -> np.ndarray:

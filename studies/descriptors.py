@@ -55,7 +55,8 @@ class RingSpectrum:
         harmonics: int = 24, blur: float = 1.0,
     ) -> None:
         if not rig.has_plate:
-            raise InputError(f"rig {rig.name} has no plate for folds to run around")
+            raise InputError(f"rig={rig.name} has no plate, so folds cannot be counted; choose "
+                             "another rig")
         middle = (rest.min(axis=0) + rest.max(axis=0)) / 2
         outer = rig.specimen_size / 2 - np.abs(middle).max()
         angle = np.linspace(0, 2 * np.pi, points, endpoint=False)

@@ -35,9 +35,11 @@ class InspectConfig:
 def main(config: InspectConfig) -> None:
     """Check, print, and write the report."""
     if not config.data:
-        raise InputError("the folder of a dataset is needed: python -m data.inspect FOLDER")
-    if config.intersections < 0 or config.sheet < 1:
-        raise InputError("intersections must not be negative, sheet must be at least 1")
+        raise InputError("the folder of a dataset is missing: python -m data.inspect FOLDER")
+    if config.intersections < 0:
+        raise InputError(f"intersections={config.intersections} must not be negative")
+    if config.sheet < 1:
+        raise InputError(f"sheet={config.sheet} must be at least 1")
     root = Path(config.data)
     out = Path(config.out or Path("outputs/inspect") / root.resolve().name)
     require_folder(out)

@@ -32,7 +32,7 @@ def _check_shards(root: Path, manifest: dict) -> None:
     digests = manifest["shards"]
     there = {path.name for path in root.glob(SHARDS)}
     if missing := sorted(digests.keys() - there):
-        raise InputError(f"{root} lacks {some(missing)}; make what is missing with "
+        raise InputError(f"{root} lacks {some(missing)}; generate the missing shards with "
                          f"python -m data.generate out={root} and the dataset's settings")
     if extra := sorted(there - digests.keys()):
         raise InputError(f"{root} holds shards that {MANIFEST} does not list: {some(extra)}; "
@@ -45,7 +45,7 @@ def _check_shards(root: Path, manifest: dict) -> None:
             if shard.attribute("identity") != manifest["identity"]:
                 raise InputError(f"{root / name} belongs to another dataset (identity "
                                  f"{str(shard.attribute('identity'))[:12]} instead of "
-                                 f"{manifest['identity'][:12]})")
+                                 f"{manifest['identity'][:12]}); remove it and generate it again")
             shard.require_sound()
             indices.extend(shard.column("index").tolist())
             outcomes.update(shard.column("status").tolist())
@@ -54,4 +54,5 @@ def _check_shards(root: Path, manifest: dict) -> None:
                          f"but its shards hold {len(set(indices))} different ones in "
                          f"{len(indices)} rows")
     if dict(outcomes) != manifest.get("outcomes"):
-        raise InputError(f"{root / MANIFEST} counts other outcomes than its shards hold")
+        raise InputError(f"{root / MANIFEST}: the outcomes counted there differ from those in the "
+                         "shards; generate the dataset again, in another folder")

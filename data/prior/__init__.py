@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_json
+from common.documents import read_json, shown
 from common.errors import InputError
 from common.files import replace_file
 from data.fabrics import THETA_NAMES, from_theta
@@ -59,13 +59,15 @@ def prior_from_content(content: object, *, origin: str) -> Prior:
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{origin} is not a prior; its \"kind\" must be one of {', '.join(KINDS)}")
     if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"{origin} has another schema version than {SCHEMA_VERSION}; fit it again")
+        raise InputError(f"{origin} has the schema version {shown(content.get('schema_version'))}; "
+                         f"this program reads version {SCHEMA_VERSION}: fit it again")
     if content.get("parameters") != list(THETA_NAMES):
-        raise InputError(f"{origin} describes other parameters than {', '.join(THETA_NAMES)}")
+        raise InputError(f"{origin} describes other parameters than {', '.join(THETA_NAMES)}; fit "
+                         "it again")
     try:
         return KINDS[kind].from_dict(content)
     except InputError as error:
-        raise InputError(f"{origin}: {error}") from None
+        raise InputError(f"{origin}: {error}; fit it again") from None
 
 
 def save_prior(prior: Prior, path: str | Path) -> None:
@@ -100,4 +102,5 @@ def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[np.ndarra
         theta = prior.sample(1, rng)[0]
         if is_admissible(*from_theta(theta)):
             return theta, rejected
-    raise InputError(f"none of {MAXIMUM_TRIES} samples of the prior is a possible fabric")
+    raise InputError(f"none of {MAXIMUM_TRIES} samples of the prior is a possible fabric; fit it "
+                     "to more fabrics")

@@ -36,7 +36,7 @@ class FitConfig:
 def fit(config: FitConfig) -> None:
     """Fit, describe samples beside the table, and write the prior."""
     if not config.fabrics:
-        raise InputError("a table of fabrics is needed: fit fabrics=FILE")
+        raise InputError("fabrics= is missing; give a table of fabrics: fit fabrics=FILE")
     if config.model not in MODELS:
         raise InputError(f"model={config.model} is unknown; choose from {', '.join(MODELS)}")
     require_file(Path(config.out))

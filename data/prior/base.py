@@ -90,5 +90,5 @@ def check_fabrics(theta: np.ndarray, *, least: int = 7) -> np.ndarray:
     theta = np.asarray(theta, dtype=np.float64)
     if theta.ndim != 2 or theta.shape[1] != 6 or len(theta) < least:
         raise InputError(
-            f"a prior needs more than {least - 1} distinct fabrics, not {len(theta)}")
+            f"the table has {len(theta)} distinct fabrics; a prior needs at least {least}")
     return theta

@@ -87,7 +87,7 @@ def _decoded(content: object) -> dict[str, np.ndarray]:
     try:
         weights = load(base64.b64decode(content, validate=True))
     except (TypeError, ValueError, SafetensorError):
-        raise ValueError("not base64 of a safetensors file") from None
+        raise ValueError("must be base64 of a safetensors file") from None
     if not all(array.dtype == np.float32 and np.isfinite(array).all()
                for array in weights.values()):
         raise ValueError("give finite numbers of type float32")
@@ -98,7 +98,7 @@ def _decoded(content: object) -> dict[str, np.ndarray]:
     except (IndexError, KeyError, TypeError, ValueError):
         fits = False
     if not fits or len(weights) != 2 * (len(encoder) + len(decoder)):
-        raise ValueError("not those of an encoder and a decoder of 6 numbers")
+        raise ValueError("must be those of an encoder and a decoder of 6 numbers")
     return weights
 
 

@@ -75,7 +75,8 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
             range.
     """
     if not LEAST_HELD <= held <= 1.0:
-        raise InputError(f"held={held:g}: give a share of the support's radius, {LEAST_HELD} to 1")
+        raise InputError(f"held={held:g} must lie between {LEAST_HELD} and 1 (share of the "
+                         "support's radius)")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
         found = register(cloud, rig, edge=edge, held=held)
@@ -93,9 +94,9 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
             held=held)
     if found.distance > _APART:
-        raise InputError(f"{path}: a specimen of {rig.name} does not fit this surface, it "
-                         f"stays {1e3 * found.distance:.0f} mm away on average; give all of the "
-                         "cloth and nothing else, in metres")
+        raise InputError(f"{path}: the specimen of {rig.name} lies {1e3 * found.distance:.0f} mm "
+                         "from this surface on average and does not fit it; give all of the cloth "
+                         "and nothing else, in metres")
     return found
 
 
@@ -164,19 +165,23 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
             "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
         raise InputError(f"cannot read the scan {path}: {reason}") from None
     if bad := int((~np.isfinite(points)).any(axis=1).sum()):
-        raise InputError(f"{path}: {bad} of its points are not finite numbers; remove them")
+        raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
+                         "remove them")
     if not 200 <= len(points) <= LARGEST_SCAN:
-        raise InputError(f"{path}: a scan has from 200 to {LARGEST_SCAN} points, this one "
-                         f"{len(points)}")
+        raise InputError(f"{path} has {len(points)} points; a scan has 200 to {LARGEST_SCAN}")
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise InputError(f"{path}: a face names a vertex that is not there; export the scan again")
+        raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
     reach = np.abs(points).max()
     if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
         raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "
                          f"reach {reach:.3g} from it, a specimen {rig.specimen_size / 2:g} m")
     middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
-    if not len(middle) or np.abs(np.median(middle[:, 2])) > _FLAT:
-        raise InputError(f"{path}: cloth on the plate must lie in the plane z = 0, z up")
+    if not len(middle):
+        raise InputError(f"{path}: no point lies on the plate; move its centre to the origin")
+    if (off := np.abs(np.median(middle[:, 2]))) > _FLAT:
+        raise InputError(f"{path}: cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 "
+                         f"(median), at most {1e3 * _FLAT:g} mm is allowed; move the plate's top "
+                         "to z = 0, with z pointing up")
     if points[:, 2].min() > -_FLAT:
-        raise InputError(f"{path}: nothing hangs below the support; z must point up")
+        raise InputError(f"{path}: no point lies below the support; z must point up (in metres)")
     return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

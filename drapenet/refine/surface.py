@@ -108,8 +108,9 @@ class Cloud:
         Raises:
             InputError: too few points.
         """
-        if len(points) < 10 * NEIGHBOURS:
-            raise InputError(f"{len(points)} points are too few for a surface")
+        if len(points) < (least := 10 * NEIGHBOURS):
+            raise InputError(f"{len(points)} points are too few for a surface, at least {least} "
+                             "are needed; scan more densely")
         _, near = cKDTree(points).query(points, NEIGHBOURS + 1)
         offsets = points[near[:, 1:]] - points[:, None]
         centred = offsets - offsets.mean(axis=1, keepdims=True)

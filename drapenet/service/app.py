@@ -48,8 +48,9 @@ _SECURE = {
 _DRAIN = 1 << 20  # bytes, of a refused upload that are read so that its sender reads the answer
 _PATIENCE = 2.0  # s, for them
 _ANSWERS = {404: "no such estimate, or file of it", 408: "the upload paused or took too long",
-            409: "not there yet", 413: "too many or too large files", 415: "a kind of file that "
-            "is not taken", 422: "not a capture", 429: "the queue is full: try again"}
+            409: "not yet available", 413: "too many or too large files",
+            415: "a kind of file that is not taken", 422: "not a capture",
+            429: "the queue is full: try again"}
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
     "type": "object", "required": ["files"],
     "properties": {
@@ -191,7 +192,7 @@ def _add_interface(app: FastAPI, settings: Settings) -> None:
         if file not in FILES:
             raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
         if not (folder / file).is_file():
-            raise RequestError(409, f"{file} is not there yet")
+            raise RequestError(409, f"{file} is not yet available")
         return FileResponse(folder / file, headers={"Cache-Control": "no-store"})
 
     @app.get("/estimates/{identity}/export/{name}", response_class=Response,

@@ -179,7 +179,7 @@ def test_a_mistake_is_one_line_and_nothing_is_called(run, words, complaint):
     ("name", "word", "complaint"),
     [
         ("generate", "dataset=null", "dataset=null"),
-        ("generate", "dataset=[1]", "look at: dataset=[1]"),
+        ("generate", "dataset=[1]", "see dataset=[1]"),
         ("generate", "dataset=huge", "specimens"),
         ("generate", "dataset.colour=red", "keys of dataset: drapes_per_shard"),
         ("generate", "nuisances.colour=red", "keys of nuisances"),
@@ -211,10 +211,10 @@ def test_values_that_make_no_sense(word):
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["alpha=0.00005,0.00005,0.00005"], "alpha=5e-05 .*µN·m; check its unit"),
-    (["density=0.3"], "density=0.3 .*g/m²; check its unit"),
+    (["alpha=0.00005,0.00005,0.00005"], "alpha=5e-05 .*µN·m; check the unit"),
+    (["density=0.3"], "density=0.3 .*g/m²; check the unit"),
     (["alpha=1,1,1", "alpha=2,2,2"], "alpha= is given 2 times"),
-    (["alpha=[1,x,2]"], "alpha"), (["out="], "out= needs the name of a folder"),
+    (["alpha=[1,x,2]"], "alpha"), (["out="], "out= is empty; give the name of a folder"),
 ])
 def test_wrong_units_are_refused_before_the_drape(tmp_path, monkeypatch, words, complaint):
     monkeypatch.chdir(tmp_path)

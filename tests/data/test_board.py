@@ -73,5 +73,5 @@ def test_colour_pictures_come_with_the_frames(pictures, tmp_path):
     found = read_frames(tmp_path, None, None, None)
     assert np.array_equal(found.color, pictures)
     (tmp_path / "color_3.png").unlink()
-    with pytest.raises(InputError, match="3 color pictures of 640x480 pixels do not fit 4 views"):
+    with pytest.raises(InputError, match="3 color pictures of 640x480 pixels but 4 views"):
         read_frames(tmp_path, None, None, None)

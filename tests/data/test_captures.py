@@ -100,7 +100,7 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
 
 def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
     common = {"intrinsics": RIG.intrinsics, "density": 0.15}
-    with pytest.raises(InputError, match="9 views: a capture has one to 8"):
+    with pytest.raises(InputError, match="9 views given; a capture has 1 to 8"):
         write_capture(tmp_path / "many", views=np.repeat(views, 3, axis=0)[:9], **common)
     with pytest.raises(InputError, match="16 bits"):
         write_capture(tmp_path / "far", views=views, depth_unit=1e-6, **common)
@@ -271,20 +271,20 @@ BAD_METRIC = {
     "a picture written twice": (
         pictures(lambda a: np.where(np.indices(a.shape)[1] % 80 < 40, 500, 0).astype(a.dtype),
                  "view_{}.png"), "view_0.png and view_1.png are the same picture"),
-    "blank pictures": (pictures(lambda a: a * 0, "view_{}.png"), "view 0 is all background"),
+    "blank pictures": (pictures(lambda a: a * 0, "view_{}.png"), "view 0 shows no cloth"),
     "views of two sizes": (picture("view_1.png", lambda a: a[:, ::2]), "view_1.png has 120x180"),
-    "too small": (pictures(lambda a: a[::4, ::4], "view_{}.png"), "wrong size, 60x45"),
+    "too small": (pictures(lambda a: a[::4, ::4], "view_{}.png"), "60x45 pixels; views have from"),
     "intrinsics of another size": (
         pictures(lambda a: a[::2, ::2], "view_{}.png"), "inner part of the 120x90 picture"),
-    "all background": (picture("view_3.png", lambda a: a * 0), "view 3 is all background"),
+    "all background": (picture("view_3.png", lambda a: a * 0), "view 3 shows no cloth"),
     "a few pixels": (
-        picture("view_3.png", lambda a: a * (np.arange(240) == 120)), "view 3 is background but"),
+        picture("view_3.png", lambda a: a * (np.arange(240) == 120)), "view 3 shows only "),
     "no background": (
         picture("view_1.png", lambda a: np.where(a > 0, a, 900).astype(a.dtype)),
         "view 1 shows the whole scene (has no background) but view 0 is cut out"),
     "three views without turns": (remove("view_3.png"), "turns_deg is missing"),
     "turns in radians": (setting(turns_deg=[0, 1.571, 3.142, 4.712]), "give degrees"),
-    "depth in other units": (setting(depth_unit_m=1.0), "median depth of"),
+    "depth in other units": (setting(depth_unit_m=1.0), "the cloth is 100 m from the camera"),
     "truncated picture": (truncate("view_1.png", 0.6), "view_1.png cannot be read"),
     "truncated header": (truncate("view_1.png", 0.005), "view_1.png is not a PNG"),
     "empty picture": (write("view_0.png", b""), "view_0.png is not a PNG"),
@@ -315,7 +315,7 @@ BAD_METRIC = {
     "misspelt key": (setting(density=150), "unknown key 'density'"),
     "broken YAML": (write("capture.yaml", b"density_g_m2: [1\n"), "is not valid YAML"),
     "YAML of a list": (write("capture.yaml", b"- 150\n"), "must hold 'key: value' lines"),
-    "binary YAML": (write("capture.yaml", b"\xff\xfe\x00"), "is not text in UTF-8"),
+    "binary YAML": (write("capture.yaml", b"\xff\xfe\x00"), "is not UTF-8 text"),
     "an object in YAML": (
         write("capture.yaml", b"!!python/object/apply:os.getcwd []\n"), "is not valid YAML"),
     "no description": (remove("capture.yaml"), "neither capture.yaml nor density.txt"),
@@ -324,8 +324,8 @@ BAD_METRIC = {
 BAD_PUBLISHED = {
     "missing view": (remove("0.png"), "0.png is missing"),
     "a picture twice": (copy("2.png", "0.png"), "0.png and 2.png are the same picture"),
-    "wrong size": (pictures(lambda a: a[:160], "{}.png"), "240x160 pixels; the 8-bit format"),
-    "all background": (picture("2.png", lambda a: a * 0 + 255), "view 2 is all background"),
+    "wrong size": (pictures(lambda a: a[:160], "{}.png"), "240x160 pixels; the 8-bit format has"),
+    "all background": (picture("2.png", lambda a: a * 0 + 255), "view 2 shows no cloth"),
     "truncated picture": (truncate("3.png", 0.7), "3.png cannot be read"),
     "16-bit": (picture("1.png", lambda a: a.astype(np.uint16) * 4), "must be 8-bit grey"),
     "NaN density": (write("density.txt", b"data0 nan"), "not a finite number"),
@@ -389,7 +389,7 @@ def test_the_published_captures_are_read(name):
 @pytest.mark.parametrize(("word", "complaint"), [
     ("density=5000", "density_g_m2=5000.0 is outside 10-1000; weigh"),
     ("out=/proc/capture", "cannot write to the folder /proc/capture"),
-    ("out=", "needs the name of a folder"),
+    ("out=", "out= is empty; give the name of a folder"),
 ])
 def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, complaint, monkeypatch):
     main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]

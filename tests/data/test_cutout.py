@@ -92,9 +92,9 @@ def test_what_is_cut_out_stays_as_it_is(scene):
 def test_scenes_without_a_plate_are_refused(scene):
     empty = np.repeat(scene.background[None], 2, axis=0)
     intrinsics = scene.camera.intrinsics
-    with pytest.raises(InputError, match="no plate of 180 mm with cloth"):
+    with pytest.raises(InputError, match="no plate of 180 mm diameter with cloth"):
         cut_out(np.full_like(scene.frames, 0.7), intrinsics, DISC_RIG)
-    with pytest.raises(InputError, match="no plate of 100 mm with cloth"):
+    with pytest.raises(InputError, match="no plate of 100 mm diameter with cloth"):
         cut_out(empty, intrinsics, Rig())
     mixed = scene.frames.copy()
     mixed[1][~scene.cloth[1]] = 0
@@ -222,7 +222,8 @@ BAD = {
                       "cannot be read"),
     "whole numbers": ("view_0.npy", lambda f: np.save(f, np.ones((180, 240), int)),
                       "floating-point numbers"),
-    "millimetres": ("view_0.npy", lambda f: np.save(f, np.full((180, 240), 540.0)), "give metres"),
+    "millimetres": ("view_0.npy", lambda f: np.save(f, np.full((180, 240), 540.0)),
+                    "median depth is 540, which cannot be metres"),
     "a pipe": ("view_0.npy", os.mkfifo, "not a regular file"),
     "a pipe for a picture": ("view_0.png", os.mkfifo, "not a regular file"),
     "many points": ("view_0.ply", big_ply, "too many"),
@@ -230,7 +231,7 @@ BAD = {
     "half a PLY": ("view_0.ply", lambda f: f.write_text("ply\nelement vertex 5\n"), "damaged"),
     "points behind": ("view_0.ply", lambda f: trimesh.PointCloud(-np.eye(3)).export(f),
                       "no point in front"),
-    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "no OpenEXR picture"),
+    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "not an OpenEXR picture"),
     "no recording": ("take.bag", lambda f: f.write_text("no recording"), "as a recording"),
     "a recording": ("take.mkv", lambda f: f.write_text(""), "ffmpeg -i FILE -map 0:1"),
 }

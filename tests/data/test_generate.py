@@ -165,7 +165,7 @@ def test_a_dataset_grows(finished, tmp_path):
     generate(tmp_path)
     assert files(tmp_path) == files(finished[0])
     assert (tmp_path / "shard_00000.h5").stat().st_mtime_ns == first
-    with pytest.raises(InputError, match="10 drapes already"):
+    with pytest.raises(InputError, match=r"contains 10 drapes; drapes=\d must be 10 or more"):
         generate(tmp_path, small_config(drapes=6))
 
 
@@ -176,7 +176,7 @@ def test_a_run_ends_before_it_spoils_what_another_has_made_meanwhile(finished, t
     slow.begin()
     generate(tmp_path)
     records = [make_record(index, config, solver=fake_drapes.cone) for index in config.rows(1)]
-    for folder, complaint in ((slow, "10 drapes already"), (other, r"sampling\.seed")):
+    for folder, complaint in ((slow, "contains 10 drapes"), (other, r"sampling\.seed")):
         with pytest.raises(InputError, match=complaint):
             folder.write(1, records)
     assert files(tmp_path) == files(finished[0])

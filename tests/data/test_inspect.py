@@ -263,12 +263,12 @@ def settings(folder):
         (extra, r"does not list: shard_00006\.h5"),
         (flipped, r"shard_00001\.h5 is damaged"),
         (empty, r"shard_00001\.h5 is damaged"),
-        (exchanged, r"other content .* in shard_00002\.h5"),
+        (exchanged, r"content of shard_00002\.h5 differs"),
         (repeated, "20 different ones in 24 rows"),
-        (settings, "contradicts itself"),
+        (settings, "do not match its content"),
         (lambda folder: rewrite(folder, drapes=25), "drapes 0 to 24"),
-        (lambda folder: rewrite(folder, outcomes={"converged": 24}), "counts other outcomes"),
-        (lambda folder: rewrite(folder, hash="0" * 64), "contradicts itself"),
+        (lambda folder: rewrite(folder, outcomes={"converged": 24}), "outcomes .* differ"),
+        (lambda folder: rewrite(folder, hash="0" * 64), "do not match its content"),
         (lambda folder: rewrite(folder, complete=False), "unfinished"),
         (lambda folder: rewrite(folder, schema_version=99), "schema version"),
         (lambda folder: (folder / "dataset.json").unlink(), "not a dataset"),
@@ -296,14 +296,14 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ([], "folder of a dataset is needed"),
-        (["out=somewhere"], "folder of a dataset is needed"),
+        ([], "folder of a dataset is missing"),
+        (["out=somewhere"], "folder of a dataset is missing"),
         (["nowhere"], "nowhere is not a dataset"),
         (["set", "size=3"], "unknown key 'size'"),
         (["set", "data=other"], "data= is given 2 times"),
         (["size=3"], "size=3 is not a dataset"),
         (["set", "out=/proc/report"], "cannot write to the folder /proc/report"),
-        (["set", "sheet=0"], "sheet must be at least 1"),
+        (["set", "sheet=0"], "sheet=0 must be at least 1"),
         (["set", "intersections=-1"], "must not be negative"),
     ],
 )
@@ -316,4 +316,5 @@ def test_command_line_ends_with_code_2_and_one_line(tmp_path):
     run = subprocess.run([sys.executable, "-m", "data.inspect", str(tmp_path)], cwd=ROOT,
                          capture_output=True, text=True)
     assert run.returncode == 2
-    assert run.stderr == f"error: {tmp_path} is not a dataset: dataset.json is missing\n"
+    assert run.stderr == (f"error: {tmp_path} is not a dataset: dataset.json is missing; check the "
+                          "path\n")

@@ -234,9 +234,9 @@ def changed_weights(vae, change):
 
 
 @pytest.mark.parametrize(("change", "complaint"), [
-    (lambda vae: {"weights": "AAAA"}, "not base64 of a safetensors"),
-    (lambda vae: {"weights": "ä"}, "not base64 of a safetensors"),
-    (lambda vae: {"weights": None}, "not base64 of a safetensors"),
+    (lambda vae: {"weights": "AAAA"}, "must be base64 of a safetensors"),
+    (lambda vae: {"weights": "ä"}, "must be base64 of a safetensors"),
+    (lambda vae: {"weights": None}, "must be base64 of a safetensors"),
     (lambda vae: {"shift": -1}, "shift: "),
     (lambda vae: {"spread": [1.2, 0.8]}, "spread: "),
     (lambda vae: changed_weights(vae, lambda w: w.pop("decoder.1.bias")), "6 numbers"),
@@ -258,9 +258,9 @@ def test_bad_autoencoders_are_refused(vae, change, complaint):
 
 
 def test_fitting_refuses_too_few_or_equal_fabrics(theta):
-    with pytest.raises(InputError, match="more than 48"):
+    with pytest.raises(InputError, match="40 distinct fabrics; a prior needs at least 49"):
         MODELS["gmm7"](theta[:40])
-    with pytest.raises(InputError, match="more than 19"):
+    with pytest.raises(InputError, match="at least 20"):
         MODELS["vae4"](theta[:10])
     for shared in (21, 40):
         fabrics = theta[:40].copy()

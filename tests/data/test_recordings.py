@@ -87,7 +87,7 @@ def never_still(file: Path, table: tuple) -> None:
     ("a.bag", lambda file, table: write_bag(file, table[0][:0], table[2]), "no depth pictures"),
     ("a.db3", lambda file, table: sqlite3.connect(file).execute("create table a (b)"),
      "cannot be read as a recording"),
-    ("a.bag", lambda file, table: write_bag(file, table[0][:, :20, :20], table[2]), "wrong size"),
+    ("a.bag", lambda file, table: write_bag(file, table[0][:, :20, :20], table[2]), "20x20 pixels"),
 ])
 def test_bad_recordings_are_refused_in_one_line(table, tmp_path, name, make, message):
     make(tmp_path / name, table)

@@ -164,7 +164,7 @@ def test_manifest(tmp_path):
                 finished | {"config": {"rig": {"name": "disc"}}}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': "another schema version" for k in (5, 7)}
+    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (5, 7)}
     for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError, match=complaint) as refusal:

@@ -30,5 +30,5 @@ def test_no_dataset_or_an_unfinished_one(tmp_path):
     manifest = read_manifest(root)
     manifest["config"]["sampling"]["drift"] = 0.004
     write_manifest(copy, manifest)
-    with pytest.raises(InputError, match="contradicts itself"):
+    with pytest.raises(InputError, match="do not match its content"):
         finished_manifest(copy)

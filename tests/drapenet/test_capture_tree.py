@@ -118,7 +118,7 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(
     infer.main([*words, f"out={tmp_path / 'strict'}", "strict=true"])
     failure, = rows(tmp_path / "strict" / "failures.csv")
     assert failure["sample"] == "" and failure["capture"] == "2"
-    assert failure["reason"].startswith("refused for ")
+    assert failure["reason"].startswith("refused because strict=true: ")
 
 
 def test_trees_of_every_depth_are_found(tmp_path):

@@ -81,7 +81,7 @@ def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str
 def test_incomplete_json_is_refused(checkpoint: Path) -> None:
     file = checkpoint.with_suffix(".json")
     file.write_text(file.read_text()[:100])
-    with pytest.raises(InputError, match="no JSON document"):
+    with pytest.raises(InputError, match="not a JSON document"):
         read_header(checkpoint)
     file.write_text(json.dumps({"schema": "drapenet-checkpoint", "schema_version": 2}))
     with pytest.raises(InputError, match="rig is missing"):
@@ -114,7 +114,7 @@ def test_changed_weights_are_refused(checkpoint: Path) -> None:
     data = bytearray(checkpoint.read_bytes())
     data[-1] ^= 1
     checkpoint.write_bytes(data)
-    with pytest.raises(InputError, match="not the file that its JSON describes"):
+    with pytest.raises(InputError, match="do not belong together"):
         load_model(read_header(checkpoint))
 
 

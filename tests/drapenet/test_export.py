@@ -179,7 +179,7 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["to=zfab"], "to=zfab: unknown; choose from jfab"), ([], "give to=NAME"),
+    (["to=zfab"], "to=zfab: unknown; choose from jfab"), ([], "to= is missing; give one of"),
     (["to=blender"], "to=blender: not offered.*drape.glb"),
     (["to=jfab", f"name={'x' * 81}"], "name= must be at most 80"),
     (["to=ppf", "mesh=hexagons"], "mesh=hexagons is unknown"),

@@ -112,7 +112,7 @@ def test_errors_stand_where_they_arise(page):
     page.fill("[name=depth_unit_m]", "1")
     page.click("#submit")
     page.wait_for_selector("#failure:not(:empty)")
-    assert "check the depth unit" in page.inner_text("#failure")
+    assert "depth_unit_m" in page.inner_text("#failure")
     keep(page, "page_error.png", whole=False)
     page.goto(page.url.partition("#")[0] + "#" + "x" * 22)
     page.locator("#failure", has_text="no such estimate").wait_for()

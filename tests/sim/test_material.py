@@ -235,9 +235,10 @@ def test_softest_possible_bias():
         ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
         ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),
         ([1e-5, 1e-5, 1e-5], [0, 0, 0], -0.3, "density"),
-        ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* its unit"),
-        ([60, 30, 40], [0, 0, 0], 0.3, r"alpha=6e\+07 µN·m \(60 N·m\) is no fabric's, 0.001 to"),
-        ([6e-5, 3e-5, 4e-5], [-90e-6, 0, 0], 0.3, "beta=-90000 nN·m² .*check its unit"),
+        ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* the unit"),
+        ([60, 30, 40], [0, 0, 0], 0.3,
+         r"alpha=6e\+07 µN·m \(60 N·m\) is outside the range of fabrics, 0.001 to"),
+        ([6e-5, 3e-5, 4e-5], [-90e-6, 0, 0], 0.3, "beta=-90000 nN·m² .*check the unit"),
         ([1e-4, 1e-6, 1e-6], [0, 0, 0], 0.3, "along the bias"),
     ],
 )
