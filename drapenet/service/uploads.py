@@ -40,6 +40,12 @@ def _number(text: str) -> float:
     raise ValueError("is not a number")
 
 
+def _angles(text: str) -> list[float]:
+    with suppress(ValueError):
+        return [float(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
+    raise ValueError("must be angles with commas between them, such as 0, 90, 180")
+
+
 _Number = Annotated[float, BeforeValidator(_number)] | None
 _Text = Annotated[str, Field(max_length=200)] | None
 
@@ -49,6 +55,7 @@ class Form(Schema):
 
     density_g_m2: _Number = None
     warp_direction_deg: _Number = None
+    turns_deg: Annotated[list[float], BeforeValidator(_angles)] | None = None
     depth_unit_m: _Number = None
     fx: _Number = None
     fy: _Number = None
@@ -59,7 +66,7 @@ class Form(Schema):
     name: _Text = None
 
 
-TEXTS = ("rig", "refine", "name")
+TEXTS = ("turns_deg", "rig", "refine", "name")
 NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
@@ -246,7 +253,7 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
     try:
         text = (given or b"{}").decode("utf-8")
         content = dict(parse_yaml(text, "capture.yaml"))
-        content |= {key: fields[key] for key in (*NUMBERS[:3], "rig") if key in fields}
+        content |= {key: fields[key] for key in (*NUMBERS[:3], "turns_deg", "rig") if key in fields}
         intrinsics = {key: fields[key] for key in INTRINSICS_KEYS if key in fields}
         if intrinsics:
             content["intrinsics"] = intrinsics

@@ -93,6 +93,16 @@ def test_a_field_overrides_the_description(settings, tmp_path):
     assert content["intrinsics"] == before["intrinsics"]
 
 
+@pytest.mark.parametrize("text", ["0, 90, 180", "0;90;180", "[0 90.0 180]"])
+def test_turns_of_the_table_are_a_list(settings, tmp_path, text):
+    intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
+    upload = checked_upload(VIEWS[:3], {"density_g_m2": "90", "turns_deg": text,
+                                        **{key: str(intrinsics[key]) for key in intrinsics}},
+                            settings)
+    written(upload, tmp_path / "capture")
+    assert np.allclose(np.degrees(read_capture(tmp_path / "capture").turns), [0, 90, 180])
+
+
 def test_names_are_never_paths(settings, tmp_path):
     names = ["../../../etc/view_0.png", "/root/view_1.png", "..\\..\\view_2.png", "a/b/view_3.png"]
     files = [(name, data) for name, (_, data) in zip(names, VIEWS, strict=True)]
@@ -123,6 +133,8 @@ REFUSED = {
     "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),
     "density in words": (VIEWS, {"density_g_m2": "heavy"}, 422, "is not a number"),
     "density nan": (VIEWS, {"density_g_m2": "nan"}, 422, "is not a"),
+    "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "such as 0, 90, 180"),
+    "endless turn": (VIEWS, {"turns_deg": "0, inf"}, 422, "is not a finite number"),
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
     "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
     "long field": (VIEWS, {"name": "x" * 1000}, 422, "longer than 200"),
