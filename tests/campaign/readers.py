@@ -131,7 +131,7 @@ def _capture(folder: Path) -> None:
 def _arrays(folder: Path) -> None:
     for k, view in enumerate(_views()[:2]):
         np.save(folder / f"view_{k}.npy", (view * 1e-3).astype(np.float32))
-    _describe(folder)
+    _describe(folder, turns_deg=[0, 90])
 
 
 def _exr(folder: Path) -> None:
@@ -141,7 +141,7 @@ def _exr(folder: Path) -> None:
         channels = {"Z": (view * 1e-3).astype(np.float32)}
         OpenEXR.File({"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION},
                      channels).write(str(folder / f"view_{k}.exr"))
-    _describe(folder)
+    _describe(folder, turns_deg=[0, 90])
 
 
 def _points(folder: Path) -> None:
@@ -153,7 +153,7 @@ def _points(folder: Path) -> None:
         data = trimesh.PointCloud(points).export(file_type="ply", encoding=(
             "ascii" if k else "binary"))
         (folder / f"view_{k}.ply").write_bytes(data.encode() if isinstance(data, str) else data)
-    _describe(folder, size_px=[80, 60])
+    _describe(folder, turns_deg=[0, 90], size_px=[80, 60])
 
 
 def _published(folder: Path) -> None:

@@ -57,7 +57,7 @@ def test_without_newton_its_rows_are_left_out_and_the_page_says_so(monkeypatch, 
 @pytest.mark.slow
 def test_the_best_moduli_of_a_search_fit_better_than_its_start():
     found = optimisers.case(number=0, target="plate", edge_mm=8.0, seconds=0.0, simulations=5,
-                            simulations_free=5, seed=909)
+                            simulations_free=5, seed=910)
     for way in found["ways"].values():
         assert 0 < way["simulations"] <= 5 and len(way["trace"]) >= 1
     lm = found["ways"]["lm"]
@@ -67,7 +67,7 @@ def test_the_best_moduli_of_a_search_fit_better_than_its_start():
 @pytest.mark.slow
 @pytest.mark.skipif(not style3d.installed(), reason=f"needs Newton: {style3d.INSTALL}")
 def test_style3d_s_cloth_comes_down_and_stays_out_of_the_cylinder():
-    shape = drape(Fabric([80 * MICRO] * 3), edge=8e-3, seed=1)
+    shape = drape(Fabric([80 * MICRO] * 3), edge=4e-3, seed=1)
     found = style3d.draped(Specimen(shape.mesh, shape.held), shape.positions, shape.rig,
                            density=0.3, modulus=[20 * MICRO] * 3, seconds=0.5)
     held = shape.positions[shape.held]
