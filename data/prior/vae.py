@@ -122,7 +122,7 @@ class VaePrior(Stored):
     """
 
     coordinates: Coordinates
-    shift: Annotated[float, Field(ge=0, strict=True, allow_inf_nan=False)] = 0.5
+    shift: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.5
     spread: array(2, check=_wrong_spread) = (0.8, 1.2)
     fabrics: Count
     weights: Annotated[dict[str, np.ndarray], PlainValidator(_decoded)] = field(repr=False)
@@ -156,7 +156,8 @@ class VaePrior(Stored):
         """Draw theta (n, 6), admissible or not, from the widened latent distribution."""
         points = np.empty((n, 6))
         for point in points:  # one by one, so that more samples begin with the same ones
-            mean = rng.uniform(-self.shift, self.shift, self.latent)
+            # NumPy refuses the range from 0.0 to -0.0.
+            mean = rng.uniform(-abs(self.shift), abs(self.shift), self.latent)
             z = mean + rng.uniform(*self.spread, self.latent) * rng.standard_normal(self.latent)
             middle, log_sigma = self._likelihood(z)
             point[:] = middle + np.exp(log_sigma) * rng.standard_normal(6)

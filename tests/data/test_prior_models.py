@@ -238,6 +238,7 @@ def changed_weights(vae, change):
     (lambda vae: {"weights": "ä"}, "must be base64 of a safetensors"),
     (lambda vae: {"weights": None}, "must be base64 of a safetensors"),
     (lambda vae: {"shift": -1}, "shift: "),
+    (lambda vae: {"shift": 1e308}, "shift: "),
     (lambda vae: {"spread": [1.2, 0.8]}, "spread: "),
     (lambda vae: changed_weights(vae, lambda w: w.pop("decoder.1.bias")), "6 numbers"),
     (lambda vae: changed_weights(vae, lambda w: w.clear()), "6 numbers"),
@@ -255,6 +256,13 @@ def test_bad_autoencoders_are_refused(vae, change, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:
         prior_from_content(content, origin="p.json")
     assert "\n" not in str(refusal.value)
+
+
+def test_negative_zero_is_no_shift(vae):
+    zero, negative = (prior_from_content(prior_content(vae) | {"shift": shift}, origin="p.json")
+                      for shift in (0.0, -0.0))
+    draws = [prior.sample(3, np.random.default_rng(1)) for prior in (zero, negative)]
+    np.testing.assert_array_equal(*draws)
 
 
 def test_fitting_refuses_too_few_or_equal_fabrics(theta):
