@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.common import Config, Result, run_cases, table
-from benchmarks.physics.guides import level_rulings
+from benchmarks.physics.guides import guided
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
@@ -22,6 +22,7 @@ from sim.cantilever import heavy_elastica
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
 from sim.energies import plate_law
+from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
 
@@ -53,7 +54,8 @@ def work(
     mesh = {"cells": cells, "seed": 100 + index}
     result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
     try:
-        strips = simulate_strips(fabric, lengths, guide=level_rulings, **mesh)
+        strips = simulate_strips(fabric, lengths, width=None, across=3, laws=guided(Laws(), 3),
+                                 **mesh)
         rng = np.random.default_rng(index)
         for method in METHODS:
             result[f"guided {method}"] = read(strips, fabric, method)
