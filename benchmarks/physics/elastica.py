@@ -214,9 +214,10 @@ def draw(gammas: list[float], deviations: dict) -> Figure:
         hinge = strips("hinge_linear")
         left.plot(gammas, hinge, "^", color="C3", ms=5, mfc="none", label="hinges")
         # A simulator given the number alpha in its own convention has the modulus f alpha here.
-        for convention, marker in ((ARCSIM, "s"), (DISCRETE_SHELLS, "d")):
-            left.plot(np.array(gammas) * convention.curvature, hinge, marker, color="grey", ms=4,
-                      mfc="none", label=f"hinges, α read as in {convention.name}")
+        for name, curvature, marker in (("ARCSim", ARCSIM, "s"),
+                                        ("discrete shells", DISCRETE_SHELLS, "d")):
+            left.plot(np.array(gammas) * curvature, hinge, marker, color="grey", ms=4,
+                      mfc="none", label=f"hinges, α read as in {name}")
     left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
     left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
     left.legend(frameon=False, fontsize=8)
