@@ -68,7 +68,7 @@ def make_specimen(
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     # In the axes of the sides, from which the warp may be off.
-    way = np.asarray(offset, dtype=float) @ _turn(rig.cut)
+    way = np.asarray(offset, dtype=float) @ rig.sides
     shared = np.hypot(*way) <= SHARED_OFFSET * overhang
     base = _base_rig(rig)
     specimen = _base_specimen(base, float(edge), int(topology),
@@ -83,7 +83,7 @@ def make_specimen(
         rest = rest * (plate + (border - plate) * share)[:, None]
     if shared:
         rest = rest + share[:, None] * way
-    return Specimen(specimen.mesh.with_rest(rest @ _turn(rig.cut).T), specimen.held)
+    return Specimen(specimen.mesh.with_rest(rest @ rig.sides.T), specimen.held)
 
 
 def _base_rig(rig: Rig) -> Rig:
@@ -94,11 +94,6 @@ def _base_rig(rig: Rig) -> Rig:
     whole = np.round(_SIZES * np.round(sizes / _SIZES), 6)
     near = (np.abs(whole - sizes) <= _STRETCH * sizes).all()
     return Rig(*(whole if near else sizes).tolist(), specimen=rig.specimen)
-
-
-def _turn(angle: float) -> np.ndarray:
-    """(2, 2) counter-clockwise rotation of columns."""
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def _check(
@@ -135,10 +130,8 @@ def _base_specimen(
     rig: Rig, edge: float, topology: int, centre: tuple[float, float], grading: float
 ) -> Specimen:
     """A specimen around ``centre``, triangulated for that place."""
-    outline = Outline(shape=rig.specimen, size=rig.specimen_size, plate_radius=rig.plate_radius,
-                      centre=centre, edge=edge,
-                      largest=max(edge, min(grading * edge, LONGEST)))
-    mesh, count = graded_mesh(outline, np.random.default_rng(topology))
+    largest = max(edge, min(grading * edge, LONGEST))
+    mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
         return Specimen(mesh, np.arange(len(mesh.rest)) < count)
     corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.specimen_size
@@ -150,11 +143,7 @@ def share_of_offset(
 ) -> np.ndarray:
     """Share (V,) of an offset's change that moves points (V, 2) m of a specimen around ``centre``:
     zero on the plate, one on the border, in proportion between them."""
-    from_centre = np.abs((rest - np.asarray(centre)) @ _turn(rig.cut))
-    if rig.specimen == "disc":
-        from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
-    to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)
-    to_plate = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
+    to_plate, to_border = rig.to_plate(rest), np.maximum(rig.to_border(rest, centre), 0.0)
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
