@@ -99,10 +99,12 @@ def find_equilibrium(
 
     if self_contact and touching:
         contact = contact_near(scene, start.positions, density=fabric.density)
-        found = minimised(start, contact)
-        if found.converged and contact.is_complete(found.state.q):
-            return found
-    found = minimised(start)
+        touched = minimised(start, contact)
+        if touched.converged and contact.is_complete(touched.state.q):
+            return touched
+        found = minimised(start).after(touched.newton)
+    else:
+        found = minimised(start)
     if not (self_contact and found.converged):
         return found
     count = len(self_intersections(found.state.positions, scene.mesh.faces))
