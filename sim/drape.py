@@ -207,8 +207,8 @@ def check_arguments(
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
     check_start(start)
-    if not np.isfinite(offset).all():
-        raise InputError("offset must be two finite numbers, in metres")
+    if np.shape(offset) != (2,) or not np.isfinite(offset).all():
+        raise InputError(f"offset={offset}: give two finite numbers, in metres")
     if seed < 0:
         raise InputError(f"seed={seed} must not be negative")
 
