@@ -21,6 +21,7 @@ from sim.mesh.specimens import (
     Specimen,
     coarse_to_fine,
     default_edge,
+    longest_edge,
     make_specimen,
 )
 from sim.newton import NewtonOptions, Status
@@ -160,9 +161,10 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     coarse, statuses, iterations, seconds = None, [], 0, Counter()
-    coarsest = COARSEST if borrowed is None else BORROWED_COARSEST
-    for specimen, level in specimens(rig, edge, seed=seed, offset=offset, coarsest=coarsest):
+    coarsest = min(COARSEST if borrowed is None else BORROWED_COARSEST, longest_edge(rig, offset))
+    for level in coarse_to_fine(edge, coarsest):
         last = level == edge
+        specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
         positions = start_positions(specimen, rig, coarse=coarse, borrowed=borrowed, start=start,
                                     seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
@@ -177,23 +179,6 @@ def drape(
     return drape_result(fabric, rig, laws, found, edge=edge, iterations=iterations,
                         seconds=time.perf_counter() - began, time_spent=dict(seconds),
                         coarse=tuple(statuses[:-1]))
-
-
-def specimens(
-    rig: Rig, edge: float, *, seed: int, offset: tuple[float, float], coarsest: float
-) -> list[tuple[Specimen, float]]:
-    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m. Coarse
-    ones for which an overhang is too narrow are left out."""
-    made = []
-    for level in reversed(coarse_to_fine(edge, coarsest)):
-        try:
-            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
-        except InputError:
-            if not made:
-                raise
-            break
-        made.insert(0, (specimen, level))
-    return made
 
 
 def check_arguments(

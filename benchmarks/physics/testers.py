@@ -82,7 +82,6 @@ def stable_directions(fabric: Fabric) -> list[bool]:
     against twist turns negative on a cylinder bent along a yarn. Such a strip does not stay one.
     """
     law = plate_law.constants(fabric)
-    stress, tangent = np.empty(3), np.empty((3, 3))
     stable = []
     for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):
         weight = fabric.density * GRAVITY
@@ -91,11 +90,9 @@ def stable_directions(fabric: Fabric) -> list[bool]:
         steepest = np.gradient(np.unwrap(np.arctan2(*np.gradient(curve, axis=0).T[::-1])))
         largest = steepest.max() * (len(curve) - 1) / longest
         c, s = np.cos(ANGLES[direction]), np.sin(ANGLES[direction])
-        least = np.inf
-        for curvature in np.linspace(0, largest, 100)[1:]:
-            plate_law.derivatives(curvature * np.array([c * c, s * s, c * s]), law, stress, tangent)
-            least = min(least, np.linalg.eigvalsh(tangent)[0])
-        stable.append(bool(least > 0))
+        bent = np.linspace(0, largest, 100)[1:, None] * [c * c, s * s, c * s]
+        _, tangents = plate_law.stresses(bent, law)
+        stable.append(bool(np.linalg.eigvalsh(tangents).min() > 0))
     return stable
 
 

@@ -105,16 +105,21 @@ def _check(
                          "rim; give 1 or more")
     if topology not in range(TOPOLOGIES):
         raise InputError(f"topology={topology} must be a whole number from 0 to {TOPOLOGIES - 1}")
+    if not rig.has_plate and np.any(offset):
+        raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
+    longest = longest_edge(rig, offset)
+    if not edge <= longest:
+        raise InputError(f"an overhang of {1e3 * _ROOM * longest:.3g} mm at its narrowest is too "
+                         f"narrow for edges of {1e3 * edge:.3g} mm, which need "
+                         f"{1e3 * _ROOM * edge:.3g} mm; reduce the offset or refine")
+
+
+def longest_edge(rig: Rig, offset: tuple[float, float]) -> float:
+    """Length, m, of edges at the rim above which an overhang is too narrow for a mesh."""
     if not rig.has_plate:
-        if np.any(offset):
-            raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
-        return
+        return np.inf
     way = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
-    room = (rig.specimen_size - rig.plate_diameter) / 2 - way
-    if not room >= _ROOM * edge:
-        raise InputError(f"an overhang of {1e3 * room:.3g} mm at its narrowest is too narrow for "
-                         f"edges of {1e3 * edge:.3g} mm, which need {1e3 * _ROOM * edge:.3g} mm; "
-                         "reduce the offset or refine")
+    return ((rig.specimen_size - rig.plate_diameter) / 2 - way) / _ROOM
 
 
 def check_edge(edge: float) -> None:
