@@ -56,7 +56,8 @@ class State:
         if active is not None:
             held = counts & ~active[beside]
             counts &= held | ~held.any(axis=1, keepdims=True)
-        total = (counts[:, :, None] * unit[beside]).sum(axis=1)
+        first, second = (counts[:, :, None] * unit[beside]).swapaxes(0, 1)
+        total = first + second
         size = np.linalg.norm(total, axis=1, keepdims=True)
         # Two triangles folded onto each other have no mean normal.
         flat = size[:, 0] > 1e-9

@@ -44,7 +44,6 @@ def follow(
                              options=options or FINE_OPTIONS, self_contact=True,
                              touching=result.touches)
     return drape_result(fabric, result.rig, laws, found, edge=result.edge, extra=extra,
-                        iterations=found.newton.iterations, time_spent=found.newton.seconds,
                         seconds=time.perf_counter() - began, keep=keep)
 
 
