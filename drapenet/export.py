@@ -321,7 +321,7 @@ def _arcsim(material: Material, name: str) -> dict[str, bytes]:
     alpha, beta = (part * material.ratio for part in (material.alpha, material.beta))
     kappa = np.maximum(ARCSIM_CURVATURES, 1e-9)
     secants = torque(kappa, alpha[:, None], beta[:, None]) / kappa
-    rows = secants / ARCSIM.curvature  # over the curvature: 4 alpha + 4 beta kappa
+    rows = secants / ARCSIM  # over the curvature: 4 alpha + 4 beta kappa
     # A row belongs to the direction of the edge in material axes; cloth bends across it.
     return {name: _json({"density": material.density,
                          "bending": rows[[WEFT, BIAS, WARP]].tolist(),

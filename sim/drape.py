@@ -1,7 +1,6 @@
 """The public door of the simulator: fabric, rig and start in, drape out."""
 
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +20,7 @@ from sim.mesh.specimens import (
     Specimen,
     coarse_to_fine,
     default_edge,
+    longest_edge,
     make_specimen,
 )
 from sim.newton import NewtonOptions, Status
@@ -159,41 +159,22 @@ def drape(
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
-    coarse, statuses, iterations, seconds = None, [], 0, Counter()
-    coarsest = COARSEST if borrowed is None else BORROWED_COARSEST
-    for specimen, level in specimens(rig, edge, seed=seed, offset=offset, coarsest=coarsest):
+    found, statuses = None, []
+    coarsest = min(COARSEST if borrowed is None else BORROWED_COARSEST, longest_edge(rig, offset))
+    for level in coarse_to_fine(edge, coarsest):
         last = level == edge
-        positions = start_positions(specimen, rig, coarse=coarse, borrowed=borrowed, start=start,
+        specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
+        positions = start_positions(specimen, rig, coarse=found, borrowed=borrowed, start=start,
                                     seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
-        found = find_equilibrium(
+        here = find_equilibrium(
             scene, simulated, scene.state(positions), self_contact=last,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
             options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS)
-        coarse = (specimen.mesh.rest, found.state.positions)
+        found = here.after(found.newton) if found else here
         statuses.append(found.status)
-        iterations += found.newton.iterations
-        seconds.update(found.newton.seconds)
-    return drape_result(fabric, rig, laws, found, edge=edge, iterations=iterations,
-                        seconds=time.perf_counter() - began, time_spent=dict(seconds),
+    return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began,
                         coarse=tuple(statuses[:-1]))
-
-
-def specimens(
-    rig: Rig, edge: float, *, seed: int, offset: tuple[float, float], coarsest: float
-) -> list[tuple[Specimen, float]]:
-    """The meshes a drape is solved on, coarse first, with their edges' length at the rim, m. Coarse
-    ones for which an overhang is too narrow are left out."""
-    made = []
-    for level in reversed(coarse_to_fine(edge, coarsest)):
-        try:
-            specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
-        except InputError:
-            if not made:
-                raise
-            break
-        made.insert(0, (specimen, level))
-    return made
 
 
 def check_arguments(
@@ -207,21 +188,22 @@ def check_arguments(
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
     check_start(start)
-    if not np.isfinite(offset).all():
-        raise InputError("offset must be two finite numbers, in metres")
+    if np.shape(offset) != (2,) or not np.isfinite(offset).all():
+        raise InputError(f"offset={offset}: give two finite numbers, in metres")
     if seed < 0:
         raise InputError(f"seed={seed} must not be negative")
 
 
 def start_positions(
-    specimen: Specimen, rig: Rig, *, coarse: tuple[np.ndarray, np.ndarray] | None,
-    borrowed: tuple[np.ndarray, np.ndarray] | None = None, start: str, seed: int
+    specimen: Specimen, rig: Rig, *, coarse: Equilibrium | None,
+    borrowed: tuple[np.ndarray, np.ndarray] | None, start: str, seed: int
 ) -> np.ndarray:
     """Positions (V, 3), m, at which the minimisation on one mesh begins: those of the ``coarse``
-    drape (rest points and positions), on the first mesh of the start."""
+    drape, on the first mesh of the start."""
     rest, held = specimen.mesh.rest, specimen.held
     if coarse is not None:
-        positions = interpolate_positions(*coarse, rest)
+        positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.state.positions,
+                                          rest)
     elif borrowed is not None:
         positions = borrowed_positions(rest, rig=rig, borrowed=borrowed)
     else:
@@ -238,9 +220,8 @@ def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
 
 
 def drape_result(
-    fabric: Fabric, rig: Rig, laws: Laws, found: Equilibrium, *, edge: float,
-    extra: Sequence[Energy] = (), iterations: int, seconds: float, time_spent: dict[str, float],
-    coarse: tuple[Status, ...] = (), keep: bool = False
+    fabric: Fabric, rig: Rig, laws: Laws, found: Equilibrium, *, edge: float, seconds: float,
+    extra: Sequence[Energy] = (), coarse: tuple[Status, ...] = (), keep: bool = False
 ) -> DrapeResult:
     """The drape, on triangles with sides of ``edge``, m, whose last minimisation ended with
     ``found``; ``keep``: with its factor."""
@@ -251,6 +232,6 @@ def drape_result(
         message=found.message, residual=newton.residual, step=newton.step,
         positive_definite=newton.positive_definite,
         self_intersections=len(self_intersections(found.state.positions, scene.mesh.faces)),
-        iterations=iterations, seconds=seconds, time_spent=time_spent, coarse=coarse,
+        iterations=newton.iterations, seconds=seconds, time_spent=newton.seconds, coarse=coarse,
         equilibrium=found if keep else None,
     )

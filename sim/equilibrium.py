@@ -15,7 +15,7 @@ from sim.self_contact import contact_near, self_intersections, untangled
 from sim.state import State
 
 _DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
-_ROUND = 25  # Newton steps after which the places of self-contact are chosen again
+_STEPS_A_ROUND = 25  # Newton steps after which the places of self-contact are chosen again
 
 
 @dataclass(eq=False)
@@ -99,10 +99,12 @@ def find_equilibrium(
 
     if self_contact and touching:
         contact = contact_near(scene, start.positions, density=fabric.density)
-        found = minimised(start, contact)
-        if found.converged and contact.is_complete(found.state.q):
-            return found
-    found = minimised(start)
+        touched = minimised(start, contact)
+        if touched.converged and contact.is_complete(touched.state.q):
+            return touched
+        found = minimised(start).after(touched.newton)
+    else:
+        found = minimised(start)
     if not (self_contact and found.converged):
         return found
     count = len(self_intersections(found.state.positions, scene.mesh.faces))
@@ -129,7 +131,7 @@ def _with_contact(
     iterations, found = 0, None
     while True:
         contact = contact_near(scene, state.positions, density=density)
-        steps = min(_ROUND, options.max_iterations - iterations)
+        steps = min(_STEPS_A_ROUND, options.max_iterations - iterations)
         part = minimised(state, contact, replace(options, max_iterations=steps))
         iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
         found = part if found is None else part.after(found.newton)

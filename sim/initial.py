@@ -48,8 +48,7 @@ def _waves(
     phase = rng.uniform(0, 2 * np.pi, count)
     direction = np.stack([np.cos(angle), np.sin(angle)])
     waves = np.sin(2 * np.pi * (rest @ direction) / wavelength + phase).sum(1) / np.sqrt(count)
-    outside = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
-    fade = 1.0 - np.exp(-outside / (0.2 * rig.specimen_size / 2))
+    fade = 1.0 - np.exp(-rig.to_plate(rest) / (0.2 * rig.specimen_size / 2))
     height = amplitude * fade * waves
     return np.column_stack([np.zeros_like(rest), height])
 
@@ -78,8 +77,7 @@ def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     """
     waves, phase = rng.integers(*_RING_WAVES), rng.uniform(0, 2 * np.pi)
     angle = np.arctan2(rest[:, 1], rest[:, 0])
-    outside = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
-    height = outside * (0.25 * np.cos(waves * angle + phase) - 0.5)
+    height = rig.to_plate(rest) * (0.25 * np.cos(waves * angle + phase) - 0.5)
     return np.column_stack([rest, height])
 
 

@@ -95,6 +95,24 @@ class Rig:
         """What the cloth may touch."""
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
+    @property
+    def sides(self) -> np.ndarray:
+        """(2, 2) unit vectors along the sides of a square, in warp/weft axes, as columns."""
+        cos, sin = np.cos(self.cut), np.sin(self.cut)
+        return np.array([[cos, -sin], [sin, cos]])
+
+    def to_border(self, rest: np.ndarray, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
+        """Distances (N,), m, to the border from points (N, 2) m of the flat specimen around
+        ``centre``; negative outside."""
+        offset = np.abs((rest - np.asarray(centre)) @ self.sides)
+        if self.specimen == "disc":
+            return self.specimen_size / 2 - np.linalg.norm(offset, axis=1)
+        return self.specimen_size / 2 - offset.max(axis=1)
+
+    def to_plate(self, rest: np.ndarray) -> np.ndarray:
+        """Distances (N,), m, to the plate from points (N, 2) m of the flat specimen; 0 on it."""
+        return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)
+
     def place(self, rest: np.ndarray) -> np.ndarray:
         """Where the rig holds the held points ``rest`` (N, 2) m of the specimen: (N, 3) m."""
         if self.has_plate:

@@ -51,19 +51,17 @@ class State:
         corners = positions[mesh.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-        first, second = mesh.edge_faces.T
-        inner = second >= 0
-        weight = np.ones((2, len(mesh.edges)))
-        weight[1] = inner
+        beside = mesh.edge_faces
+        counts = beside >= 0
         if active is not None:
-            mixed = inner & (active[first] != active[second])
-            weight[0, mixed & active[first]] = 0.0
-            weight[1, mixed & active[second]] = 0.0
-        total = weight[0, :, None] * unit[first] + weight[1, :, None] * unit[second]
+            held = counts & ~active[beside]
+            counts &= held | ~held.any(axis=1, keepdims=True)
+        first, second = (counts[:, :, None] * unit[beside]).swapaxes(0, 1)
+        total = first + second
         size = np.linalg.norm(total, axis=1, keepdims=True)
         # Two triangles folded onto each other have no mean normal.
         flat = size[:, 0] > 1e-9
-        normals = np.where(flat[:, None], total / np.where(size > 0, size, 1.0), unit[first])
+        normals = np.where(flat[:, None], total / np.where(size > 0, size, 1.0), unit[beside[:, 0]])
         return State(positions=positions.copy(), normals=normals)
 
 

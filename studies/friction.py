@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from benchmarks.common import ESTIMATOR, tick_short_scales
 from benchmarks.comparison import compare
 from benchmarks.known import estimated, planned
-from benchmarks.physics.guides import level_rulings
+from benchmarks.physics.guides import guided
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
@@ -88,7 +88,7 @@ def tested(fabric: Fabric, laws: Laws) -> float | None:
     lengths = {direction: [share * bending_length(alpha, fabric.density) for share in _STRIPS]
                for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     try:
-        strips = simulate_strips(fabric, lengths, guide=level_rulings, laws=laws)
+        strips = simulate_strips(fabric, lengths, width=None, across=3, laws=guided(laws, 3))
         found = estimate(strips, density=fabric.density, method="regression")
     except InputError:
         return None

@@ -13,6 +13,8 @@ from benchmarks.estimation.bound import (
     bounds,
     depth_information,
     joint_covariance,
+    moves_with_plate,
+    moves_with_size,
 )
 from data.cameras import CameraRig
 from data.fabrics import THETA_NAMES
@@ -26,7 +28,7 @@ from sim.mesh.specimens import make_specimen, share_of_offset
 from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import Tangent, follow, sensitivities
-from sim.sensitivity.rest_shape import moves_with_offset, moves_with_plate, moves_with_size
+from sim.sensitivity.rest_shape import moves_with_offset
 
 CAM = CameraRig.load().nominal().resized(120, 90)
 FABRIC = Fabric([60e-6, 25e-6, 30e-6], [-150e-9, -50e-9, -80e-9])

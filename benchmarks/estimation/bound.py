@@ -13,7 +13,7 @@ The bound is that of the drape's own fold configuration and of a law that is tru
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,9 +24,16 @@ from data.render import QUARTERS, DepthRenderer
 from drapenet.refine.cloth import law_moves
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from sim.drape import DrapeResult
+from sim.scene import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.rest_shape import moves_with_offset, moves_with_plate, moves_with_size
+from sim.sensitivity.rest_shape import (
+    difference_step,
+    forces_in,
+    moves_with_offset,
+    moves_with_rest,
+    share_of_border,
+)
 
 SPECIMEN = ("turn", "offset_warp", "offset_weft")
 """How the specimen lies: rad about the vertical, and m of its centre from the plate's axis."""
@@ -153,3 +160,29 @@ def depth_information(
     used = np.any(jacobian != 0, axis=1)
     # The residuals are scaled to the number of independent measurements.
     return Information(names, jacobian.T @ jacobian, int(used.sum()), True, "")
+
+
+def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
+    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad; the
+    mesh moves as for :func:`sim.sensitivity.rest_shape.moves_with_offset`."""
+    share, from_centre = share_of_border(tangent, rig)
+    turned = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
+    return moves_with_rest(
+        tangent, share[:, None] * np.stack([from_centre / rig.specimen_size, turned]))
+
+
+def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:
+    """(V, 3) how a drape moves with the diameter of the plate of ``rig``, m per m. The vertices on
+    the plate move with it, and the others less and less towards the border."""
+    scene = tangent.cloth.scene
+    move = (1 - share_of_border(tangent, rig)[0])[:, None] * scene.mesh.rest / rig.plate_diameter
+    step = difference_step(tangent, move)
+    ahead, behind = (
+        forces_in(replace(scene, mesh=scene.mesh.with_rest(scene.mesh.rest + s * move),
+                          obstacles=replace(rig, plate_diameter=rig.plate_diameter + s).obstacles),
+                  tangent)
+        for s in (step, -step))
+    carried = np.zeros(tangent.cloth.potential.unknowns)
+    carried[: tangent.coordinates].reshape(-1, 3)[scene.held, :2] = move[scene.held]
+    push = (ahead - behind) / (2 * step) + tangent.force_of(carried)
+    return (carried - tangent.response(push))[: tangent.coordinates].reshape(-1, 3)

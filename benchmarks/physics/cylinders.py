@@ -21,12 +21,7 @@ def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.n
     law = plate_law.constants(fabric)
     cos, sin = np.cos(angle), np.sin(angle)
     direction = np.array([cos**2, sin**2, cos * sin])
-    stress, tangent = np.empty(3), np.empty((3, 3))
-    torques = []
-    for kappa in curvature:
-        plate_law.derivatives(kappa * direction, law, stress, tangent)
-        torques.append(stress @ direction)
-    return np.array(torques)
+    return plate_law.stresses(curvature[:, None] * direction, law)[0] @ direction
 
 
 def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:

@@ -34,8 +34,8 @@ RATE_GAMMAS = (1.0, 10.0, 100.0, 1000.0)
 RATE_MEMBRANE = 2000.0
 """N/m, for the rates: at 200 N/m the weight stretches a strip by up to 0.04 %, which would hide
 the bending law's own error on the finest meshes."""
-EQUIVALENT_EDGES = (6e-3, 3e-3, 1.5e-3)  # m, at gamma = 10, strips of 90 × 30 mm
-EQUIVALENT_GAMMAS = (1.0, 100.0)  # beside 10, at 3 mm
+EQUIVALENT_PAIRS = ((6e-3, 10.0), (3e-3, 10.0), (1.5e-3, 10.0), (3e-3, 1.0), (3e-3, 100.0))
+"""Edges, m, and gamma of the strips of 90 × 30 mm that equivalent moduli are found for."""
 
 MESHES = {
     "alternating": {"diagonals": "alternating"},
@@ -101,6 +101,11 @@ def equivalents(mesh: str, law: str, edge: float, gamma: float) -> dict:
     return {"ratio": found.ratio if found.found else None, "message": found.message}
 
 
+def equivalent_case(law: str, mesh: str, edge: float, gamma: float) -> str:
+    """Name of a case of :func:`equivalents`."""
+    return f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}"
+
+
 def fitted_rate(rows: list[dict]) -> float:
     """Order of the error's fall over the last three meshes of one gamma."""
     last = sorted(rows, key=lambda row: row["cells"])[-3:]
@@ -129,11 +134,10 @@ def run(config: Config) -> Result:
                          "cells": [80, 80, 80, 160], "membrane": RATE_MEMBRANE}
         for mesh in meshes
     }, **options)
-    pairs = [(edge, 10.0) for edge in EQUIVALENT_EDGES] + [(3e-3, g) for g in EQUIVALENT_GAMMAS]
     moduli = run_cases(equivalents, {
-        f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}":
+        equivalent_case(law, mesh, edge, gamma):
             {"mesh": mesh, "law": law, "edge": edge, "gamma": gamma}
-        for law in hinges for mesh in meshes for edge, gamma in pairs
+        for law in hinges for mesh in meshes for edge, gamma in EQUIVALENT_PAIRS
     }, **options)
 
     deviations = {
@@ -141,27 +145,9 @@ def run(config: Config) -> Result:
               for mesh in meshes}
         for law in laws
     }
-    for law in laws:
-        print(f"\n{law}: H/W off the elastica, %")
-        print(table(
-            ["gamma", "cells along", "elastica H/W", *meshes],
-            [[gamma, cells_for(gamma), aspect_ratio(elastica(gamma)[-1]),
-              *[_percent(deviations[law][mesh][k]) for mesh in meshes]]
-             for k, gamma in enumerate(gammas)],
-        ))
     order = {mesh: [fitted_rate([r for r in rates[f"rate_{mesh}"]["rows"] if r["gamma"] == gamma])
                     for gamma in RATE_GAMMAS] for mesh in meshes}
-    print("\nmidedge: fitted order of convergence")
-    print(table(["gamma", *meshes], [[gamma, *[round(order[mesh][k], 2) for mesh in meshes]]
-                                     for k, gamma in enumerate(RATE_GAMMAS)]))
-    for law in hinges:
-        print(f"\n{law}: equivalent modulus over physical modulus")
-        names = [[f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}" for mesh in meshes]
-                 for edge, gamma in pairs]
-        print(table(["edge, mm", "gamma", *meshes], [
-            [1e3 * edge, gamma, *[moduli[name]["ratio"] or "-" for name in line]]
-            for (edge, gamma), line in zip(pairs, names, strict=True)
-        ]))
+    print_tables(gammas, deviations, order, hinges, moduli)
     largest = _largest(deviations.get("midedge", {}))
     if largest is not None:
         print(f"\nlargest deviation of the default law: {_percent(largest)} % "
@@ -177,6 +163,29 @@ def run(config: Config) -> Result:
         "strips": hung,
         "strips_of_order": rates,
     }, draw(gammas, deviations))
+
+
+def print_tables(
+    gammas: list[float], deviations: dict[str, dict], order: dict[str, list[float]],
+    hinges: list[str], moduli: dict[str, dict]
+) -> None:
+    """Deviations of all laws, the default law's order, and equivalent moduli of hinges."""
+    meshes = list(order)
+    for law, by_mesh in deviations.items():
+        print(f"\n{law}: H/W off the elastica, %")
+        print(table(
+            ["gamma", "cells along", "elastica H/W", *meshes],
+            [[gamma, cells_for(gamma), aspect_ratio(elastica(gamma)[-1]),
+              *[_percent(by_mesh[mesh][k]) for mesh in meshes]] for k, gamma in enumerate(gammas)],
+        ))
+    print("\nmidedge: fitted order of convergence")
+    print(table(["gamma", *meshes], [[gamma, *[round(order[mesh][k], 2) for mesh in meshes]]
+                                     for k, gamma in enumerate(RATE_GAMMAS)]))
+    for law in hinges:
+        print(f"\n{law}: equivalent modulus over physical modulus")
+        print(table(["edge, mm", "gamma", *meshes], [
+            [1e3 * edge, gamma, *[moduli[equivalent_case(law, mesh, edge, gamma)]["ratio"] or "-"
+                                  for mesh in meshes]] for edge, gamma in EQUIVALENT_PAIRS]))
 
 
 def _at(rows: list[dict], gamma: float) -> float | None:
@@ -214,9 +223,10 @@ def draw(gammas: list[float], deviations: dict) -> Figure:
         hinge = strips("hinge_linear")
         left.plot(gammas, hinge, "^", color="C3", ms=5, mfc="none", label="hinges")
         # A simulator given the number alpha in its own convention has the modulus f alpha here.
-        for convention, marker in ((ARCSIM, "s"), (DISCRETE_SHELLS, "d")):
-            left.plot(np.array(gammas) * convention.curvature, hinge, marker, color="grey", ms=4,
-                      mfc="none", label=f"hinges, α read as in {convention.name}")
+        for name, curvature, marker in (("ARCSim", ARCSIM, "s"),
+                                        ("discrete shells", DISCRETE_SHELLS, "d")):
+            left.plot(np.array(gammas) * curvature, hinge, marker, color="grey", ms=4,
+                      mfc="none", label=f"hinges, α read as in {name}")
     left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
     left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
     left.legend(frameon=False, fontsize=8)

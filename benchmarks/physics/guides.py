@@ -2,39 +2,38 @@
 
 A strip cut off the yarn directions twists when it bends, and one with a Poisson effect curves
 across. Held to a cylinder it carries the law's torque for the cut's direction. Strips are grids
-whose columns of ``across`` vertices are numbered one after the other.
+whose columns of ``across`` + 1 vertices are numbered one after the other.
 """
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sim.energies.base import Energy
+from sim.laws import Laws
+from sim.material import Fabric
 from sim.mesh import Mesh
 
 GUIDE = 100.0
 """Stiffness of the ties in units of alpha/edge²; the rulings are then level to 1e-4."""
 
 
-def level_rulings(mesh: Mesh, across: int, alpha: float) -> list[Energy]:
-    """A guide (:data:`sim.cantilever.tester.Guide`) of cloth of the modulus ``alpha``, N·m."""
-    edge = float(np.linalg.norm(mesh.rest[across] - mesh.rest[0]))
-    stiffness = GUIDE * alpha / edge**2
-    return [TiedRows(len(mesh.rest), across=across, stiffness=stiffness),
-            LevelSides(mesh, across=across, stiffness=GUIDE * alpha)]
+def guided(laws: Laws, across: int) -> Laws:
+    """``laws`` of a strip with ``across`` mesh cells from side to side, held to a cylinder."""
+    ties = (partial(TiedRows, across=across), partial(LevelSides, across=across))
+    return replace(laws, others=(*laws.others, *ties))
 
 
 class TiedRows(Energy):
-    """Penalty on differences along x and z between neighbours across a strip.
+    """Penalty on differences along x and z between neighbours across a strip."""
 
-    Args:
-        vertices: of the strip.
-        stiffness: N/m of each tie.
-    """
-
-    def __init__(self, vertices: int, *, across: int, stiffness: float) -> None:
-        grid = np.arange(vertices).reshape(-1, across)
+    def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, across: int) -> None:
+        grid = np.arange(len(mesh.rest)).reshape(-1, across + 1)
+        edge = float(np.linalg.norm(mesh.rest[across + 1] - mesh.rest[0]))
         neighbours = np.stack([grid[:, :-1], grid[:, 1:]], axis=-1).reshape(-1, 2)
         self.dofs = np.concatenate([3 * neighbours, 3 * neighbours + 2])
-        self._stiffness = stiffness
+        self._stiffness = GUIDE * float(fabric.alpha.max()) / edge**2  # N/m of each tie
 
     def value(self, q: np.ndarray) -> float:
         return 0.5 * self._stiffness * float((self._differences(q) ** 2).sum())
@@ -54,19 +53,16 @@ class LevelSides(Energy):
     """Penalty on the part across the strip, y, of the normals at its sides, which stay level.
 
     The Hessian leaves out what is proportional to that part itself.
-
-    Args:
-        stiffness: N·m per side edge.
     """
 
-    def __init__(self, mesh: Mesh, *, across: int, stiffness: float) -> None:
-        row = mesh.edges % across
+    def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, across: int) -> None:
+        row = mesh.edges % (across + 1)
         sides = np.flatnonzero((mesh.edge_faces[:, 1] < 0) & (row[:, 0] == row[:, 1]))
         ends = (3 * mesh.edges[sides][:, :, None] + np.arange(3)).reshape(-1, 6)
         coordinates = 3 * len(mesh.rest)
         self.dofs = np.concatenate([ends, coordinates + sides[:, None]], axis=1)
         self._normals = coordinates + 3 * sides[:, None] + np.arange(3)
-        self._stiffness = stiffness
+        self._stiffness = GUIDE * float(fabric.alpha.max())  # N·m per side edge
 
     def value(self, q: np.ndarray) -> float:
         return 0.5 * self._stiffness * float((q[self._normals[:, 1]] ** 2).sum())

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import Config, Result, run_cases, table
 from benchmarks.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
-from benchmarks.physics.guides import level_rulings
+from benchmarks.physics.guides import guided
 from benchmarks.physics.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
 from common.errors import InputError
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
@@ -100,7 +100,7 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
     edge = edge_for(alpha, cells)
     options = {"angle": radians, "length": LENGTH, "edge": edge}
     shapes = {
-        "guided": hang(cloth, **options, width=4 * edge, guide=level_rulings),
+        "guided": hang(cloth, **options, width=4 * edge, laws=guided(Laws(), 4)),
         "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
     }
     curvature = np.linspace(0, LARGEST_CURVATURE, 4001)

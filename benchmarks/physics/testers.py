@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.common import Config, Result, run_cases, table
-from benchmarks.physics.guides import level_rulings
+from benchmarks.physics.guides import guided
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior, sample_admissible
@@ -22,6 +22,7 @@ from sim.cantilever import heavy_elastica
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
 from sim.energies import plate_law
+from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
 
@@ -53,7 +54,8 @@ def work(
     mesh = {"cells": cells, "seed": 100 + index}
     result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
     try:
-        strips = simulate_strips(fabric, lengths, guide=level_rulings, **mesh)
+        strips = simulate_strips(fabric, lengths, width=None, across=3, laws=guided(Laws(), 3),
+                                 **mesh)
         rng = np.random.default_rng(index)
         for method in METHODS:
             result[f"guided {method}"] = read(strips, fabric, method)
@@ -80,7 +82,6 @@ def stable_directions(fabric: Fabric) -> list[bool]:
     against twist turns negative on a cylinder bent along a yarn. Such a strip does not stay one.
     """
     law = plate_law.constants(fabric)
-    stress, tangent = np.empty(3), np.empty((3, 3))
     stable = []
     for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):
         weight = fabric.density * GRAVITY
@@ -89,11 +90,9 @@ def stable_directions(fabric: Fabric) -> list[bool]:
         steepest = np.gradient(np.unwrap(np.arctan2(*np.gradient(curve, axis=0).T[::-1])))
         largest = steepest.max() * (len(curve) - 1) / longest
         c, s = np.cos(ANGLES[direction]), np.sin(ANGLES[direction])
-        least = np.inf
-        for curvature in np.linspace(0, largest, 100)[1:]:
-            plate_law.derivatives(curvature * np.array([c * c, s * s, c * s]), law, stress, tangent)
-            least = min(least, np.linalg.eigvalsh(tangent)[0])
-        stable.append(bool(least > 0))
+        bent = np.linspace(0, largest, 100)[1:, None] * [c * c, s * s, c * s]
+        _, tangents = plate_law.stresses(bent, law)
+        stable.append(bool(np.linalg.eigvalsh(tangents).min() > 0))
     return stable
 
 

@@ -105,8 +105,7 @@ def captured_shape(
             laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
         coarse = rest, found.state.positions
-    return drape_result(fabric, rig, laws, found, edge=edge, iterations=found.newton.iterations,
-                        seconds=time.perf_counter() - began, time_spent=found.newton.seconds)
+    return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began)
 
 
 def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:

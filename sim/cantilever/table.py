@@ -46,7 +46,7 @@ def match(
         return [heavy_elastica(alpha, 1e-3 * unknowns[1] * alpha, weight=weight, length=length,
                                slope=slope, points=points, steps=steps) for length in each]
 
-    def farness(candidate: tuple[float, float]) -> float:
+    def mean_gap(candidate: tuple[float, float]) -> float:
         models = strips(np.array([*candidate, *1e3 * lengths]), POINTS, _CANDIDATE_STEPS)
         gaps = [((model - shape) / length) ** 2
                 for model, shape, length in zip(models, shapes, lengths, strict=True)]
@@ -65,7 +65,7 @@ def match(
               np.array([np.inf, 1e3 * RATIO_RANGE[1], *1.4e3 * lengths]))
     scale = np.array([0.1, 1.0, *np.full(len(curves), 0.1)])
     found = min(
-        (least_squares(distances, [*min(product(log_alpha, band), key=farness), *1e3 * lengths],
+        (least_squares(distances, [*min(product(log_alpha, band), key=mean_gap), *1e3 * lengths],
                        bounds=bounds, diff_step=1e-4, x_scale=scale) for band in BANDS),
         key=lambda result: result.cost,
     )

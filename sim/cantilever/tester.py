@@ -1,12 +1,11 @@
 """The virtual cantilever tester: strips cut at any angle hang from a clamp."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.base import Energy
 from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
@@ -19,8 +18,6 @@ TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
 CELLS, CELLS_ACROSS = 20, 10
 """Of simulated strips, along the bending length of their direction and across them; alpha is then
 right to 1 %."""
-Guide = Callable[[Mesh, int, float], Sequence[Energy]]
-"""Energies that keep a strip's rulings level: of its grid, its vertices across and an alpha."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class HungStrip:
 
 def hang(
     fabric: Fabric, *, angle: float = 0.0, slope: float = 0.0, length: float = 0.09,
-    width: float = 0.03, edge: float = 0.003, across: int | None = None, guide: Guide | None = None,
+    width: float = 0.03, edge: float = 0.003, across: int | None = None,
     laws: Laws | None = None, gravity: float = GRAVITY, **triangulation,
 ) -> HungStrip:
     """Let a strip hang from a clamp.
@@ -45,15 +42,12 @@ def hang(
         angle: of the strip to the warp, radians; pi/4 is the bias, pi/2 the weft.
         length, width, edge: free length, width and mesh spacing, m.
         across: mesh cells across the strip; None makes them square.
-        guide: keeps the strip a cylinder; None: it is free, as a real one.
         gravity: m/s²; tiny values give the small deflections of plate theory.
-        triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`; none for a guide.
+        triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
     """
     across = round(width / edge) if across is None else across
     if length < 2 * edge or across < 1:
         raise InputError("a strip needs two mesh cells along it and one across")
-    if guide and triangulation.get("jitter"):
-        raise InputError("a guided strip needs a regular mesh: jitter=0")
     cut, held = strip(length=length, width=across * edge, edge=edge, clamp=2 * edge,
                       **triangulation)
     x, y = (cut.rest * [1.0, width / (across * edge)]).T
@@ -61,10 +55,8 @@ def hang(
     mesh = Mesh(rest=np.column_stack([cos * x - sin * y, sin * x + cos * y]), faces=cut.faces)
     flat = np.column_stack([x * np.cos(slope), y, -x * np.sin(slope)])
     fabric = fabric.at_density(REFERENCE_DENSITY)
-    extra = guide(mesh, across + 1, float(fabric.alpha.max())) if guide else []
     scene = Scene(mesh=mesh, held=held, gravity=gravity)
-    found = find_equilibrium(scene, fabric, scene.state(flat), laws=laws, extra=extra,
-                             options=TIGHT)
+    found = find_equilibrium(scene, fabric, scene.state(flat), laws=laws, options=TIGHT)
     state = found.state
     columns = state.positions.reshape(-1, across + 1, 3)[:, :, [0, 2]] * [1.0, -1.0]
     curve = columns[np.count_nonzero(held) // (across + 1) - 1 :].mean(axis=1)
@@ -73,14 +65,14 @@ def hang(
 
 
 def simulate_strips(
-    fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float = 0.03,
-    cells: int = CELLS, guide: Guide | None = None, **options,
+    fabric: Fabric, lengths: Mapping[str, Sequence[float]], *, width: float | None = 0.03,
+    cells: int = CELLS, across: int = CELLS_ACROSS, **options,
 ) -> dict[str, list[np.ndarray]]:
     """Curves (N, 2), m, of simulated strips of ``lengths`` (m) by direction.
 
     Args:
-        width: m, of free strips. Guided ones are cylinders: three cells across them are enough.
-        cells: along the bending length of the strip's direction.
+        width: m; None: so wide that the mesh cells are square.
+        cells, across: along the bending length of the strip's direction, and across the strip.
         options: others of :func:`hang`, such as the seed of the triangulation.
 
     Raises:
@@ -91,9 +83,9 @@ def simulate_strips(
         alpha = fabric.alpha[DIRECTIONS.index(direction)]
         count = length * cells / bending_length(alpha, fabric.density)
         edge = length / np.ceil(count - 1e-9)  # a whole number may have been rounded up
-        hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, guide=guide,
-                    width=3 * edge if guide else width, across=3 if guide else CELLS_ACROSS,
-                    diagonals="random", **options)
+        hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, across=across,
+                    width=across * edge if width is None else width, diagonals="random",
+                    **options)
         if hung.result.status is not Status.CONVERGED:
             raise InputError(f"the simulated {direction} strip of {1e3 * length:.0f} mm does not "
                              f"come to rest: {hung.result.message}")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.natural_curvature import CurvedBending
+from sim.energies.natural_curvature import CurvedBending, NaturallyCurved
 from sim.material import Fabric
 from sim.mesh import Mesh
 
@@ -40,7 +40,8 @@ class BendingFriction:
         curvature: natural one, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
 
     Raises:
-        InputError: a torque below 0, or a build-up that is not above 0.
+        InputError: a torque below 0, a build-up that is not above 0, or another curvature than
+            :class:`sim.energies.natural_curvature.NaturallyCurved` takes.
     """
 
     torque: float
@@ -52,6 +53,7 @@ class BendingFriction:
         if not (self.torque >= 0 and self.build_up > 0):
             raise InputError(f"friction of {self.torque} N within {self.build_up} 1/m: give a "
                              "torque of 0 or more and a change of curvature above 0")
+        NaturallyCurved(self.curvature)  # refuses one that is not three finite numbers
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "FrictionBending":
         return FrictionBending(mesh, active, fabric=fabric, friction=self)

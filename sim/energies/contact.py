@@ -17,17 +17,16 @@ DEPTH = 1e-4
 @dataclass(frozen=True)
 class Cylinder:
     """The solid below the plate: z < 0 within ``radius`` (m) of the axis, open downwards. Its rim
-    is rounded to ``rim`` (m)."""
+    is rounded to :data:`RIM_RADIUS`."""
 
     radius: float
-    rim: float = RIM_RADIUS
 
     def depths(self, points: np.ndarray) -> np.ndarray:
         """(N,) depth of points (N, 3) below the nearest surface, m; negative outside. A concave
         function that changes by at most the distance moved."""
         _, outwards, upwards = self._from_rim(points)
         corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
-        return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
+        return RIM_RADIUS - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """(N, 3) outward normals of the surface nearest to points (N, 3), against the slope."""
@@ -47,7 +46,7 @@ class Cylinder:
         """Distances from the axis, and from the circle that the rim is rounded about: out, up."""
         x, y, z = points.T
         distance = np.hypot(x, y)
-        return distance, distance - (self.radius - self.rim), z + self.rim
+        return distance, distance - (self.radius - RIM_RADIUS), z + RIM_RADIUS
 
     def _surface(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
         """Directions (N, 2) away from the axis, distances from it and from the rim's circle where

@@ -70,9 +70,9 @@ class MidEdgeBending(Energy):
         self.pole = np.where(boundary, np.inf, pole)
         self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
         self._angles = StateCache()
-        self._take(fabric)
+        self._set_fabric(fabric)
 
-    def _take(self, fabric: Fabric) -> None:
+    def _set_fabric(self, fabric: Fabric) -> None:
         """Set all that depends on the fabric."""
         self.law = plate_law.constants(fabric)
         self._barrier = fabric.alpha.min() * self._slenderness
@@ -80,7 +80,7 @@ class MidEdgeBending(Energy):
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
         """The same energy of another fabric, for a fraction of the price of a new one."""
         other = copy.copy(self)
-        other._take(fabric)
+        other._set_fabric(fabric)
         return other
 
     def value(self, q: np.ndarray) -> float:

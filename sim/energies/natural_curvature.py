@@ -53,8 +53,8 @@ class CurvedBending(MidEdgeBending):
         self._curvature = curvature
         super().__init__(mesh, active, fabric=fabric)
 
-    def _take(self, fabric: Fabric) -> None:
-        super()._take(fabric)
+    def _set_fabric(self, fabric: Fabric) -> None:
+        super()._set_fabric(fabric)
         a11, a22, a12, a66 = plate_constants(fabric.alpha)
         xx, yy, xy = self._curvature
         self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])

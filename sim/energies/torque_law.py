@@ -40,6 +40,9 @@ class TorqueLaw:
     torque: np.ndarray
 
     def __post_init__(self) -> None:
+        if len(self.curvature) != len(self.torque):
+            raise InputError(f"a torque curve of {len(self.curvature)} curvatures and "
+                             f"{len(self.torque)} torques: give as many of each")
         knots = np.array([self.curvature, self.torque], dtype=np.float64)
         if not (knots.shape[1] > 2 and np.isfinite(knots).all() and not knots[:, 0].any()
                 and (np.diff(knots) > 0).all()):

@@ -22,12 +22,16 @@ class SparsePattern:
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
         self.size = size
-        alone = np.arange(size)[:, None]  # every diagonal entry is there
-        elements = [alone, *stencils]
-        first = np.cumsum(np.concatenate(
-            [[0], *(np.full(len(rows), rows.shape[1]) for rows in elements)]))
+        elements = [np.arange(size)[:, None], *stencils]  # every diagonal entry is there
         rows = np.concatenate([rows.ravel() for rows in elements])
-        self.indptr, self.indices = _structure(first, rows, size)
+        lengths = np.concatenate([np.full(len(rows), rows.shape[1]) for rows in elements])
+        element, present = np.repeat(np.arange(len(lengths)), lengths), rows >= 0
+        # Two rows meet where one element has both.
+        ones = np.ones(present.sum(), dtype=np.float32)
+        has = sparse.csr_matrix((ones, (element[present], rows[present])), (len(lengths), size))
+        upper = sparse.triu(has.T @ has, format="csr")
+        upper.sort_indices()
+        self.indptr, self.indices = (v.astype(np.int32) for v in (upper.indptr, upper.indices))
         self.diagonal = self.indptr[:-1].copy()
         self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
@@ -43,46 +47,6 @@ class SparsePattern:
         """The whole matrix as a SciPy matrix."""
         upper = sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
         return (upper + sparse.triu(upper, 1).T).tocsr()
-
-
-@numba.njit(cache=True)
-def _structure(first, rows, size):
-    """CSR structure of the upper triangle, sorted columns, of elements' pairs of rows. Element t
-    has the rows (-1: none) from first[t] to first[t + 1]."""
-    # The elements of each row, one row after the other.
-    begin = np.zeros(size + 1, dtype=np.int64)
-    for i in rows:
-        if i >= 0:
-            begin[i + 1] += 1
-    begin = np.cumsum(begin)
-    fill = begin[:-1].copy()
-    owner = np.empty(begin[-1], dtype=np.int64)
-    for t in range(len(first) - 1):
-        for i in rows[first[t] : first[t + 1]]:
-            if i >= 0:
-                owner[fill[i]] = t
-                fill[i] += 1
-
-    seen = np.full(size, -1, dtype=np.int64)  # the last row that has each column
-    indptr = np.zeros(size + 1, dtype=np.int32)
-    indices = np.empty(32 * size, dtype=np.int32)
-    count = 0
-    for i in range(size):
-        for t in owner[begin[i] : begin[i + 1]]:
-            for j in rows[first[t] : first[t + 1]]:
-                if j >= i and seen[j] != i:
-                    seen[j] = i
-                    if count == len(indices):
-                        indices = np.concatenate((indices, np.empty_like(indices)))
-                    # Rows are short: each column goes to its place at once.
-                    place = count
-                    while place > indptr[i] and indices[place - 1] > j:
-                        indices[place] = indices[place - 1]
-                        place -= 1
-                    indices[place] = j
-                    count += 1
-        indptr[i + 1] = count
-    return indptr, indices[:count].copy()
 
 
 @numba.njit(cache=True)

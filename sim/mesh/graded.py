@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from sim.mesh.topology import Mesh, doubled_areas
+from sim.scene import Rig
 
 GROWTH = 0.1
 """Growth of the edges' length with the distance from the rim."""
@@ -29,49 +30,38 @@ class Outline:
     """What a mesh covers and where it is fine.
 
     Attributes:
-        shape: "square" or "disc".
-        size: side or diameter, m.
-        plate_radius: of the plate under the origin, m; 0 for none, and edges of one length.
-        centre: of the specimen, m.
+        rig: whose specimen, cut along its yarns; without a plate all edges have one length.
+        centre: of the specimen, m from the plate's axis.
         edge: length of the edges at the rim, m.
         largest: length at most, m.
     """
 
-    shape: str
-    size: float
-    plate_radius: float
+    rig: Rig
     centre: tuple[float, float]
     edge: float
     largest: float
 
     def edge_at(self, points: np.ndarray) -> np.ndarray:
         """Wanted length (N,) of the edges at points (N, 2), m."""
-        if self.plate_radius == 0:
+        if not self.rig.has_plate:
             return np.full(len(points), self.edge)
-        outside = np.linalg.norm(points, axis=1) - self.plate_radius
+        outside = np.linalg.norm(points, axis=1) - self.rig.plate_radius
         grown = np.minimum(self.edge + GROWTH * outside, self.largest)
         return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
-
-    def to_border(self, points: np.ndarray) -> np.ndarray:
-        """Distance (N,) of points (N, 2) inside from the border, m; negative outside."""
-        from_centre = np.abs(points - np.asarray(self.centre))
-        if self.shape == "disc":
-            return self.size / 2 - np.linalg.norm(from_centre, axis=1)
-        return self.size / 2 - from_centre.max(axis=1)
 
 
 def rim_radius(outline: Outline) -> tuple[float, int]:
     """Radius, m, of the polygon that stands for the rim, and the number of its corners. It has the
     plate's area: with corners on the rim it would hold too little cloth."""
-    corners = max(8, round(2 * np.pi * outline.plate_radius / outline.edge))
+    corners = max(8, round(2 * np.pi * outline.rig.plate_radius / outline.edge))
     turn = 2 * np.pi / corners
-    return outline.plate_radius * np.sqrt(turn / np.sin(turn)), corners
+    return outline.rig.plate_radius * np.sqrt(turn / np.sin(turn)), corners
 
 
 def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
     """The mesh of ``outline``, and how many of its vertices (V, 2) lie on the plate: the first
     ones, the rim's before the others."""
-    radius, corners = rim_radius(outline) if outline.plate_radius else (0.0, 0)
+    radius, corners = rim_radius(outline) if outline.rig.has_plate else (0.0, 0)
     parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
              _rings(outline, rng, radius, 1), _border(outline, rng)]
     rim, held, free, _ = np.cumsum([len(part) for part in parts])
@@ -92,7 +82,7 @@ def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def _rings(outline: Outline, rng: np.random.Generator, radius: float, way: int) -> np.ndarray:
     """Points (N, 2) on circles from ``radius`` on, outwards (``way`` 1) or inwards (-1)."""
-    reach = outline.size / np.sqrt(2) + np.hypot(*outline.centre)
+    reach = outline.rig.specimen_size / np.sqrt(2) + np.hypot(*outline.centre)
 
     def length(radius: float) -> float:
         return outline.edge_at(np.array([[max(radius, 0.0), 0.0]]))[0]
@@ -107,13 +97,13 @@ def _rings(outline: Outline, rng: np.random.Generator, radius: float, way: int) 
         ring = _circle(radius, max(1, round(2 * np.pi * radius / edge)), rng)
         rings.append(ring + rng.uniform(-_SHAKE, _SHAKE, ring.shape) * edge)
     points = np.concatenate(rings)
-    return points[outline.to_border(points) > _CLEAR * outline.edge_at(points)]
+    return points[outline.rig.to_border(points, outline.centre) > _CLEAR * outline.edge_at(points)]
 
 
 def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
     """Points (N, 2) on the border, as far apart as the wanted edges there."""
-    half, centre = outline.size / 2, np.asarray(outline.centre)
-    if outline.shape == "disc":
+    half, centre = outline.rig.specimen_size / 2, np.asarray(outline.centre)
+    if outline.rig.specimen == "disc":
         fine = centre + _circle(half, 4000, rng)
         place = _spread(np.concatenate([fine, fine[:1]]), outline, rng)
         out = place - centre

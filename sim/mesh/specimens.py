@@ -68,7 +68,7 @@ def make_specimen(
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     # In the axes of the sides, from which the warp may be off.
-    way = np.asarray(offset, dtype=float) @ _turn(rig.cut)
+    way = np.asarray(offset, dtype=float) @ rig.sides
     shared = np.hypot(*way) <= SHARED_OFFSET * overhang
     base = _base_rig(rig)
     specimen = _base_specimen(base, float(edge), int(topology),
@@ -83,7 +83,7 @@ def make_specimen(
         rest = rest * (plate + (border - plate) * share)[:, None]
     if shared:
         rest = rest + share[:, None] * way
-    return Specimen(specimen.mesh.with_rest(rest @ _turn(rig.cut).T), specimen.held)
+    return Specimen(specimen.mesh.with_rest(rest @ rig.sides.T), specimen.held)
 
 
 def _base_rig(rig: Rig) -> Rig:
@@ -96,11 +96,6 @@ def _base_rig(rig: Rig) -> Rig:
     return Rig(*(whole if near else sizes).tolist(), specimen=rig.specimen)
 
 
-def _turn(angle: float) -> np.ndarray:
-    """(2, 2) counter-clockwise rotation of columns."""
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
 def _check(
     rig: Rig, edge: float, topology: int, offset: tuple[float, float], grading: float
 ) -> None:
@@ -110,16 +105,21 @@ def _check(
                          "rim; give 1 or more")
     if topology not in range(TOPOLOGIES):
         raise InputError(f"topology={topology} must be a whole number from 0 to {TOPOLOGIES - 1}")
+    if not rig.has_plate and np.any(offset):
+        raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
+    longest = longest_edge(rig, offset)
+    if not edge <= longest:
+        raise InputError(f"an overhang of {1e3 * _ROOM * longest:.3g} mm at its narrowest is too "
+                         f"narrow for edges of {1e3 * edge:.3g} mm, which need "
+                         f"{1e3 * _ROOM * edge:.3g} mm; reduce the offset or refine")
+
+
+def longest_edge(rig: Rig, offset: tuple[float, float]) -> float:
+    """Length, m, of edges at the rim above which an overhang is too narrow for a mesh."""
     if not rig.has_plate:
-        if np.any(offset):
-            raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
-        return
+        return np.inf
     way = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
-    room = (rig.specimen_size - rig.plate_diameter) / 2 - way
-    if not room >= _ROOM * edge:
-        raise InputError(f"an overhang of {1e3 * room:.3g} mm at its narrowest is too narrow for "
-                         f"edges of {1e3 * edge:.3g} mm, which need {1e3 * _ROOM * edge:.3g} mm; "
-                         "reduce the offset or refine")
+    return ((rig.specimen_size - rig.plate_diameter) / 2 - way) / _ROOM
 
 
 def check_edge(edge: float) -> None:
@@ -135,10 +135,8 @@ def _base_specimen(
     rig: Rig, edge: float, topology: int, centre: tuple[float, float], grading: float
 ) -> Specimen:
     """A specimen around ``centre``, triangulated for that place."""
-    outline = Outline(shape=rig.specimen, size=rig.specimen_size, plate_radius=rig.plate_radius,
-                      centre=centre, edge=edge,
-                      largest=max(edge, min(grading * edge, LONGEST)))
-    mesh, count = graded_mesh(outline, np.random.default_rng(topology))
+    largest = max(edge, min(grading * edge, LONGEST))
+    mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
         return Specimen(mesh, np.arange(len(mesh.rest)) < count)
     corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.specimen_size
@@ -150,11 +148,7 @@ def share_of_offset(
 ) -> np.ndarray:
     """Share (V,) of an offset's change that moves points (V, 2) m of a specimen around ``centre``:
     zero on the plate, one on the border, in proportion between them."""
-    from_centre = np.abs((rest - np.asarray(centre)) @ _turn(rig.cut))
-    if rig.specimen == "disc":
-        from_centre = np.linalg.norm(from_centre, axis=1, keepdims=True)
-    to_border = np.maximum(rig.specimen_size / 2 - from_centre.max(axis=1), 0.0)
-    to_plate = np.maximum(np.linalg.norm(rest, axis=1) - rig.plate_radius, 0.0)
+    to_plate, to_border = rig.to_plate(rest), np.maximum(rig.to_border(rest, centre), 0.0)
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 

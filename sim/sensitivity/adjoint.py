@@ -110,6 +110,9 @@ def _task(
     stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
     if not np.array_equal(rest, start.rest):
         start = replace(start, mesh=start.mesh.with_rest(rest))
+        if not (smallest := start.mesh.areas.min()) > 0:
+            raise InputError(f"rest: a triangle has the area {1e6 * smallest:.3g} mm²; move its "
+                             "corners less, so that all areas stay above 0")
     if not np.array_equal(held, start.positions[start.held]):
         positions = start.positions.copy()
         positions[start.held] = held

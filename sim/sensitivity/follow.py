@@ -39,16 +39,15 @@ def follow(
     scene, start = result.scene, result.state
     if sensitivities is not None and sensitivities.ok:
         cloth = Cloth(scene, simulated, laws=laws, extra=extra)
-        start = _better(cloth, result, sensitivities)
+        start = _predicted(cloth, result, sensitivities)
     found = find_equilibrium(scene, simulated, start, laws=laws, extra=extra,
                              options=options or FINE_OPTIONS, self_contact=True,
                              touching=result.touches)
     return drape_result(fabric, result.rig, laws, found, edge=result.edge, extra=extra,
-                        iterations=found.newton.iterations, time_spent=found.newton.seconds,
                         seconds=time.perf_counter() - began, keep=keep)
 
 
-def _better(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) -> State:
+def _predicted(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) -> State:
     """``before`` moved linearly as the moduli change, if the energy allows it and falls."""
     one, two = before.simulated, cloth.fabric
     change = np.concatenate([np.log(two.alpha / one.alpha),

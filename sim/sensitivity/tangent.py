@@ -45,7 +45,12 @@ class Tangent:
     def of(cls, result: DrapeResult) -> "Tangent":
         """The tangent of a drape, of the fabric at the reference density; not ok where it did not
         converge."""
-        tangent, reason = cls.near(result), ""
+        found = result.equilibrium
+        if found is None:
+            extra = [*result.extra, *([possible_contact(result)] if result.touches else [])]
+            cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
+            found = Equilibrium.at(cloth, result.state)
+        tangent, reason = cls(found), ""
         contact = [e for e in tangent.cloth.extra if isinstance(e, SelfContact)]
         if not result.converged:
             reason = f"the drape is no equilibrium: {result.message}"
@@ -54,15 +59,6 @@ class Tangent:
         if reason:
             tangent.ok, tangent.message, tangent.softest = False, reason, 0.0
         return tangent
-
-    @classmethod
-    def near(cls, result: DrapeResult) -> "Tangent":
-        """The tangent of the equilibrium next to a drape, whether this converged or not."""
-        if result.equilibrium:
-            return cls(result.equilibrium)
-        extra = [*result.extra, *([possible_contact(result)] if result.touches else [])]
-        cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
-        return cls(Equilibrium.at(cloth, result.state))
 
     @property
     def positions(self) -> np.ndarray:

@@ -82,10 +82,11 @@ def test_a_strip_curls_until_friction_holds_its_natural_curvature(
     assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
 
 
-@pytest.mark.parametrize("wrong", [{"torque": -1e-4}, {"torque": 1e-4, "build_up": 0.0},
-                                   {"torque": np.nan}])
-def test_friction_that_makes_no_sense_is_refused(wrong: dict) -> None:
-    with pytest.raises(InputError, match="friction of"):
+@pytest.mark.parametrize(("wrong", "word"), [
+    ({"torque": -1e-4}, "friction of"), ({"torque": 1e-4, "build_up": 0.0}, "friction of"),
+    ({"torque": np.nan}, "friction of"), ({"torque": 1e-4, "curvature": (1.0, 2.0)}, "curvature=")])
+def test_friction_that_makes_no_sense_is_refused(wrong: dict, word: str) -> None:
+    with pytest.raises(InputError, match=word):
         BendingFriction(**wrong)
 
 

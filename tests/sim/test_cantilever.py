@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from benchmarks.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
-from benchmarks.physics.guides import LevelSides, TiedRows, level_rulings
+from benchmarks.physics.guides import LevelSides, TiedRows, guided
 from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,
@@ -190,7 +190,8 @@ def test_cylinder_moduli_are_those_of_the_plate_law(angle):
 def test_guided_strips_follow_the_law_at_any_angle(angle):
     fabric = Fabric(ORTHOTROPIC.alpha)
     phi = np.radians(angle)
-    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018, guide=level_rulings)
+    hung = hang(fabric, angle=phi, width=0.0072, edge=0.0018,
+                laws=guided(Laws(), 4))
     assert hung.result.status.value == "converged"
     alpha, _ = cylinder_moduli(fabric, phi)
     found = 0.3 * 9.81 * 0.09**3 / gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1]))
@@ -227,8 +228,8 @@ def test_guide_is_a_quadratic_form_that_cylinders_do_not_feel():
     rng = np.random.default_rng(0)
     x, y = mesh.rest.T
     level = State.at(mesh, np.column_stack([np.sin(x), y, np.cos(x)])).q
-    for guide in (TiedRows(len(mesh.rest), across=4, stiffness=3.0),
-                  LevelSides(mesh, across=4, stiffness=7e-5)):
+    for law in (TiedRows, LevelSides):
+        guide = law(mesh, np.ones(len(mesh.faces), bool), fabric=Fabric([1e-6] * 3), across=3)
         assert guide.value(level) < 1e-30
         step = rng.standard_normal(3 * len(mesh.rest) + len(mesh.edges)) * 1e-3
         q = moved(level, mesh.edges, 0.1 * step)

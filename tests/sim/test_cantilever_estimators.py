@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of
 
-from benchmarks.physics.guides import level_rulings
+from benchmarks.physics.guides import guided
 from common.errors import InputError
 from sim.cantilever.bezier import Bezier, fit_bezier
 from sim.cantilever.fabric import correct, estimate, fabric_of
 from sim.cantilever.regression import fit_law, moment_beyond, regress, torque_and_curvature
 from sim.cantilever.table import match
 from sim.cantilever.tester import bending_length, simulate_strips
+from sim.laws import Laws
 from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
 
 
@@ -139,7 +140,8 @@ def test_three_free_strips_give_six_moduli():
 def test_guided_simulated_strips_are_read():
     alpha = FABRIC.alpha[2]
     lengths = {"weft": [x * bending_length(alpha, 0.3) for x in (1.5, 2.5)]}
-    strips = simulate_strips(FABRIC, lengths, cells=24, guide=level_rulings)
+    strips = simulate_strips(FABRIC, lengths, cells=24, width=None, across=3,
+                             laws=guided(Laws(), 3))
     for method in ("regression", "table"):
         found = estimate(strips, density=0.3, method=method)["weft"]
         assert found.alpha == pytest.approx(alpha, rel=0.02)

@@ -207,7 +207,8 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
 @pytest.mark.parametrize(
     ("rig", "arguments", "word"),
     [(Rig(), {"edge": 0.07}, "edge=70 mm"), (HUNG_SQUARE, {"offset": (1e-3, 0.0)}, "no plate"),
-     (DISC_RIG, {"offset": (0.05, 0.0)}, "narrow"), (HUNG_SQUARE, {"start": "fold"}, "fold"),
+     (DISC_RIG, {"offset": (0.05, 0.0)}, "narrow"), (Rig(), {"offset": (1e-3,)}, "two finite"),
+     (HUNG_SQUARE, {"start": "fold"}, "fold"),
      (Rig(), {"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob")],
 )
 def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):

@@ -251,6 +251,10 @@ def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
                              touching=True)
     assert again.converged and again.contact and again.newton.iterations < 10
     assert np.abs(again.state.positions - first.state.positions).max() < 1e-5
+    # The steps of a search with contact that fails are counted with those of the next one.
+    failed = find_equilibrium(scene, SOFT, start, options=NewtonOptions(max_iterations=2),
+                              self_contact=True, touching=True)
+    assert not failed.converged and failed.newton.iterations == 4
 
 
 def test_nothing_changes_where_the_cloth_does_not_meet_itself():

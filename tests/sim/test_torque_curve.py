@@ -76,6 +76,11 @@ def test_a_parabola_of_torque_is_the_law_of_an_isotropic_fabric() -> None:
         np.testing.assert_allclose(one, two, rtol=2e-3, atol=2e-3 * np.abs(two).max())
 
 
+def test_a_torque_law_has_as_many_torques_as_curvatures() -> None:
+    with pytest.raises(InputError, match="3 curvatures and 2 torques"):
+        TorqueLaw([0.0, 10.0, 20.0], [0.0, 1.0])
+
+
 @pytest.mark.parametrize("wrong", [[0.0, 2.0, 1.0], [1.0, 2.0, 3.0], [0.0, 1.0, np.nan]])
 def test_a_torque_law_increases_from_0(wrong: list[float]) -> None:
     with pytest.raises(InputError, match="increasing from 0"):
