@@ -168,7 +168,7 @@ def claims() -> str:
         low, high = found["log_alpha"]["interval_95"]
         limit = {"squares": 0.84, "discs": None}[kind]
         add(f"The network's error on unseen {kind}", "The estimator",
-            f"log α {error:.3f} ({low:.3f} to {high:.3f}), β/α {ratio:.2f} of the spread",
+            f"log α {error:.3f} ({low:.3f} to {high:.3f}) and β/α {ratio:.2f} of the spread",
             f"β/α {limit}" if limit else "–", f"drapenet.evaluate rig={RIGS[kind]}",
             met=limit is None or ratio <= limit)
         off = max(abs(100 * one["mean"] - float(level.strip("%")))
@@ -357,8 +357,20 @@ def cells() -> str:
     rows = [[name, *columns("squares", name), *columns("discs", name)]
             for name in report(f"evaluation_{RIGS['discs']}")["cells"]
             if name.split()[0] not in ("sensor", "pitch", "distance")]
-    return table(["condition", *(f"{kind}: {what}" for kind in RIGS
-                                 for what in ("log α (95 %)", "β/α", "inside"))], rows)
+    head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
+                           ("log α / spread (95 %)", "β/α / spread", "inside"))]
+    return f"{table(head, rows)}\n\n{soft_fabrics()}"
+
+
+def soft_fabrics() -> str:
+    """The errors of soft fabrics, beside how far these differ from each other."""
+    def shares(name: str) -> str:
+        found = [cell(kind, "soft fabrics") for kind in RIGS]
+        return " and ".join(percent(one[name]["rmse"] / one["prior"][name]) for one in found)
+
+    return ("Soft fabrics alone differ less from each other: of their own spread, the error of "
+            f"log α is {shares('log_alpha')} (squares and discs) and that of β/α "
+            f"{shares('beta_over_alpha')}.")
 
 
 def refinement() -> str:
