@@ -180,7 +180,7 @@ def claims() -> str:
     ratios = [found["agreement"][name]["median"] for name in ("captures", "samples")]
     nearest = found["recognition"]["any"]
     add("Estimates of real fabrics agree", "Real drapes through the network",
-        "α within a factor of {:.2f} between captures of a sample, {:.2f} between samples; the "
+        "α within a factor of {:.2f} between captures of a sample, {:.2f} between samples ‡; the "
         "nearest other estimate is of the same fabric for {} of {} scans".format(
             *ratios, nearest["right"], nearest["of"]), "1.10; 1.18; 33", "real_captures",
         met=ratios[0] <= 1.10 and ratios[1] <= 1.18 and nearest["right"] >= 33)
@@ -432,8 +432,8 @@ def accuracy() -> str:
         f"{percent(discs['inside']['68%']['mean'])} of the true moduli.",
         f"- **Repeats of real fabrics** (60 scans of nine fabrics, true moduli unknown): the "
         f"estimates of α from two captures of a sample agree within a factor of "
-        f"{real['captures']['median']:.2f}, those from two samples of a fabric within "
-        f"{real['samples']['median']:.2f} (medians).",
+        f"{real['captures']['median']:.2f}, those from captures of two samples of a fabric within "
+        f"{real['single']['median']:.2f} (medians).",
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
         f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics. No estimate "
