@@ -168,7 +168,7 @@ def claims() -> str:
         low, high = found["log_alpha"]["interval_95"]
         limit = {"squares": 0.84, "discs": None}[kind]
         add(f"The network's error on unseen {kind}", "The estimator",
-            f"log α {error:.3f} ({low:.3f} to {high:.3f}), β/α {ratio:.2f} of the spread",
+            f"log α {error:.3f} ({low:.3f} to {high:.3f}) and β/α {ratio:.2f} of the spread",
             f"β/α {limit}" if limit else "–", f"drapenet.evaluate rig={RIGS[kind]}",
             met=limit is None or ratio <= limit)
         off = max(abs(100 * one["mean"] - float(level.strip("%")))
@@ -180,7 +180,7 @@ def claims() -> str:
     ratios = [found["agreement"][name]["median"] for name in ("captures", "samples")]
     nearest = found["recognition"]["any"]
     add("Estimates of real fabrics agree", "Real drapes through the network",
-        "α within a factor of {:.2f} between captures of a sample, {:.2f} between samples; the "
+        "α within a factor of {:.2f} between captures of a sample, {:.2f} between samples ‡; the "
         "nearest other estimate is of the same fabric for {} of {} scans".format(
             *ratios, nearest["right"], nearest["of"]), "1.10; 1.18; 33", "real_captures",
         met=ratios[0] <= 1.10 and ratios[1] <= 1.18 and nearest["right"] >= 33)
@@ -357,8 +357,20 @@ def cells() -> str:
     rows = [[name, *columns("squares", name), *columns("discs", name)]
             for name in report(f"evaluation_{RIGS['discs']}")["cells"]
             if name.split()[0] not in ("sensor", "pitch", "distance")]
-    return table(["condition", *(f"{kind}: {what}" for kind in RIGS
-                                 for what in ("log α (95 %)", "β/α", "inside"))], rows)
+    head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
+                           ("log α / spread (95 %)", "β/α / spread", "inside"))]
+    return f"{table(head, rows)}\n\n{soft_fabrics()}"
+
+
+def soft_fabrics() -> str:
+    """The errors of soft fabrics, beside how far these differ from each other."""
+    def shares(name: str) -> str:
+        found = [cell(kind, "soft fabrics") for kind in RIGS]
+        return " and ".join(percent(one[name]["rmse"] / one["prior"][name]) for one in found)
+
+    return ("Soft fabrics alone differ less from each other: of their own spread, the error of "
+            f"log α is {shares('log_alpha')} (squares and discs) and that of β/α "
+            f"{shares('beta_over_alpha')}.")
 
 
 def refinement() -> str:
@@ -420,8 +432,8 @@ def accuracy() -> str:
         f"{percent(discs['inside']['68%']['mean'])} of the true moduli.",
         f"- **Repeats of real fabrics** (60 scans of nine fabrics, true moduli unknown): the "
         f"estimates of α from two captures of a sample agree within a factor of "
-        f"{real['captures']['median']:.2f}, those from two samples of a fabric within "
-        f"{real['samples']['median']:.2f} (medians).",
+        f"{real['captures']['median']:.2f}, those from captures of two samples of a fabric within "
+        f"{real['single']['median']:.2f} (medians).",
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
         f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics. No estimate "

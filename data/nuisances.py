@@ -5,6 +5,7 @@ learns what they leave uncertain. ``configs/nuisances`` states how far they spre
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
@@ -69,6 +70,15 @@ NAMES = tuple(field.name for field in fields(Nuisances))
 """Components of :attr:`Nuisances.vector`."""
 LOGARITHMIC = ("membrane", "shear")
 """Those whose logarithm has a distribution, and derivatives."""
+PROPORTIONAL = ("membrane", "friction")
+"""Those that, like the moduli, are in proportion to the density of fabrics that drape alike."""
+
+
+def at_density(values: Mapping[str, float], old: float, new: float) -> dict[str, float]:
+    """``values`` by :data:`NAMES`, SI, of a fabric of the density ``old``, kg/m², as those of the
+    fabric of density ``new`` that drapes the same."""
+    return {name: value * new / old if name in PROPORTIONAL else value
+            for name, value in values.items()}
 
 
 @dataclass(frozen=True)

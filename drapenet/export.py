@@ -436,7 +436,8 @@ TARGETS = {
         "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; a row each for edges along warp, bias, "
         "weft, which bend weft, bias, warp",
         "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
-        "β beyond 40 m⁻¹; add `stretching` and damping yourself", _arcsim),
+        "β beyond 40 m⁻¹, and at negative angles, where ARCSim extrapolates the table and cloth of "
+        "β < 0 stiffens; add `stretching` and damping yourself", _arcsim),
     "newton": Target(
         "newton_fabric.py", "Newton 1.8",
         "Style3D `edge_aniso_ke`; VBD `edge_bending_properties`",

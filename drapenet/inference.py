@@ -12,6 +12,7 @@ from common.ctrl_c import require_interruption
 from common.errors import LONGEST_LIST, InputError, one_line
 from data.cameras import Camera
 from data.captures import Capture
+from data.nuisances import at_density
 from data.setups import Setups
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
@@ -23,6 +24,7 @@ from drapenet.pages import render
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts, require_plate
 from drapenet.registration import camera_doubts
+from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 Progress = Callable[[int, int, float], None]
@@ -53,12 +55,16 @@ def infer_capture(
 
     Args:
         header: of a checkpoint for the capture's rig.
-        membrane: N/m along the yarns, friction: N·m per metre; where they are known.
+        membrane: N/m along the yarns, friction: N·m per metre, of the fabric at its own density;
+            where they are known.
     """
     rig = Rig.from_name(header.rig)
     camera = located_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
-    draws, = predict(network_of(header), header, [found], membrane=membrane, friction=friction)
+    given = {"membrane": membrane, "friction": friction}
+    known = at_density({name: value for name, value in given.items() if value is not None},
+                       capture.density, REFERENCE_DENSITY)
+    draws, = predict(network_of(header), header, [found], **known)
     return Inferred(make_estimate(draws, capture=capture, header=header), camera, found)
 
 
@@ -111,7 +117,8 @@ def estimate_capture(
         refine: whether the simulator decides, or the content of a file of ``configs/refine``.
         drapes: simulated with the estimate, of which the report shows the best; 0: no report.
         edge: m, of the meshes for these, at the plate's rim; 0: the usual.
-        known: ``membrane``, N/m, and ``friction``, N·m per metre, where the user knows them.
+        known: ``membrane``, N/m, and ``friction``, N·m per metre, of the fabric at its own density,
+            where the user knows them.
         strict: whether to refuse what is else doubted.
         first: called with the content of ``estimate.json`` as the network alone has it, before
             anything is simulated.

@@ -64,7 +64,8 @@ def predict(
 
     Args:
         network: of ``header``, in evaluation mode.
-        membrane: N/m along the yarns, friction: N·m per metre; where they are known.
+        membrane: N/m along the yarns, friction: N·m per metre, of cloth of 300 g/m²; where they
+            are known.
     """
     given = np.tile(np.array([membrane, friction], np.float32), (len(maps), 1))  # None is NaN
     batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)

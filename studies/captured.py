@@ -1,5 +1,6 @@
 """Known fabrics, draped and captured, and what the bundled network estimates of them."""
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import known
-from benchmarks.common import ESTIMATOR, run_cases
+from benchmarks.common import ESTIMATOR, REPORTS, run_cases
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
@@ -18,7 +19,7 @@ from data.nuisances import Nuisances
 from data.sampling import DrapePlan
 from data.setups import Setups, SyntheticCapture
 from drapenet.checkpoint import Header, bundled, read_header
-from drapenet.convention import SWAPPED
+from drapenet.convention import LINEAR, SWAPPED
 from drapenet.estimate import Estimate
 from drapenet.inference import Inferred, capture_doubts, infer_capture
 from sim.drape import DrapeResult
@@ -63,6 +64,14 @@ def header() -> Header:
 def spread() -> np.ndarray:
     """(6,) spread of theta over fabrics."""
     return header().scale.std[:6]
+
+
+def bound() -> float:
+    """Posterior bound of log alpha with all nuisances, in units of :func:`spread`: root mean square
+    over the fabrics of docs/validation/information.json and the directions."""
+    known = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["fabrics"]
+    least = np.array([fabric["bounds"]["all nuisances unknown"] for fabric in known])
+    return rms(least[:, LINEAR] / spread()[LINEAR])
 
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:

@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from studies.captured import bound
 from studies.learned import Training, train_all
 from studies.study import Report, Study, error_cell
 
-BOUND = 0.119
-"""Posterior bound of log alpha with all nuisances, docs/validation.md#what-a-drape-determines."""
 _PER_FABRIC = (1, 2, 4)
 
 
@@ -46,7 +45,7 @@ def answer(report: Report) -> str:
             f"from {one} to {four} drapes of each of {per_fabric} fabrics from {single:.2f} to "
             f"{several:.2f}; from {short} to {long} steps on all fabrics from {early:.2f} to "
             f"{late:.2f}. The bundled network (3 051 fabrics, 4 500 steps of five times as many "
-            f"captures) has 0.17, the posterior bound is {BOUND}.")
+            f"captures) has 0.17, the posterior bound is {bound():.2f}.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
@@ -72,12 +71,12 @@ def draw(report: Report) -> Figure:
         low, high = np.transpose([one["interval_95"] for one in found])
         axes.errorbar([int(size) for size in report[group]], middle,
                       [middle - low, high - middle], fmt="o-")
-        axes.axhline(BOUND, color="0.5", ls=":")
+        axes.axhline(bound(), color="0.5", ls=":")
         axes.set(xscale="log", xlabel=label, ylim=(0, None))
         axes.set_xticks([int(size) for size in report[group]], list(report[group]))
         axes.minorticks_off()
     figure.axes[0].set_ylabel("error of log α")
-    figure.axes[0].annotate("posterior bound", (0.04, BOUND), (0, 3), fontsize=8,
+    figure.axes[0].annotate("posterior bound", (0.04, bound()), (0, 3), fontsize=8,
                             xycoords=("axes fraction", "data"), textcoords="offset points")
     return figure
 

@@ -1,16 +1,15 @@
 """How many views does an estimate need? (002, Figure 19)."""
 
-import json
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, REPORTS
+from benchmarks.common import ESTIMATOR
 from data.setups import Setups
 from drapenet.calibration import inside, ranks
 from drapenet.convention import LINEAR, RATIO
-from studies.captured import draped, read, rms, seen, specimen, spread
+from studies.captured import bound, draped, read, rms, seen, specimen, spread
 from studies.study import Report, Study, over_fabrics
 
 VIEWS = (1, 2, 3, 4, 6, 8)
@@ -51,8 +50,7 @@ def run(config: dict[str, Any]) -> Report:
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank.reshape(-1, 6))}
-    known = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))
-    report["bound"] = known["rms"]["all nuisances unknown"]["standardised_log_alpha"]
+    report["bound"] = bound()
     return report
 
 
@@ -61,7 +59,7 @@ def answer(report: Report) -> str:
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
     return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
             f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
-            "with four). The posterior bound of four views with a good sensor is "
+            "with four). In the same unit, the posterior bound of four views with a good sensor is "
             f"{report['bound']:.3f} "
             "([validation](validation.md#what-a-drape-determines)).")
 

@@ -288,6 +288,9 @@ def test_alphas_of_captures_samples_and_fabrics_are_compared():
     assert found["samples"] == pytest.approx(
         {"median": 2 / first, "largest": 2 / first, "pairs": 1})
     assert found["fabrics"]["median"] == pytest.approx(8 / np.sqrt(2 * first))
+    # Two captures of each sample: 2 and 2/1.1, twice each. No mean is taken before.
+    assert found["single"] == pytest.approx(
+        {"median": (2 + 2 / 1.1) / 2, "largest": 2, "pairs": 4})
     # Ratios of single directions that cancel are not agreement.
     assert real_captures.ratio(np.zeros(3), np.log([2.0, 0.5, 1.0])) == pytest.approx(2 ** (2 / 3))
 

@@ -208,7 +208,8 @@ def ratio(one: np.ndarray, other: np.ndarray) -> float:
 def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
     """Ratios of alpha between captures of a sample, samples of a fabric, and fabrics.
 
-    Of samples and fabrics the means of log alpha (3,) of their parts count.
+    Of samples and fabrics the means of log alpha (3,) of their parts count; ``single`` are single
+    captures of two samples of a fabric.
     """
     members = {sample: [log_alpha[key] for key in keys]
                for sample, keys in grouped(log_alpha, "of_sample").items()}
@@ -218,6 +219,9 @@ def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
     pairs = {
         "captures": [ratio(*pair) for parts in members.values()
                      for pair in combinations(parts, 2)],
+        "single": [ratio(log_alpha[one], log_alpha[other])
+                   for one, other in combinations(log_alpha, 2)
+                   if one.fabric == other.fabric and one.of_sample != other.of_sample],
         "samples": [ratio(*pair) for parts in samples.values() for pair in combinations(parts, 2)],
         "fabrics": [ratio(*pair) for pair in combinations(
             [np.mean(parts, axis=0) for parts in samples.values()], 2)],
@@ -308,8 +312,8 @@ def show(report: dict) -> None:
                  *(f"β/α {name}, mm" for name in STIFF_SOFT)],
                 [[r["scan"], *r["alpha_uN_m"], *(1e3 * v for v in r["theta"][3:])]
                  for r in report["scans"]]))
-    names = {"captures": "captures of a sample", "samples": "samples of a fabric",
-             "fabrics": "fabrics"}
+    names = {"captures": "captures of a sample", "single": "single captures of two samples",
+             "samples": "samples of a fabric", "fabrics": "fabrics"}
     for name, found in report["agreement"].items():
         if found["pairs"]:
             print(f"median ratio of alpha between {names[name]}: {found['median']:.3f}")

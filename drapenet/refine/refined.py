@@ -18,7 +18,7 @@ from common.configs import read_option
 from data.cameras import Camera
 from data.captures import Capture
 from data.fabrics import THETA_NAMES, from_theta
-from data.nuisances import LOGARITHMIC, NuisanceConfig
+from data.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.options import Options, config_from_options
 from data.render import DepthRenderer
 from drapenet.estimate import Estimate
@@ -32,7 +32,7 @@ from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, sea
 from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
-from sim.material import MICRO, is_admissible
+from sim.material import MICRO, REFERENCE_DENSITY, is_admissible
 from sim.scene import Rig
 
 WORST = 10.0
@@ -78,12 +78,14 @@ def refined_capture(
     Args:
         camera: of the views; turns: (K,) rad, of the table in each.
         seen: the scan that the capture is of; None for views.
-        known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate.
+        known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate, of the fabric at
+            its own density.
         edge: m, of the last mesh for views; 0 for that of the settings.
         settings: content of a file of ``configs/refine``; None for what it is by default.
         progress: called with drapes made, drapes expected, and the misfit so far.
     """
     axis = 0.0
+    known = at_density(known, capture.density, REFERENCE_DENSITY)
     settings = settings or read_option("refine", "scan" if seen else "depth")
     if seen is None:
         source: Seen = CapturedViews(
@@ -114,7 +116,7 @@ def refined_capture(
                    positions=positions, statuses=[drape.status.value])
     near = fidelity(seen.shape, found.released) if seen and found.released else None
     scan = seen is not None
-    return Refined(draws, _content(found, near, scan=scan), found, shown,
+    return Refined(draws, _content(found, near, capture.density, scan=scan), found, shown,
                    tuple(_doubts(found, theta, near, scan=scan)))
 
 
@@ -196,13 +198,16 @@ def _doubts(
     return doubts
 
 
-def _content(found: Found, near: Fidelity | None, *, scan: bool) -> dict[str, Any]:
-    """The part ``refined`` of ``estimate.json``."""
+def _content(
+    found: Found, near: Fidelity | None, density: float, *, scan: bool
+) -> dict[str, Any]:
+    """The part ``refined`` of ``estimate.json``, of a fabric of ``density``, kg/m²."""
     content = {
         "by": "scan" if scan else "depth",
         "misfit_before": found.start_value, "misfit": found.best.value,
         "simulations": found.effort.solves, "failed_simulations": len(found.effort.failures),
-        "status": found.status.value, "message": found.message, "specimen": _specimen(found),
+        "status": found.status.value, "message": found.message,
+        "specimen": _specimen(found, density),
     }
     if found.uncertainty is not None:
         content["reduced_chi2"] = found.uncertainty.reduced_chi2
@@ -211,8 +216,9 @@ def _content(found: Found, near: Fidelity | None, *, scan: bool) -> dict[str, An
     return content
 
 
-def _specimen(found: Found) -> dict[str, Any]:
-    """Medians and 68 % intervals of what else the search has estimated of the specimen."""
+def _specimen(found: Found, density: float) -> dict[str, Any]:
+    """Medians and 68 % intervals of what else the search has estimated of the specimen, at the
+    fabric's own ``density``, kg/m²."""
     if found.uncertainty is None:
         return {}
     deviations = np.sqrt(np.diag(found.uncertainty.covariance))
@@ -222,6 +228,8 @@ def _specimen(found: Found) -> dict[str, Any]:
             label, unit = _PRINTED[name]
             middle = found.best.cloth[name]
             ends = np.array([middle - deviation, middle, middle + deviation])
-            low, middle, high = unit * (np.exp(ends) if name in LOGARITHMIC else ends)
+            ends = np.exp(ends) if name in LOGARITHMIC else ends
+            unit *= at_density({name: 1.0}, REFERENCE_DENSITY, density)[name]
+            low, middle, high = unit * ends
             table[label] = {"median": float(middle), "interval_68": [float(low), float(high)]}
     return table

@@ -6,10 +6,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from benchmarks.common import REPORTS
 from common.command import schema_of
 from common.configs import CONFIG_DIR, group_options
 from studies.__main__ import ORDER, main, reports, study_named
-from studies.captured import draped, ideal, read, seen, specimen
+from studies.captured import bound, draped, ideal, read, rms, seen, specimen, spread
 from studies.recognition import DESCRIPTIONS, nearest
 from studies.study import PAGE, page
 
@@ -28,6 +29,13 @@ def test_every_study_has_a_config_a_report_and_a_picture(name):
     assert set(report["settings"]) == keys
     assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
     assert study.report.with_suffix(".png").is_file()
+
+
+def test_errors_are_compared_with_the_bound_in_their_own_unit():
+    information = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["rms"]
+    absolute = information["all nuisances unknown"]["log_alpha"]
+    assert bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
+    assert reports()["views"]["bound"] == pytest.approx(bound())
 
 
 def test_a_reading_is_along_the_true_warp_whatever_the_orientation():
