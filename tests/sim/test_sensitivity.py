@@ -219,7 +219,7 @@ def test_equilibria_against_finite_differences(draped):
 @pytest.mark.parametrize("x", [np.nan, 0.0, -1.0])
 def test_rest_shapes_that_fold_over_are_refused(draped, x):
     rest = torch.from_numpy(draped.rest * [x, 1.0])
-    alpha, beta = (torch.from_numpy(moduli[None]) for moduli in (FABRIC.alpha, FABRIC.beta))
+    alpha, beta = (torch.tensor(moduli)[None] for moduli in (FABRIC.alpha, FABRIC.beta))
     with pytest.raises(InputError, match="a triangle has the area"):
         equilibria([draped], alpha=alpha, beta=beta, rest=[rest])
 
