@@ -167,11 +167,10 @@ def drape(
         positions = start_positions(specimen, rig, coarse=found, borrowed=borrowed, start=start,
                                     seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
-        here = find_equilibrium(
+        found = find_equilibrium(
             scene, simulated, scene.state(positions), self_contact=last,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
-            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS)
-        found = here.after(found.newton) if found else here
+            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS).after(found)
         statuses.append(found.status)
     return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began,
                         coarse=tuple(statuses[:-1]))

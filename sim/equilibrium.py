@@ -58,13 +58,15 @@ class Equilibrium:
         """The same with another outcome."""
         return replace(self, newton=replace(self.newton, status=status, message=message))
 
-    def after(self, earlier: NewtonResult) -> "Equilibrium":
-        """The same with the work of an earlier minimisation added."""
-        newton = self.newton
-        seconds = dict(Counter(earlier.seconds) + Counter(newton.seconds))
+    def after(self, earlier: "Equilibrium | None") -> "Equilibrium":
+        """The same with the work of an earlier search, if there was one, added."""
+        if earlier is None:
+            return self
+        one, two = earlier.newton, self.newton
         return replace(self, newton=replace(
-            newton, iterations=earlier.iterations + newton.iterations, seconds=seconds,
-            factorisations=earlier.factorisations + newton.factorisations))
+            two, iterations=one.iterations + two.iterations,
+            factorisations=one.factorisations + two.factorisations,
+            seconds=dict(Counter(one.seconds) + Counter(two.seconds))))
 
 
 def find_equilibrium(
@@ -97,14 +99,13 @@ def find_equilibrium(
             newton = replace(newton, message=f"{newton.message}; {_DERIVATIVES}")
         return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
 
+    touched = None
     if self_contact and touching:
         contact = contact_near(scene, start.positions, density=fabric.density)
         touched = minimised(start, contact)
         if touched.converged and contact.is_complete(touched.state.q):
             return touched
-        found = minimised(start).after(touched.newton)
-    else:
-        found = minimised(start)
+    found = minimised(start).after(touched)
     if not (self_contact and found.converged):
         return found
     count = len(self_intersections(found.state.positions, scene.mesh.faces))
@@ -115,7 +116,7 @@ def find_equilibrium(
         return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
                                                 "not be untangled")
     freed = _with_contact(minimised, scene, scene.state(positions), fabric.density, options)
-    freed = freed.after(found.newton)
+    freed = freed.after(found)
     count = len(self_intersections(freed.state.positions, scene.mesh.faces))
     if count:
         return freed.ended(Status.SELF_CONTACT,
@@ -134,7 +135,7 @@ def _with_contact(
         steps = min(_STEPS_A_ROUND, options.max_iterations - iterations)
         part = minimised(state, contact, replace(options, max_iterations=steps))
         iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
-        found = part if found is None else part.after(found.newton)
+        found = part.after(found)
         state = found.state
         exact = contact.is_complete(state.q)
         ended = found.status is not Status.MAX_ITERATIONS and exact

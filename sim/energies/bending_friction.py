@@ -18,13 +18,12 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.natural_curvature import CurvedBending, NaturallyCurved
+from sim.energies.plate_law import METRIC
 from sim.material import Fabric
 from sim.mesh import Mesh
 
 BUILD_UP = 2.0
 """Change of curvature, 1/m, within which friction builds up."""
-METRIC = np.array([1.0, 1.0, 2.0])
-"""Of Sxx, Syy and Sxy in |S|²."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,9 @@ from sim.material import (
     softening_shape,
 )
 
+METRIC = np.array([1.0, 1.0, 2.0])
+"""Weights of the squares of Sxx, Syy and Sxy in |S|²."""
+
 
 class PlateConstants(NamedTuple):
     """Constants of a fabric's law, SI units; see the head of this module and :func:`constants`."""

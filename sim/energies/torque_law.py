@@ -13,8 +13,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
-from sim.energies.bending_friction import METRIC
 from sim.energies.midedge import MidEdgeBending
+from sim.energies.plate_law import METRIC
 from sim.material import Fabric
 from sim.mesh import Mesh
 
