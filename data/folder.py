@@ -162,18 +162,18 @@ class DatasetFolder:
         if found != begun:
             write_manifest(self.root, begun)
 
-    def finish(self, *, made: bool = True, progress: bool = False) -> dict:
+    def finish(self, *, made: bool = True) -> dict:
         """Write the manifest if all shards are whole; return it, finished or not.
 
-        ``made`` says whether this process has made shards; ``progress`` shows a bar.
+        ``made`` says whether this process has made shards.
         """
         self.claim()  # it may have been extended meanwhile
         names = [shard_name(shard) for shard in range(self.config.shards)]
         contents: dict[str, Content | None] = {}
         # All are looked for before the first is read: most parts of a dataset end before others.
         if all((self.root / name).exists() for name in names):
-            contents = {name: self.content(shard) for shard, name
-                        in enumerate(over_shards(names, "checking", show=progress))}
+            contents = {name: self.content(shard)
+                        for shard, name in enumerate(over_shards(names, "checking"))}
         if not contents or None in contents.values():
             return self._described | {"complete": False}
         found = read_manifest(self.root) or {}
