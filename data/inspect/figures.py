@@ -54,22 +54,21 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     looked_at = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
     stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
     for name in over_shards(manifest["shards"], "measuring"):
-        with Shard(root / name) as shard:
-            for column, arrays in parts.items():
-                arrays.append(shard.column(column))
-            for row in np.flatnonzero(parts["status"][-1] == "converged"):
-                drape = len(places) + row
-                positions, rest, faces = shard.mesh(row)
-                # Held triangles are not stretched, so that it need not be known which are held.
-                stretch[drape] = maximum_stretch(positions, rest, faces,
-                                                 np.zeros(len(rest), dtype=bool))
-                if seen in looked_at:
-                    crossings[drape] = len(self_intersections(positions, faces))
-                seen += 1
-            places += [(name, row) for row in range(len(shard))]
-            stored = shard.storage()
-        used.update(stored)
-        used["other"] += (root / name).stat().st_size - sum(stored.values())
+        shard = Shard(root / name)
+        for column, arrays in parts.items():
+            arrays.append(shard.column(column))
+        for row in np.flatnonzero(parts["status"][-1] == "converged"):
+            drape = len(places) + row
+            positions, rest, faces = shard.mesh(row)
+            # Held triangles are not stretched, so that it need not be known which are held.
+            stretch[drape] = maximum_stretch(positions, rest, faces,
+                                             np.zeros(len(rest), dtype=bool))
+            if seen in looked_at:
+                crossings[drape] = len(self_intersections(positions, faces))
+            seen += 1
+        places += [(name, row) for row in range(len(shard))]
+        used.update(shard.storage)
+        used["other"] += (root / name).stat().st_size - sum(shard.storage.values())
     columns = {name: np.concatenate(arrays) for name, arrays in parts.items()}
     return Drapes(columns, places, stretch, crossings, dict(used))
 

@@ -51,8 +51,7 @@ def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> lis
 def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | None:
     """One drape; None of a failed one whose coordinates could not be stored."""
     name, row = drapes.places[drape]
-    with Shard(root / name) as shard:
-        positions, rest, faces = shard.mesh(row)
+    positions, rest, faces = Shard(root / name).mesh(row)
     if not rest.any():
         return None
     columns = {key: values[drape] for key, values in drapes.columns.items()}
