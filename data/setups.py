@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -115,11 +115,6 @@ class Setups:
     def from_config(cls, config: Mapping) -> "Setups":
         """Build from the mapping of such a file, see :class:`SetupFile`."""
         return cls(**si(SetupFile.of(config, "setup").model_dump()))
-
-    def as_dict(self) -> dict:
-        """All fields, in JSON's types."""
-        return {name: list(value) if isinstance(value, tuple) else value
-                for name, value in asdict(self).items()}
 
     def capture(
         self,

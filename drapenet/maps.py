@@ -7,7 +7,7 @@ Files depend on the dataset, the set-ups and the seed only, so an interrupted ru
 
 import io
 from concurrent.futures import as_completed
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ def make_maps(
         InputError: no finished dataset.
     """
     manifest = finished_manifest(root)
-    settings = {"dataset": manifest["identity"], "setups": setups.as_dict(), "seed": seed,
+    settings = {"dataset": manifest["identity"], "setups": asdict(setups), "seed": seed,
                 "captures": captures, "neighbours": neighbours}
     folder = out / f"maps_{json_digest(settings)[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
