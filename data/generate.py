@@ -84,9 +84,9 @@ def generate_dataset(
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
                 bar.update(drapes - left + made - bar.n)
 
-            outcome = make_shards(folder, missing, workers=workers, solver=solver, report=report)
+            spent = make_shards(folder, missing, workers=workers, solver=solver, report=report)
         if missing:
-            print(outcome, file=sys.stderr)
+            print(spent, file=sys.stderr)
         manifest = folder.finish(made=bool(missing))
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None

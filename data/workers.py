@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, wait
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,39 +15,10 @@ from data.records import Solver, load_solver, make_record
 REFRESH = 0.3  # s between two looks at what the workers have done
 
 
-@dataclass
-class Outcome:
-    """What a run of the workers took.
-
-    Attributes:
-        workers: number of processes.
-        wall: s, from the first to the last.
-        seconds: sums over the workers: CPU time of ``solver`` and the ``rest``; ``wall``, at work.
-    """
-
-    workers: int
-    wall: float = 0.0
-    seconds: Counter[str] = field(default_factory=Counter)
-
-    def __str__(self) -> str:
-        """Shares of the time that the processes had: CPU time, and the time without work.
-
-        Time in which another program had the core, or in which the process waited for the disk,
-        is stated separately.
-        """
-        wall = self.wall * self.workers
-        spent = {"solver": self.seconds["solver"], "checks and files": self.seconds["rest"],
-                 "start and idle": max(wall - self.seconds["wall"], 0.0)}
-        total = max(sum(spent.values()), 1e-9)
-        shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
-        return (f"time of {self.workers} worker processes: {shares}; besides, they waited "
-                f"{max(wall - total, 0.0):.0f} of {wall:.0f} s for a core or the disk")
-
-
 def _make(
     folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
 ) -> Counter[str]:
-    """Make a shard, unless another run has done so; return the seconds of :class:`Outcome`.
+    """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
 
     ``counts`` is a file that all processes share, (shards, 2): of the shard at each place, the
     drapes made and those of them that failed. There is no lock, which would stay closed if its
@@ -85,23 +55,19 @@ def make_shards(
     workers: int,
     solver: Solver | None = None,
     report: Callable[[int, int], None] = lambda drapes, failed: None,
-) -> Outcome:
-    """Make ``shards``, each in one of ``workers`` processes.
+) -> str:
+    """Make ``shards``, each in one of ``workers`` processes; return what took the time.
 
     ``report`` is called now and then with the number of drapes made, and of those that failed.
 
     Raises:
         InputError: a shard cannot be written; a worker was ended from outside.
     """
-    outcome = Outcome(min(workers, len(shards)))
     if not shards:
-        return outcome
-    began = time.time()
+        return ""
+    workers, began, seconds = min(workers, len(shards)), time.time(), Counter()
     try:
-        with (
-            tempfile.NamedTemporaryFile() as file,
-            worker_pool(outcome.workers) as pool,
-        ):
+        with tempfile.NamedTemporaryFile() as file, worker_pool(workers) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
             running = {pool.submit(_make, folder, file.name, solver, place, shard)
                        for place, shard in enumerate(shards)}
@@ -109,9 +75,24 @@ def make_shards(
                 done, running = wait(running, timeout=REFRESH, return_when=FIRST_COMPLETED)
                 report(*counts.sum(axis=0).tolist())
                 for future in done:
-                    outcome.seconds.update(future.result())
-            outcome.wall = time.time() - began
+                    seconds.update(future.result())
     except BaseException:
         folder.remove_partial()  # processes were ended, perhaps while they wrote
         raise
-    return outcome
+    return _time_spent(workers, time.time() - began, seconds)
+
+
+def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
+    """Shares of the time that ``workers`` processes had in ``wall`` seconds: CPU, and no work.
+
+    Time in which another program had the core, or in which the process waited for the disk, is
+    stated separately. ``seconds`` are sums over the workers: CPU time of ``solver`` and the
+    ``rest``; ``wall``, at work.
+    """
+    spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
+             "start and idle": max(workers * wall - seconds["wall"], 0.0)}
+    total = max(sum(spent.values()), 1e-9)
+    shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
+    return (f"time of {workers} worker processes: {shares}; besides, they waited "
+            f"{max(workers * wall - total, 0.0):.0f} of {workers * wall:.0f} s for a core or the "
+            "disk")
