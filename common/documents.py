@@ -158,9 +158,9 @@ def read_yaml(file: Path) -> Mapping:
     return parse_yaml(read_text(file), file)
 
 
-def read_json(file: Path, *, remedy: str = "copy it again", largest: int = LARGEST_DOCUMENT) -> Any:
+def read_json(file: Path, *, remedy: str = "copy it again") -> Any:
     """A JSON file."""
-    return parse_json(read_bytes(file, largest, "JSON file"), file, remedy)
+    return parse_json(read_bytes(file, LARGEST_DOCUMENT, "JSON file"), file, remedy)
 
 
 def read_text(file: Path, largest: int = LARGEST_TEXT, kind: str = "description") -> str:

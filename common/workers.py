@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
@@ -48,30 +48,23 @@ _kept: dict[tuple[int, int], ProcessPoolExecutor] = {}
 
 
 @contextmanager
-def worker_pool(
-    workers: int, initializer: Callable[..., None] | None = None, *arguments: object
-) -> Iterator[Executor]:
+def worker_pool(workers: int) -> Iterator[Executor]:
     """A pool of ``workers`` processes, ended at once where the block fails or is interrupted.
 
-    Processes take a second to start, as long as a drape. So those without an ``initializer`` stay
-    for a minute, for the next call of as many. With one, all processes are fresh, call
-    ``initializer(*arguments)``, and end with the block. What the main script defines is sent as
-    code, all else by name.
+    Processes take a second to start, as long as a drape. So they stay for a minute, for the next
+    call of as many. What the main script defines is sent as code, all else by name.
 
     Raises:
         InputError: a worker was ended from outside.
     """
     key = os.getpid(), workers  # a copy of this process has no way to the original's processes
     # Loky's own reusable pool is not ours alone: joblib takes it for its own, and fails.
-    pool = _kept.pop(key, None) if initializer is None else None
+    pool = _kept.pop(key, None)
     if pool is None or pool._flags.shutdown:  # or broken
-        pool = ProcessPoolExecutor(
-            workers, context=_context, timeout=IDLE_SECONDS, env=ONE_THREAD,
-            initializer=_start, initargs=(os.getpid(), initializer, arguments))
+        pool = ProcessPoolExecutor(workers, context=_context, timeout=IDLE_SECONDS, env=ONE_THREAD,
+                                   initializer=_start, initargs=(os.getpid(),))
     try:
         yield pool
-        if initializer is not None:
-            pool.shutdown()
     except BaseException as error:
         with deferred():
             # Else Loky's own thread would look for the calls that it has given up, and fail.
@@ -81,9 +74,8 @@ def worker_pool(
             raise InputError("a worker process was killed, perhaps because memory ran out; "
                              "run the same command again with a smaller workers=") from None
         raise
-    if initializer is None:
-        _kept.clear()  # the processes of a pool that nobody holds end
-        _kept[key] = pool
+    _kept.clear()  # the processes of a pool that nobody holds end
+    _kept[key] = pool
 
 
 def follow(parent: int) -> None:
@@ -92,12 +84,10 @@ def follow(parent: int) -> None:
     keep_freed_memory()
 
 
-def _start(parent: int, initializer: Callable[..., None] | None, arguments: tuple) -> None:
+def _start(parent: int) -> None:
     follow(parent)
     # Loky takes large arrays for a leak, and a process that has made one for spent.
     process_executor._MAX_MEMORY_LEAK_SIZE = math.inf
-    if initializer is not None:
-        initializer(*arguments)
 
 
 def _end_with(parent: int) -> None:

@@ -94,11 +94,6 @@ class Camera(Intrinsics):
         """The same without the pose."""
         return Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
 
-    @property
-    def position(self) -> np.ndarray:
-        """Optical centre in the world, (3,) m."""
-        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
-
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (N, 2) as (u, v), and z-depth (N,) m, of world points (N, 3) m."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
@@ -160,24 +155,8 @@ class Pose:
         return transform
 
 
-@dataclass(frozen=True)
-class Jitter:
-    """Standard deviations of what differs from one set-up of the rig to the next.
-
-    ``focal`` is relative, ``principal`` in pixels, the rest in metres and radians.
-    """
-
-    focal: float
-    principal: float
-    distance: float
-    pitch: float
-    above: float
-    aside: float
-    roll: float
-
-    def __post_init__(self) -> None:
-        if not all(0 <= getattr(self, f.name) < math.inf for f in fields(self)):
-            raise InputError("the rig's jitter must be given in finite numbers, none below 0")
+JITTERED = ("focal", "principal", *(field.name for field in fields(Pose)))
+"""What differs from one set-up of a rig to the next."""
 
 
 @dataclass(frozen=True)
@@ -185,12 +164,21 @@ class CameraRig:
     """Nominal camera of a drape tester, and how much real set-ups vary around it.
 
     Loaded from ``configs/camera/NAME.yaml``, where lengths are in mm and angles in degrees.
+
+    Attributes:
+        jitter: standard deviations of what differs from one set-up to the next, by
+            :data:`JITTERED`: ``focal`` is relative, ``principal`` in pixels, the rest in metres
+            and radians.
     """
 
     name: str
     intrinsics: Intrinsics
     pose: Pose
-    jitter: Jitter
+    jitter: dict[str, float]
+
+    def __post_init__(self) -> None:
+        if not all(0 <= value < math.inf for value in self.jitter.values()):
+            raise InputError("the rig's jitter must be given in finite numbers, none below 0")
 
     @classmethod
     def load(cls, name: str = DEFAULT_RIG) -> "CameraRig":
@@ -208,11 +196,11 @@ class CameraRig:
             InputError: an entry is missing or makes no sense.
         """
         try:
-            camera = si(config["camera"])
+            camera, jitter = si(config["camera"]), si(config["jitter"])
             intrinsics, pose = ({field.name: camera[field.name] for field in fields(kind)}
                                 for kind in (Intrinsics, Pose))
             return cls(str(config["name"]), Intrinsics(**intrinsics), Pose(**pose),
-                       Jitter(**si(config["jitter"])))
+                       {name: jitter[name] for name in JITTERED})
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"rig configuration is incomplete ({one_line(error)}); "
@@ -221,7 +209,7 @@ class CameraRig:
 
     def nominal(self) -> Camera:
         """The camera without jitter."""
-        return self._camera(np.zeros(len(fields(Jitter)) + 1))
+        return self._camera(np.zeros(len(JITTERED) + 1))
 
     def sample(self, rng: np.random.Generator) -> Camera:
         """A camera of a randomly varied set-up; one capture's four views share it.
@@ -230,15 +218,15 @@ class CameraRig:
         numbers is drawn.
         """
         tail = ndtr(-JITTER_LIMIT_SIGMAS)
-        return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(fields(Jitter)) + 1)))
+        return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(JITTERED) + 1)))
 
     def _camera(self, deviates: np.ndarray) -> Camera:
         focal, shift_x, shift_y, *moved = deviates.tolist()
         nominal, sigma = self.intrinsics, self.jitter
-        pose = Pose(*(getattr(self.pose, field.name) + getattr(sigma, field.name) * deviate
+        pose = Pose(*(getattr(self.pose, field.name) + sigma[field.name] * deviate
                       for field, deviate in zip(fields(Pose), moved, strict=True)))
-        scale = 1 + sigma.focal * focal
+        scale = 1 + sigma["focal"] * focal
         return Camera(nominal.fx * scale, nominal.fy * scale,
-                      nominal.cx + sigma.principal * shift_x,
-                      nominal.cy + sigma.principal * shift_y, nominal.width, nominal.height,
+                      nominal.cx + sigma["principal"] * shift_x,
+                      nominal.cy + sigma["principal"] * shift_y, nominal.width, nominal.height,
                       pose.world_to_camera())

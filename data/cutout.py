@@ -133,17 +133,9 @@ def cut_out(
         top = (radius < rig.plate_radius + _SLACK) & (np.abs(height) < _ABOVE)
         near = (background > 0) & (background - frames < _CHANGED * frames / 0.5)
         same = cloth & near & ~top
-        share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
-        if share > _SAME:
-            doubts.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
-                          f"reach (limit {_SAME:.0%}): take it without cloth, and every view with "
-                          "it")
-        cloth &= ~_without_cloth_below(same, cloth)
         still = solid & (background > 0) & ~_within_reach(radius, height, rig)
-        moved = np.abs(frames - background) > 3 * _CHANGED * frames / 0.5
-        if still.any() and moved[still].mean() > _MOVED:
-            doubts.append("background.png does not fit the frames: the camera or the scene has "
-                          "moved between them; take it again")
+        doubts += _doubts_of_background(frames, background, cloth, same, still)
+        cloth &= ~_without_cloth_below(same, cloth)
     masks = np.empty_like(cloth)
     for k in range(len(frames)):
         on_plate = cloth[k] & (radius[k] < rig.plate_radius) & (np.abs(height[k]) < _ABOVE)
@@ -155,6 +147,27 @@ def cut_out(
         masks[k] = _completed(kept, solid[k])
     views = np.where(cloth & masks, frames, np.float32(0.0))
     return CutOut(frames, masks, views, plate, column, tuple(doubts))
+
+
+def _doubts_of_background(
+    frames: np.ndarray, background: np.ndarray, cloth: np.ndarray, same: np.ndarray,
+    still: np.ndarray,
+) -> list[str]:
+    """What speaks against ``background`` (H, W), m, beside frames (K, H, W), m.
+
+    Of their pixels, (K, H, W) bool: would-be ``cloth``, those of it that show the ``same`` as the
+    background, and those out of the cloth's reach, which should be ``still``.
+    """
+    doubts = []
+    share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
+    if share > _SAME:
+        doubts.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
+                      f"reach (limit {_SAME:.0%}): take it without cloth, and every view with it")
+    moved = np.abs(frames - background) > 3 * _CHANGED * frames / 0.5
+    if still.any() and moved[still].mean() > _MOVED:
+        doubts.append("background.png does not fit the frames: the camera or the scene has "
+                      "moved between them; take it again")
+    return doubts
 
 
 def _within_reach(radius: np.ndarray, height: np.ndarray, rig: Rig) -> np.ndarray:

@@ -25,7 +25,7 @@ from data.manifest import (
 from data.prior import prior_content
 from data.progress import over_shards
 from data.records import DatasetConfig, Record
-from data.shards import SHARDS, Shard, shard_name, verified_digest, write_shard
+from data.shards import SHARDS, Shard, shard_name, write_shard
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,12 @@ class DatasetFolder:
     def _adopt(self, path: Path) -> None:
         """Accept a shard without a manifest beside it, if it is this dataset's."""
         try:
-            verified_digest(path)
-        except (InputError, OSError):
+            attributes = Shard(path).attributes
+        except InputError:
             raise InputError(f"{self.root} has no {MANIFEST}, and {path.name} in it is damaged or "
                              "not a shard; remove it, or choose another folder") from None
-        with Shard(path) as file:
-            self._require_same(file.attribute("identity"),
-                               parse_json(file.attribute("config") or "", path))
+        self._require_same(attributes.get("identity"),
+                           parse_json(attributes.get("config", ""), path))
 
     def _require_same(self, identity: object, settings: dict) -> None:
         if identity != self.identity:
@@ -125,16 +124,14 @@ class DatasetFolder:
         if not path.exists():
             return None
         try:
-            digest = verified_digest(path)
-            with Shard(path) as file:
-                if (file.attribute("identity") != self.identity
-                        or file.column("index").tolist() != list(self.config.rows(shard))):
-                    return None
-                columns = (file.column(n).tolist() for n in ("status", "start", "fabric",
-                                                             "rejected"))
-                return Content(digest, *columns)
-        except (InputError, KeyError, OSError):
+            found = Shard(path)
+        except InputError:
             return None
+        if (found.attributes.get("identity") != self.identity
+                or found.column("index").tolist() != list(self.config.rows(shard))):
+            return None
+        return Content(found.digest, *(found.column(name).tolist() for name in
+                                       ("status", "start", "fabric", "rejected")))
 
     def write(self, shard: int, records: list[Record]) -> None:
         """Write a shard.
@@ -162,18 +159,18 @@ class DatasetFolder:
         if found != begun:
             write_manifest(self.root, begun)
 
-    def finish(self, *, made: bool = True, progress: bool = False) -> dict:
+    def finish(self, *, made: bool = True) -> dict:
         """Write the manifest if all shards are whole; return it, finished or not.
 
-        ``made`` says whether this process has made shards; ``progress`` shows a bar.
+        ``made`` says whether this process has made shards.
         """
         self.claim()  # it may have been extended meanwhile
         names = [shard_name(shard) for shard in range(self.config.shards)]
         contents: dict[str, Content | None] = {}
         # All are looked for before the first is read: most parts of a dataset end before others.
         if all((self.root / name).exists() for name in names):
-            contents = {name: self.content(shard) for shard, name
-                        in enumerate(over_shards(names, "checking", show=progress))}
+            contents = {name: self.content(shard)
+                        for shard, name in enumerate(over_shards(names, "checking"))}
         if not contents or None in contents.values():
             return self._described | {"complete": False}
         found = read_manifest(self.root) or {}

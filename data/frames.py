@@ -16,7 +16,6 @@ import numpy as np
 
 from common.documents import read_bytes, require_regular, shown
 from common.errors import InputError, one_line
-from data.arrays import array_of
 from data.cameras import Intrinsics
 from data.reading import (
     LARGEST_FILE,
@@ -188,7 +187,7 @@ def read_array(file: Path) -> np.ndarray:
     data = read_bytes(file, LARGEST_FILE, "view")
     wrong = f"{file} must hold one array (height, width) of floating-point numbers, depth in metres"
     try:
-        depth = array_of(data)
+        depth = np.lib.format.read_array(io.BytesIO(data))
     except Exception as error:  # tokenize's errors among others, of a damaged header
         raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}: save it with "
                          "numpy.save") from None

@@ -42,10 +42,11 @@ def generate_dataset(
     workers: int = 1,
     part: int = 0,
     parts: int = 1,
-    progress: bool = True,
     solver: Solver | None = None,
 ) -> dict:
     """Make, complete or extend the dataset in the folder ``out``.
+
+    Progress, and what the time was spent on, are shown on standard error.
 
     Args:
         config: all that determines the files.
@@ -54,7 +55,6 @@ def generate_dataset(
         part, parts: make only every ``parts``-th shard, from the ``part``-th on, counted from 0.
             Parts can be made at the same time, anywhere; the one that finds all others done
             finishes the dataset.
-        progress: show a progress bar on standard error, and what the time was spent on.
         solver: in place of :func:`sim.drape.drape`; of an importable module.
 
     Returns:
@@ -73,22 +73,21 @@ def generate_dataset(
     try:
         folder.claim()
         mine = range(part, config.shards, parts)
-        missing = [shard for shard in over_shards(mine, "checking", show=progress)
+        missing = [shard for shard in over_shards(mine, "checking")
                    if folder.content(shard) is None]
         if missing:
             folder.begin()
         drapes, left = (sum(len(config.rows(shard)) for shard in some)
                         for some in (mine, missing))
-        with progress_bar(total=drapes, initial=drapes - left, unit="drape", smoothing=0.05,
-                          disable=not progress) as bar:
+        with progress_bar(total=drapes, initial=drapes - left, unit="drape", smoothing=0.05) as bar:
             def report(made: int, failed: int) -> None:
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
                 bar.update(drapes - left + made - bar.n)
 
-            outcome = make_shards(folder, missing, workers=workers, solver=solver, report=report)
-        if progress and missing:
-            print(outcome, file=sys.stderr)
-        manifest = folder.finish(made=bool(missing), progress=progress)
+            spent = make_shards(folder, missing, workers=workers, solver=solver, report=report)
+        if missing:
+            print(spent, file=sys.stderr)
+        manifest = folder.finish(made=bool(missing))
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
     if parts == 1 and not manifest["complete"]:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from common.documents import Excerpt, read_json, shown
 from common.errors import InputError
-from common.files import replace_file
+from common.files import replace_json
 
 SCHEMA_VERSION = 6  # of manifests and shards
 MANIFEST = "dataset.json"
@@ -48,8 +48,7 @@ class _Finished(_Begun):
 
 def write_manifest(root: Path, content: dict) -> None:
     """Write the dataset's ``dataset.json`` in one step."""
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    replace_file(root / MANIFEST, text.encode())
+    replace_json(root / MANIFEST, content)
 
 
 def read_manifest(root: Path) -> dict | None:

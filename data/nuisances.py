@@ -6,7 +6,7 @@ learns what they leave uncertain. ``configs/nuisances`` states how far they spre
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -149,8 +149,3 @@ class NuisanceConfig:
                 "friction": self.friction / math.sqrt(12),
                 "curl_warp": self.curl, "curl_weft": self.curl,
                 "size": self.size, "plate": self.plate, "cut": self.cut}
-
-    def as_dict(self) -> dict:
-        """All fields, in JSON's types."""
-        return {name: list(value) if isinstance(value, tuple) else value
-                for name, value in asdict(self).items()}

@@ -1,6 +1,8 @@
 """Shaded pictures of draped cloth, for people to look at."""
 
+import cv2
 import numpy as np
+import trimesh
 
 from data.render import import_open3d
 from sim.mesh import vertex_normals
@@ -12,6 +14,7 @@ _LAMPS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4),
 """Direction towards each lamp as (right, away from the viewer, up), and its brightness."""
 _SKY = 0.22
 _THUMBNAIL = 120  # pixels, height
+_AWAY = 2.0  # m, of the viewer's plane from the middle
 _MIDDLE = -0.07  # m, height of a drape's middle, in the middle of a picture from the side
 
 
@@ -20,7 +23,6 @@ def shade(
     faces: np.ndarray,
     *,
     plate_radius: float,
-    azimuth: float = -90.0,
     elevation: float = 25.0,
     size: tuple[int, int] = (640, 520),
     field: float = 0.40,
@@ -32,8 +34,7 @@ def shade(
         positions: (V, 3) m, z up.
         faces: (F, 3).
         plate_radius: of the cylinder, m; 0 for none.
-        azimuth, elevation: of the viewer, degrees; azimuth -90 looks towards +y, 90 elevation
-            looks straight down with +y up.
+        elevation: of the viewer, who looks towards +y, degrees; 90 looks straight down with +y up.
         size: width and height, px.
         field: width of the picture, m.
         supersampling: rays along each side of a pixel.
@@ -46,7 +47,10 @@ def shade(
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     meshes = [(positions, faces)]
     if plate_radius > 0:
-        meshes.append(_cylinder(plate_radius * 0.985, floor))
+        # Its top is just below the plate's, so that cloth hides it.
+        radius, top = 0.985 * plate_radius, -1e-3
+        stand = trimesh.creation.revolve([[radius, floor], [radius, top], [0, top]], sections=96)
+        meshes.append((stand.vertices, stand.faces))
     for points, triangles in meshes:
         scene.add_triangles(
             open3d.core.Tensor(points.astype(np.float32)),
@@ -54,13 +58,13 @@ def shade(
         )
     normals = [vertex_normals(*mesh) for mesh in meshes]
     width, height = size[0] * supersampling, size[1] * supersampling
-    origin, right, up, forward = _view(azimuth, elevation)
+    right, up, forward = _view(elevation)
     pixel = field / width
     x = (np.arange(width) + 0.5 - width / 2) * pixel
     y = (height / 2 - np.arange(height) - 0.5) * pixel
     # From above, the plate is in the middle whatever the height.
     middle = np.array([0.0, 0.0, _MIDDLE if elevation < 80 else 0.0])
-    starts = middle + origin + x[None, :, None] * right + y[:, None, None] * up
+    starts = middle - _AWAY * forward + x[None, :, None] * right + y[:, None, None] * up
     rays = np.concatenate([starts, np.broadcast_to(forward, starts.shape)], -1)
     hits = scene.cast_rays(open3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
     distance = hits["t_hit"].numpy()
@@ -81,12 +85,10 @@ def shade(
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
 
 
-def _view(azimuth: float, elevation: float) -> tuple[np.ndarray, ...]:
-    """Origin of the middle ray, 2 m away, and the picture's right, up and forward, (3,) each."""
-    a, e = np.deg2rad([azimuth, elevation])
-    towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    return 2.0 * towards, right, np.cross(towards, right), -towards
+def _view(elevation: float) -> tuple[np.ndarray, ...]:
+    """The picture's right, up and forward, (3,) each."""
+    c, s = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
+    return np.array([1.0, 0.0, 0.0]), np.array([0.0, s, c]), np.array([0.0, c, -s])
 
 
 def _illumination(
@@ -115,31 +117,8 @@ def _background(
     return image
 
 
-def _cylinder(radius: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and faces of the stand, its top just below the plate's so that cloth hides it."""
-    count = 96
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    top = -1e-3
-    points = np.concatenate(
-        [np.column_stack([ring, np.full(count, z)]) for z in (top, floor)] + [[[0, 0, top]]]
-    )
-    i = np.arange(count)
-    j = (i + 1) % count
-    faces = np.concatenate(
-        [
-            np.stack([i, i + count, j], 1),
-            np.stack([j, i + count, j + count], 1),
-            np.stack([i, j, np.full(count, 2 * count)], 1),
-        ]
-    )
-    return points, faces
-
-
 def thumbnail(view: np.ndarray) -> bytes:
     """PNG of a depth image (H, W), m, background 0: the cloth alone, near parts bright."""
-    import cv2
-
     rows, columns = np.nonzero(view > 0)
     cut = view[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     near, far = np.quantile(cut[cut > 0], (0.01, 0.99))

@@ -14,7 +14,6 @@ def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
     return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
 
 
-def over_shards(shards: Iterable, doing: str, *, show: bool = True) -> tqdm:
+def over_shards(shards: Iterable, doing: str) -> tqdm:
     """``shards``, with a bar that says what is being done to them and vanishes at the end."""
-    return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY,
-                        disable=not show)
+    return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY)

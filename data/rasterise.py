@@ -29,6 +29,7 @@ from data.rasterise_cpu import LEAST_HEIGHT, rasterise_arrays
 
 CHUNK = 512  # pictures worked on at a time: about 1 GB at 240x180
 
+
 def camera_tensors(
     cameras: Sequence[Camera], *, device: torch.device | str | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -58,16 +59,28 @@ def render_batch(
             filled up with triangles of one repeated vertex.
         angles: (B, K) by how much the specimen is turned in each picture, radians,
             counter-clockwise seen from above (orientation plus the table's turn).
-        intrinsics: (B, 4) or (B, K, 4) fx, fy, cx, cy of this picture size, px.
-        world_to_camera: (B, 4, 4) or (B, K, 4, 4) rigid, m.
+        intrinsics: (B, 4) fx, fy, cx, cy of this picture size, px.
+        world_to_camera: (B, 4, 4) rigid, m.
         height, width: size of the pictures, px.
 
     Returns:
         (B, K, height, width) float32 z-depth in metres, background 0. Triangles with a corner
         behind the camera or of a coordinate that is not finite are left out.
+
+    Raises:
+        InputError: a face names a vertex that does not exist.
     """
     points = camera_points(positions.float(), angles, world_to_camera)
-    return rasterise(points, faces, intrinsics, height=height, width=width)
+    meshes, views, vertices, _ = points.shape
+    if faces.numel() and not 0 <= int(faces.min()) <= int(faces.max()) < vertices:
+        raise InputError("faces to render must name existing vertices")
+    faces = faces.expand(meshes, *faces.shape[-2:])
+    intrinsics = intrinsics.float()[:, None].expand(meshes, views, 4)
+    if points.device.type == "cpu":
+        arrays = (tensor.numpy() for tensor in (points, faces, intrinsics))
+        return torch.from_numpy(rasterise_arrays(*arrays, height=height, width=width,
+                                                 threads=torch.get_num_threads()))
+    return rasterise_tensors(points, faces, intrinsics, height=height, width=width)
 
 
 def camera_points(
@@ -77,51 +90,13 @@ def camera_points(
 
     Other arguments as in :func:`render_batch`; the result has the type of ``positions``.
     """
-    if world_to_camera.dim() == 3:
-        world_to_camera = world_to_camera[:, None]
     c, s = torch.cos(angles)[..., None], torch.sin(angles)[..., None]
-    right, away, up, shift = world_to_camera[..., :3, :].unbind(-1)
+    right, away, up, shift = world_to_camera[:, None, :3, :].unbind(-1)
     axes = (c * right + s * away, c * away - s * right, up, shift)
     # Not a matrix product, which a GPU may round to ten bits.
     x, y, z, shift = (axis.to(positions.dtype)[:, :, None] for axis in axes)
     at = positions[:, None, :, :, None]
     return at[..., 0, :] * x + at[..., 1, :] * y + at[..., 2, :] * z + shift
-
-
-@torch.no_grad()
-def rasterise(
-    points: torch.Tensor,
-    faces: torch.Tensor,
-    intrinsics: torch.Tensor,
-    *,
-    height: int,
-    width: int,
-) -> torch.Tensor:
-    """Depth pictures of B meshes, K of each.
-
-    Args:
-        points: (B, K, V, 3) vertices in the axes of each picture's camera (x right, y down,
-            z forward), m.
-        faces, intrinsics, height, width: see :func:`render_batch`.
-
-    Returns:
-        (B, K, height, width) z-depth in metres, background 0, of the type of ``points``.
-
-    Raises:
-        InputError: a face names a vertex that does not exist.
-    """
-    meshes, views, vertices, _ = points.shape
-    if faces.numel() and not 0 <= int(faces.min()) <= int(faces.max()) < vertices:
-        raise InputError("faces to render must name existing vertices")
-    faces = faces.expand(meshes, *faces.shape[-2:])
-    if intrinsics.dim() == 2:
-        intrinsics = intrinsics[:, None]
-    intrinsics = intrinsics.to(points.dtype).expand(meshes, views, 4)
-    if points.device.type == "cpu":
-        arrays = (tensor.numpy() for tensor in (points, faces, intrinsics))
-        return torch.from_numpy(rasterise_arrays(*arrays, height=height, width=width,
-                                                 threads=torch.get_num_threads()))
-    return rasterise_tensors(points, faces, intrinsics, height=height, width=width)
 
 
 def rasterise_tensors(
@@ -132,7 +107,10 @@ def rasterise_tensors(
     height: int,
     width: int,
 ) -> torch.Tensor:
-    """:func:`rasterise` in PyTorch alone; faces (B, F, 3), intrinsics (B, K, 4)."""
+    """Depth pictures (B, K, height, width) of B meshes, K of each, in PyTorch alone.
+
+    Arguments and result are those of :func:`data.rasterise_cpu.rasterise_arrays`, as tensors.
+    """
     meshes = max(1, CHUNK // points.shape[1])
     parts = zip(*(tensor.split(meshes) for tensor in (points, faces, intrinsics)), strict=True)
     return torch.cat([_rasterise(*part, height, width) for part in parts])

@@ -74,13 +74,8 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
 
 def median_depth(frames: np.ndarray) -> np.ndarray:
     """Median (H, W) float32 of frames (N, H, W), pixel by pixel, of those that saw something."""
-    ordered = np.sort(np.where(frames > 0, frames, np.inf).astype(np.float32), axis=0)
-    seen = (frames > 0).sum(axis=0)
-    low, high = np.maximum(seen - 1, 0) // 2, seen // 2
-    high = np.minimum(high, len(frames) - 1)
-    middle = [np.take_along_axis(ordered, at[None], axis=0)[0] for at in (low, high)]
-    with np.errstate(invalid="ignore"):
-        return np.where(seen > 0, (middle[0] + middle[1]) / 2, np.float32(0.0))
+    seen = np.ma.masked_equal(frames.astype(np.float32), 0.0)
+    return np.ma.filled(np.ma.median(seen, axis=0), 0.0)
 
 
 def neighbours(pictures: np.ndarray) -> np.ndarray:

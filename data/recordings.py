@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from common.documents import require_regular
 from common.errors import InputError, one_line
@@ -82,11 +83,9 @@ def rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
         return [(0, 0)] if len(times) else []
     least, times_stillest, most = _STILL
     limit = float(np.clip(times_stillest * np.quantile(moved, 0.25), least, most))
-    still = np.concatenate([[False], moved < limit, [False]]).astype(int)
-    edges = np.diff(still)
-    spans = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True)
-    return [(int(first), int(last)) for first, last in spans
-            if times[last] - times[first] >= LEAST_REST]
+    spans = ndimage.find_objects(ndimage.label(moved < limit)[0])
+    return [(span.start, span.stop - 1) for (span,) in spans
+            if times[span.stop - 1] - times[span.start] >= LEAST_REST]
 
 
 def _depth_topic(reader: Any, file: Path) -> Any:

@@ -1,7 +1,8 @@
 """From the index of a drape to its record: plan, equilibrium, measures, rows of a shard."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -58,14 +59,15 @@ class DatasetConfig:
 
     def as_dict(self) -> dict:
         """All that determines a drape and its record, in JSON's types; not their number."""
-        return {
-            "sampling": self.sampling.as_dict(),
+        settings = {
+            "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
             "rig": self.rig.as_dict(),
             "solver": {"edge_mm": round(1e3 * self.edge, 6)},
             "storage": {"drapes_per_shard": self.drapes_per_shard},
             "code_version": release(),
         }
+        return json.loads(json.dumps(settings))  # tuples are lists in JSON
 
     def rows(self, shard: int) -> range:
         """Indices of the drapes in a shard."""
@@ -106,32 +108,11 @@ def simulate(
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
     edge = config.edge or default_edge(fabric, config.rig)
-    rig = plan.nuisances.rig(config.rig)
-    empty = {name: np.zeros(field.shape, field.dtype)
-             for name, field in fields(0).items()}
-    record = empty | {
-        FACES: np.zeros((0, 3), np.int32),
-        "index": plan.index,
-        "fabric": plan.fabric,
-        "theta": plan.theta,
-        "rejected": plan.rejected,
-        "weight": plan.weight,
-        "nuisances": plan.nuisances.vector,
-        "density": fabric.density,
-        "start": (plan.fallback if lender is None else BORROWED).encode(),
-        "planned": plan.start.encode(),
-        "lender": -1 if lender is None else lender["index"],
-        "seed": plan.seed,
-        "offset": plan.offset,
-        "edge": edge,
-        "residual": np.nan,
-        "drape_coefficient": np.nan,
-        "folds": -1,
-    }
+    record = _planned(plan, lender) | {"density": fabric.density, "edge": edge}
     try:
         result = solver(
             fabric,
-            rig=rig,
+            rig=plan.nuisances.rig(config.rig),
             edge=edge,
             seed=plan.seed,
             offset=tuple(plan.offset),
@@ -154,6 +135,27 @@ def simulate(
             record |= _outcome("out_of_range", str(error))
         return record, None
     return record, result if result.converged else None
+
+
+def _planned(plan: DrapePlan, lender: Record | None) -> dict:
+    """The record of a drape that is not yet made."""
+    return {name: np.zeros(field.shape, field.dtype) for name, field in fields(0).items()} | {
+        FACES: np.zeros((0, 3), np.int32),
+        "index": plan.index,
+        "fabric": plan.fabric,
+        "theta": plan.theta,
+        "rejected": plan.rejected,
+        "weight": plan.weight,
+        "nuisances": plan.nuisances.vector,
+        "start": (plan.fallback if lender is None else BORROWED).encode(),
+        "planned": plan.start.encode(),
+        "lender": -1 if lender is None else lender["index"],
+        "seed": plan.seed,
+        "offset": plan.offset,
+        "residual": np.nan,
+        "drape_coefficient": np.nan,
+        "folds": -1,
+    }
 
 
 def _outcome(status: str, message: str) -> dict:

@@ -7,7 +7,7 @@ drape borrows depends on the outcomes of earlier drapes of its shard as well.
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import lru_cache
 
@@ -79,10 +79,6 @@ class SamplingConfig:
         if not 0 <= self.soft_share <= _LARGEST_SHARE:
             raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
                              f"{_LARGEST_SHARE:g}")
-
-    def as_dict(self) -> dict:
-        """All fields, in JSON's types."""
-        return asdict(self) | {"starts": list(self.starts), "nuisances": self.nuisances.as_dict()}
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -22,6 +22,7 @@ from data.cameras import Camera, CameraRig, Intrinsics, Pose
 from data.rasterise import camera_tensors, render_batch
 from data.reading import MOST_VIEWS
 from data.sensor import load_sensor
+from data.sensor_noise import Share
 
 REFERENCE_DISTANCE = 0.527  # m, of the lengths across the picture
 
@@ -45,7 +46,6 @@ class SyntheticCapture:
     sensor: str
 
 
-_Share = Annotated[float, Field(ge=0, le=1)]
 _Limits = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
@@ -53,7 +53,7 @@ class SetupFile(Schema):
     """``configs/setup/NAME.yaml``, which explains its keys."""
 
     remedy = "see configs/setup/real.yaml"
-    views: list[_Share] = Field(max_length=MOST_VIEWS)
+    views: list[Share] = Field(max_length=MOST_VIEWS)
     distance_mm: _Limits
     pitch_deg: _Limits
     fill: _Limits
@@ -62,10 +62,10 @@ class SetupFile(Schema):
     roll_deg: float = Field(ge=0, le=90)
     focal_percent: float = Field(ge=0, le=50)
     turn_deg: float = Field(ge=0, le=90)
-    sensors: dict[str, _Share] = Field(max_length=100)
+    sensors: dict[str, Share] = Field(max_length=100)
     border_px: int = Field(ge=0, le=100)
     holes: int = Field(ge=0, le=1000)
-    hem_share: _Share
+    hem_share: Share
     hem_mm: float = Field(ge=0, le=1000)
 
 
@@ -115,11 +115,6 @@ class Setups:
     def from_config(cls, config: Mapping) -> "Setups":
         """Build from the mapping of such a file, see :class:`SetupFile`."""
         return cls(**si(SetupFile.of(config, "setup").model_dump()))
-
-    def as_dict(self) -> dict:
-        """All fields, in JSON's types."""
-        return {name: list(value) if isinstance(value, tuple) else value
-                for name, value in asdict(self).items()}
 
     def capture(
         self,

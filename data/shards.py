@@ -5,28 +5,25 @@ bytes depend on its content only: no times, no machine, no random identifiers. I
 hold the checksum of the rest, so that every damage shows, in whichever bit.
 """
 
-import functools
 import hashlib
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
-from common.documents import require_regular
+from common.documents import read_bytes
 from common.errors import InputError, one_line
 from common.files import replace_file
-from data.manifest import MANIFEST, SCHEMA_VERSION
+from data.manifest import SCHEMA_VERSION
 from data.nuisances import NAMES
-from data.progress import over_shards
 
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
-LARGEST_SHARD = 16 << 30  # bytes
+LARGEST_SHARD = 4 << 30  # bytes, of a file and of each of its arrays
 MOST_EXTENT = 1 << 20  # of an array along one of its axes
 MOST_FOLDS = 1000
 
@@ -167,115 +164,74 @@ def _seal(digest: str) -> bytes:
     return text.encode().ljust(SEAL_SIZE, b"\0")
 
 
-def verified_digest(path: Path) -> str:
-    """SHA-256 of a shard's file, hexadecimal, after a look at its own checksum.
-
-    Raises:
-        InputError: the file is cut short or damaged, of another schema version, or no shard.
-        OSError: it cannot be read.
+def _wrong_array(file: h5py.File) -> str:
+    """The first array that is missing, of another type or shape, too large, or that stands in
+    another file; empty where there is none.
     """
-    require_regular(path, LARGEST_SHARD, "shard")
-    with Path(path).open("rb") as file:
-        seal = file.read(SEAL_SIZE)
-        whole, content = hashlib.sha256(seal), hashlib.sha256()
-        while block := file.read(1 << 20):
-            whole.update(block)
-            content.update(block)
-    if seal != _seal(content.hexdigest()):
-        raise InputError(f"{path} is damaged or not a shard of schema version {SCHEMA_VERSION}; "
-                         "generate it again")
-    return whole.hexdigest()
-
-
-def require_unchanged(root: Path, digests: Mapping[str, str]) -> None:
-    """Check that the shards in ``root`` hold what the manifest's ``digests`` say, by name.
-
-    Raises:
-        InputError: one does not, is damaged or cannot be read.
-    """
-    try:
-        changed = [name for name, digest in over_shards(digests.items(), "checking")
-                   if verified_digest(root / name) != digest]
-    except OSError as error:
-        raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
-    if changed:
-        raise InputError(f"{root}: the content of {some(changed)} differs from its digest in "
-                         f"{MANIFEST}; remove these files and generate them again")
-
-
-def some(names: Sequence[str]) -> str:
-    """The first names of many."""
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def _of_whole_file(method: Callable) -> Callable:
-    """A method of a shard that makes an InputError of what HDF5 makes of damage."""
-    @functools.wraps(method)
-    def reading(shard: "Shard", *arguments: object) -> Any:
-        try:
-            return method(shard, *arguments)
-        except InputError:
-            raise
-        except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
-            raise InputError(f"{shard.path} is damaged ({one_line(error)}); generate it again"
-                             ) from None
-    return reading
+    found = {name: file[name] for name in file
+             if isinstance(file.get(name, getlink=True), h5py.HardLink)
+             and isinstance(file[name], h5py.Dataset)}
+    sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
+    if [len(size) for size in sizes] != [1, 3, 3] or any(
+            extent > MOST_EXTENT for size in sizes for extent in size):
+        return "index, positions or faces"
+    (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
+    expected = {name: (field.dtype, (rows, *field.shape))
+                for name, field in fields(vertices).items()}
+    for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
+        array = found.get(name)
+        if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
+                or array.external or array.is_virtual
+                or array.nbytes > LARGEST_SHARD
+                or np.prod(array.chunks or 0, dtype=float) > MOST_EXTENT * 3):
+            return name
+    return ""
 
 
 class Shard:
-    """An open shard, for reading.
+    """A shard in memory, read as a whole and compared with its own checksum.
+
+    Attributes:
+        path: of its file.
+        digest: SHA-256 of the file, hexadecimal.
+        attributes: of the file, by name.
+        storage: bytes on disk of each array's values, compressed.
 
     Raises:
-        InputError: the file cannot be read, is damaged or of another schema version.
+        InputError: the file cannot be read, is cut short, damaged or of another schema version,
+            or is no shard.
     """
 
-    @_of_whole_file
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        require_regular(self.path, LARGEST_SHARD, "shard")
+        data = read_bytes(self.path, LARGEST_SHARD, "shard")
+        if data[:SEAL_SIZE] != _seal(hashlib.sha256(memoryview(data)[SEAL_SIZE:]).hexdigest()):
+            raise InputError(f"{self.path} is damaged or not a shard of schema version "
+                             f"{SCHEMA_VERSION}; generate it again")
+        self.digest = hashlib.sha256(data).hexdigest()
         try:
-            self._file = h5py.File(self.path, "r")
-        except OSError:
-            raise InputError(f"{self.path} is not a readable HDF5 file; "
-                             "generate it again") from None
-        if (found := self.attribute("schema_version")) != SCHEMA_VERSION:
-            self.close()
-            raise InputError(f"{self.path} has the schema version {found}; this program reads "
-                             f"version {SCHEMA_VERSION}: generate it again")
-        if wrong := self._wrong_array():
-            self.close()
+            with h5py.File(io.BytesIO(data), "r") as file:
+                wrong = _wrong_array(file)
+                if not wrong:
+                    self.attributes = {name: value.decode() if isinstance(value, bytes) else value
+                                       for name, value in file.attrs.items()}
+                    self._arrays = {name: file[name][:] for name in (*fields(0), FACES)}
+                    self.storage = {name: rows.id.get_storage_size()
+                                    for name, rows in file.items()}
+        except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
+            # What HDF5 makes of a broken structure.
+            raise InputError(f"{self.path} is damaged ({one_line(error)}); generate it again"
+                             ) from None
+        if wrong:
             raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
                              "docs/data_format.md; generate the shard again")
 
-    def _wrong_array(self) -> str:
-        """The first array that is missing, of another type or shape, too large, or that stands in
-        another file; empty where there is none.
-        """
-        found = {name: self._file[name] for name in self._file
-                 if isinstance(self._file.get(name, getlink=True), h5py.HardLink)
-                 and isinstance(self._file[name], h5py.Dataset)}
-        sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
-        if [len(size) for size in sizes] != [1, 3, 3] or any(
-                extent > MOST_EXTENT for size in sizes for extent in size):
-            return "index, positions or faces"
-        (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
-        expected = {name: (field.dtype, (rows, *field.shape))
-                    for name, field in fields(vertices).items()}
-        for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
-            array = found.get(name)
-            if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
-                    or array.external or array.is_virtual
-                    or np.prod(array.chunks or 0, dtype=float) > MOST_EXTENT * 3):
-                return name
-        return ""
-
-    @_of_whole_file
     def require_sound(self) -> None:
         """InputError for values that no drape has."""
         column = {name: self.column(name) for name, field in fields(0).items()
                   if name not in POINTS}
         done = column["status"] == "converged"
-        vertices, faces = column["vertices"], self._file[FACES][:]
+        vertices, faces = column["vertices"], self._arrays[FACES]
         sound = {
             "theta": np.isfinite(column["theta"]).all(),
             "nuisances": np.isfinite(column["nuisances"]).all(),
@@ -283,7 +239,7 @@ class Shard:
             "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MOST_FOLDS)).all(),
             "rejected": column["rejected"].min(initial=0) >= 0,
             "vertices": ((vertices >= 3 * done)
-                         & (vertices <= self._file["positions"].shape[1])).all(),
+                         & (vertices <= self._arrays["positions"].shape[1])).all(),
             "mesh": ((column["mesh"] >= 0) & (column["mesh"] < len(faces))).all(),
             "faces": faces.min(initial=0) >= 0,
         }
@@ -294,41 +250,17 @@ class Shard:
             raise InputError(f"{self.path}: {wrong[0]} has values that no drape has; generate the "
                              "shard again")
 
-    def __enter__(self) -> "Shard":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
     def __len__(self) -> int:
-        return len(self._file["index"])
+        return len(self._arrays["index"])
 
-    @_of_whole_file
-    def attribute(self, name: str) -> str | int | float | None:
-        """An attribute of the file; None where there is none."""
-        value = self._file.attrs.get(name)
-        return value.decode() if isinstance(value, bytes) else value
-
-    @_of_whole_file
     def column(self, name: str) -> np.ndarray:
         """All rows (N, ...) of a field, as stored; text as str."""
-        rows = self._file[name][:]
+        rows = self._arrays[name]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
-    @_of_whole_file
-    def storage(self) -> dict[str, int]:
-        """Bytes on disk of each field's values, compressed."""
-        return {name: rows.id.get_storage_size() for name, rows in self._file.items()}
-
-    @_of_whole_file
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
-        vertices = slice(int(self._file["vertices"][row]))
-        positions = self._file["positions"][row, vertices] * LENGTH_UNIT
-        rest = self._file["rest"][row, vertices] * LENGTH_UNIT
-        faces = self._file[FACES][int(self._file["mesh"][row])]
+        vertices = slice(int(self._arrays["vertices"][row]))
+        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in POINTS)
+        faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)

@@ -101,23 +101,23 @@ def main(config: LieConfig) -> None:
     scales: list[tuple[np.ndarray, float, int]] = []
     offsets: list[tuple[np.ndarray, complex, int]] = []
     for name in reversed(list(manifest["shards"])):  # networks learn from the first
-        with Shard(root / name) as drapes:
-            fabric, drift = drapes.column("fabric"), drapes.column("offset") @ [1, 1j]
-            for row in np.flatnonzero(drapes.column("status") == "converged"):
-                positions, _, faces = drapes.mesh(row)
-                rng = np.random.default_rng([config.seed, len(scales)])
-                seen = setups.capture(positions, faces, rng, nominal=nominal)
-                for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
-                    views = seen.views * np.float32(math.exp(scale))
-                    camera = located_camera(views, seen.intrinsics, rig)
-                    found = drape_map(views, camera, rig, turns=seen.turns)
-                    scales.append((_scale_features(found), scale, int(fabric[row])))
-                    if scale == 0.0 and len(seen.views) > 1:
-                        turned = np.exp(1j * (seen.orientation - found.zero))
-                        offsets.append((_offset_features(found), drift[row] * turned,
-                                        int(fabric[row])))
-                if len(scales) >= 3 * config.captures:
-                    break
+        drapes = Shard(root / name)
+        fabric, drift = drapes.column("fabric"), drapes.column("offset") @ [1, 1j]
+        for row in np.flatnonzero(drapes.column("status") == "converged"):
+            positions, _, faces = drapes.mesh(row)
+            rng = np.random.default_rng([config.seed, len(scales)])
+            seen = setups.capture(positions, faces, rng, nominal=nominal)
+            for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
+                views = seen.views * np.float32(math.exp(scale))
+                camera = located_camera(views, seen.intrinsics, rig)
+                found = drape_map(views, camera, rig, turns=seen.turns)
+                scales.append((_scale_features(found), scale, int(fabric[row])))
+                if scale == 0.0 and len(seen.views) > 1:
+                    turned = np.exp(1j * (seen.orientation - found.zero))
+                    offsets.append((_offset_features(found), drift[row] * turned,
+                                    int(fabric[row])))
+            if len(scales) >= 3 * config.captures:
+                break
         if len(scales) >= 3 * config.captures:
             break
     features, values, groups = (np.array(part) for part in zip(*scales, strict=True))

@@ -7,7 +7,7 @@ Files depend on the dataset, the set-ups and the seed only, so an interrupted ru
 
 import io
 from concurrent.futures import as_completed
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ def make_maps(
         InputError: no finished dataset.
     """
     manifest = finished_manifest(root)
-    settings = {"dataset": manifest["identity"], "setups": setups.as_dict(), "seed": seed,
+    settings = {"dataset": manifest["identity"], "setups": asdict(setups), "seed": seed,
                 "captures": captures, "neighbours": neighbours}
     folder = out / f"maps_{json_digest(settings)[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -136,28 +136,28 @@ def maps_of_shard(
     nominal = CameraRig.load(rig.name).intrinsics
     found = []
     rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
-    with Shard(shard) as drapes:
-        table = {name: drapes.column(name) for name in _COLUMNS}
-        chosen = np.flatnonzero(table["status"] == "converged")
-        for row in chosen:
-            own = {name: column[row] for name, column in table.items()}
-            positions, _, faces = drapes.mesh(row)
-            derivatives = moves(own, positions, rig) if neighbours else None
-            for number in range(captures):
-                rng = np.random.default_rng([seed, int(own["index"]), number])
-                step, shown = np.zeros(PARAMETERS), positions
-                if derivatives is not None and number:
-                    step = change(own["theta"], table["theta"][chosen], rng)
-                    shown = positions + np.tensordot(step, derivatives, 1)
-                capture = setups.capture(shown, faces, rng, nominal=nominal)
-                camera = located_camera(capture.views, capture.intrinsics, rig)
-                found.append(drape_map(capture.views, camera, rig, turns=capture.turns))
-                scaled = own["nuisances"].copy()
-                scaled[NAMES.index("membrane")] *= np.exp(step[-1])
-                for name, value in zip(rows, (own["theta"] + step[:-1], scaled,
-                                              capture.orientation - found[-1].zero,
-                                              len(capture.views), step.any()), strict=True):
-                    rows[name].append(value)
+    drapes = Shard(shard)
+    table = {name: drapes.column(name) for name in _COLUMNS}
+    chosen = np.flatnonzero(table["status"] == "converged")
+    for row in chosen:
+        own = {name: column[row] for name, column in table.items()}
+        positions, _, faces = drapes.mesh(row)
+        derivatives = moves(own, positions, rig) if neighbours else None
+        for number in range(captures):
+            rng = np.random.default_rng([seed, int(own["index"]), number])
+            step, shown = np.zeros(PARAMETERS), positions
+            if derivatives is not None and number:
+                step = change(own["theta"], table["theta"][chosen], rng)
+                shown = positions + np.tensordot(step, derivatives, 1)
+            capture = setups.capture(shown, faces, rng, nominal=nominal)
+            camera = located_camera(capture.views, capture.intrinsics, rig)
+            found.append(drape_map(capture.views, camera, rig, turns=capture.turns))
+            scaled = own["nuisances"].copy()
+            scaled[NAMES.index("membrane")] *= np.exp(step[-1])
+            for name, value in zip(rows, (own["theta"] + step[:-1], scaled,
+                                          capture.orientation - found[-1].zero,
+                                          len(capture.views), step.any()), strict=True):
+                rows[name].append(value)
     many = np.repeat(chosen, captures)
     return Maps(*compressed(found), **{name: np.array(values) for name, values in rows.items()},
                 **{name: table[name][many] for name in ("fabric", "index")})

@@ -1,7 +1,6 @@
 """The pictures of captures in place of their maps, for a network that sees them as channels."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -40,16 +39,16 @@ def pictures(
     """
     drawn, nominal = setups(fixed=fixed), CameraRig.load(rig).intrinsics
     views, focal, orientation = [], [], []
-    with Shard(Path(shard)) as drapes:
-        index = drapes.column("index")
-        for row in np.flatnonzero(drapes.column("status") == "converged"):
-            positions, _, faces = drapes.mesh(row)
-            for number in range(captures):
-                rng = np.random.default_rng([seed, int(index[row]), number])  # as maps have it
-                seen = drawn.capture(positions, faces, rng, nominal=nominal)
-                views.append(shrunk(seen.views))
-                focal.append(seen.intrinsics.fx / nominal.fx - 1)
-                orientation.append(seen.orientation)
+    drapes = Shard(shard)
+    index = drapes.column("index")
+    for row in np.flatnonzero(drapes.column("status") == "converged"):
+        positions, _, faces = drapes.mesh(row)
+        for number in range(captures):
+            rng = np.random.default_rng([seed, int(index[row]), number])  # as maps have it
+            seen = drawn.capture(positions, faces, rng, nominal=nominal)
+            views.append(shrunk(seen.views))
+            focal.append(seen.intrinsics.fx / nominal.fx - 1)
+            orientation.append(seen.orientation)
     return {"dataset": dataset, "arrays": {
         "views": np.array(views).reshape(len(focal), 4, -1, nominal.width // SHRINK),
         "focal": np.array(focal), "orientation": np.array(orientation)}}

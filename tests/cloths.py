@@ -12,7 +12,7 @@ from data.prior import load_prior
 from data.records import DatasetConfig, make_record
 from data.render import DepthRenderer
 from data.sampling import SamplingConfig
-from data.shards import shard_name, verified_digest, write_shard
+from data.shards import Shard, shard_name, write_shard
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig
 
@@ -47,7 +47,7 @@ def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: o
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
         "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
         "identity": json_digest(config.as_dict()),
-        "shards": {name: verified_digest(root / name)
+        "shards": {name: Shard(root / name).digest
                    for name in map(shard_name, range(config.shards))},
     })
     return root

@@ -175,10 +175,10 @@ def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     networks learn from the first.
     """
     for name in reversed(list(finished_manifest(root)["shards"])):
-        with Shard(root / name) as shard:
-            for row in np.flatnonzero(shard.column("status") == "converged"):
-                positions, _, faces = shard.mesh(row)
-                yield shard.column("theta")[row], positions, faces
+        shard = Shard(root / name)
+        for row in np.flatnonzero(shard.column("status") == "converged"):
+            positions, _, faces = shard.mesh(row)
+            yield shard.column("theta")[row], positions, faces
 
 
 def run(config: Config) -> Result:

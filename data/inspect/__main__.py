@@ -7,13 +7,12 @@ what is in it: outcomes, parameters against the prior, drapes, disk use. Writes 
 histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from common.command import command
 from common.errors import InputError
-from common.files import replace_file, require_folder
+from common.files import replace_file, replace_json, require_folder
 from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots
@@ -49,8 +48,7 @@ def main(config: InspectConfig) -> None:
     shots = take_shots(root, manifest, drapes, count=config.sheet)
     content = report(manifest, drapes, prior)
     print("\n".join(describe(content)))
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    replace_file(out / "report.json", text.encode())
+    replace_json(out / "report.json", content)
     replace_file(out / "histograms.png", histograms(drapes, prior[0]))
     if shots:
         replace_file(out / "contact_sheet.png", contact_sheet(shots))

@@ -1,12 +1,13 @@
 """Whether a dataset's shards are those that its manifest lists."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
-from common.errors import InputError, one_line
+from common.errors import InputError
 from data.manifest import MANIFEST, finished_manifest, require_digest
 from data.progress import over_shards
-from data.shards import SHARDS, Shard, require_unchanged, some
+from data.shards import SHARDS, Shard
 
 
 def check_dataset(root: str | Path) -> dict:
@@ -20,10 +21,7 @@ def check_dataset(root: str | Path) -> dict:
     root = Path(root)
     manifest = finished_manifest(root)
     require_digest(root, manifest["shards"], manifest["hash"])
-    try:
-        _check_shards(root, manifest)
-    except OSError as error:
-        raise InputError(f"cannot read the dataset {root}: {one_line(error)}") from None
+    _check_shards(root, manifest)
     return manifest
 
 
@@ -32,23 +30,30 @@ def _check_shards(root: Path, manifest: dict) -> None:
     digests = manifest["shards"]
     there = {path.name for path in root.glob(SHARDS)}
     if missing := sorted(digests.keys() - there):
-        raise InputError(f"{root} lacks {some(missing)}; generate the missing shards with "
+        raise InputError(f"{root} lacks {_some(missing)}; generate the missing shards with "
                          f"python -m data.generate out={root} and the dataset's settings")
     if extra := sorted(there - digests.keys()):
-        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {some(extra)}; "
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_some(extra)}; "
                          "move them elsewhere")
-    require_unchanged(root, digests)
+    changed: list[str] = []
     indices: list[int] = []
     outcomes: Counter[str] = Counter()
-    for name in over_shards(digests, "counting"):
-        with Shard(root / name) as shard:
-            if shard.attribute("identity") != manifest["identity"]:
-                raise InputError(f"{root / name} belongs to another dataset (identity "
-                                 f"{str(shard.attribute('identity'))[:12]} instead of "
-                                 f"{manifest['identity'][:12]}); remove it and generate it again")
-            shard.require_sound()
-            indices.extend(shard.column("index").tolist())
-            outcomes.update(shard.column("status").tolist())
+    for name, digest in over_shards(digests.items(), "checking"):
+        shard = Shard(root / name)
+        if shard.digest != digest:
+            changed.append(name)
+            continue
+        identity = shard.attributes.get("identity")
+        if identity != manifest["identity"]:
+            raise InputError(f"{root / name} belongs to another dataset (identity "
+                             f"{str(identity)[:12]} instead of {manifest['identity'][:12]}); "
+                             "remove it and generate it again")
+        shard.require_sound()
+        indices.extend(shard.column("index").tolist())
+        outcomes.update(shard.column("status").tolist())
+    if changed:
+        raise InputError(f"{root}: the content of {_some(changed)} differs from its digest in "
+                         f"{MANIFEST}; remove these files and generate them again")
     if indices != list(range(manifest["drapes"])):
         raise InputError(f"{root} should hold the drapes 0 to {manifest['drapes'] - 1} once each, "
                          f"but its shards hold {len(set(indices))} different ones in "
@@ -56,3 +61,8 @@ def _check_shards(root: Path, manifest: dict) -> None:
     if dict(outcomes) != manifest.get("outcomes"):
         raise InputError(f"{root / MANIFEST}: the outcomes counted there differ from those in the "
                          "shards; generate the dataset again, in another folder")
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names of many."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -50,33 +50,26 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     """Read and measure a dataset's drapes; of ``intersections`` of them also where they intersect
     themselves, evenly spread over the converged ones."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-    places, used = [], Counter()
-    for name in over_shards(manifest["shards"], "reading"):
-        with Shard(root / name) as shard:
-            for column, arrays in parts.items():
-                arrays.append(shard.column(column))
-            places += [(name, row) for row in range(len(shard))]
-            stored = shard.storage()
-        used.update(stored)
-        used["other"] += (root / name).stat().st_size - sum(stored.values())
+    places, used, seen = [], Counter(), 0
+    looked_at = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
+    stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
+    for name in over_shards(manifest["shards"], "measuring"):
+        shard = Shard(root / name)
+        for column, arrays in parts.items():
+            arrays.append(shard.column(column))
+        for row in np.flatnonzero(parts["status"][-1] == "converged"):
+            drape = len(places) + row
+            positions, rest, faces = shard.mesh(row)
+            # Held triangles are not stretched, so that it need not be known which are held.
+            stretch[drape] = maximum_stretch(positions, rest, faces,
+                                             np.zeros(len(rest), dtype=bool))
+            if seen in looked_at:
+                crossings[drape] = len(self_intersections(positions, faces))
+            seen += 1
+        places += [(name, row) for row in range(len(shard))]
+        used.update(shard.storage)
+        used["other"] += (root / name).stat().st_size - sum(shard.storage.values())
     columns = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    converged = columns["status"] == "converged"
-    looked_at = set(spread(np.flatnonzero(converged), intersections).tolist())
-    stretch = np.full(len(places), np.nan)
-    crossings = np.full(len(places), -1)
-    first = 0
-    for name, indices in zip(over_shards(manifest["shards"], "measuring"), parts["index"],
-                             strict=True):
-        with Shard(root / name) as shard:
-            for row in np.flatnonzero(converged[first : first + len(indices)]):
-                drape = first + int(row)
-                positions, rest, faces = shard.mesh(row)
-                # Held triangles are not stretched, so that it need not be known which are held.
-                stretch[drape] = maximum_stretch(positions, rest, faces,
-                                                 np.zeros(len(rest), dtype=bool))
-                if drape in looked_at:
-                    crossings[drape] = len(self_intersections(positions, faces))
-        first += len(indices)
     return Drapes(columns, places, stretch, crossings, dict(used))
 
 

@@ -14,7 +14,7 @@ from data.render import DepthRenderer
 from data.shards import Shard
 
 ACROSS = 8  # drapes in a row of the contact sheet
-WIDTH = 1.75  # inches of one
+WIDTH, CAPTION = 1.75, 0.25  # inches of one, and of the line above it
 DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
 STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
 
@@ -51,8 +51,7 @@ def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> lis
 def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | None:
     """One drape; None of a failed one whose coordinates could not be stored."""
     name, row = drapes.places[drape]
-    with Shard(root / name) as shard:
-        positions, rest, faces = shard.mesh(row)
+    positions, rest, faces = Shard(root / name).mesh(row)
     if not rest.any():
         return None
     columns = {key: values[drape] for key, values in drapes.columns.items()}
@@ -63,46 +62,26 @@ def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | Non
                 DepthRenderer(positions, faces).view(camera))
 
 
-def mosaic(views: list[np.ndarray], *, across: int = ACROSS) -> np.ndarray:
-    """Pictures (H, W) side by side, row by row; NaN where there is nothing."""
-    height, width = views[0].shape
-    rows = -(-len(views) // across)
-    sheet = np.full((rows * height, min(across, len(views)) * width), np.nan)
-    for k, view in enumerate(views):
-        top, left = k // across * height, k % across * width
-        sheet[top : top + height, left : left + width] = np.where(view > 0, view, np.nan)
-    return sheet
-
-
 def contact_sheet(shots: list[Shot]) -> bytes:
-    """PNG of all shots; nearer is brighter."""
-    left, top, right, bottom = _window([shot.view for shot in shots])
-    width, height = right - left, bottom - top
-    sheet = mosaic([shot.view[top:bottom, left:right] for shot in shots])
-    rows, across = sheet.shape[0] // height, sheet.shape[1] // width
-    figure = Figure(figsize=(across * WIDTH, rows * WIDTH * height / width), dpi=110)
-    axes = figure.add_axes((0, 0, 1, 1))
-    low, high = np.nanquantile(sheet, (0.01, 0.99)) if np.isfinite(sheet).any() else (0, 1)
-    axes.imshow(sheet, cmap="viridis_r", vmin=low, vmax=high, aspect="auto",
-                interpolation="nearest")
-    axes.set_axis_off()
-    for k, shot in enumerate(shots):
-        x, y = k % across * width, k // across * height
-        axes.text(x + 0.02 * width, y + 0.02 * height, shot.caption, fontsize=7, va="top",
-                  color=MARK if shot.failed else "black")
+    """PNG of all shots, cut to what shows cloth in any; nearer is brighter."""
+    views = np.stack([shot.view for shot in shots])
+    rows, columns = np.nonzero((views > 0).any(axis=0))
+    if len(rows):
+        views = views[:, rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    views = np.where(views > 0, views, np.nan)
+    low, high = np.nanquantile(views, (0.01, 0.99)) if len(rows) else (0, 1)
+    height, width = views.shape[1:]
+    across = min(ACROSS, len(shots))
+    down = -(-len(shots) // across)
+    figure = Figure(figsize=(across * WIDTH, down * (WIDTH * height / width + CAPTION)), dpi=110,
+                    layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, shot, view in zip(panels, shots, views, strict=False):
+        axes.imshow(view, cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest")
+        axes.set_title(shot.caption, fontsize=7, color=MARK if shot.failed else "black")
     return _png(figure)
-
-
-def _window(views: list[np.ndarray]) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of what shows all cloth, with room for a line above it."""
-    cloth = np.any([view > 0 for view in views], axis=0)
-    height, width = cloth.shape
-    rows, columns = np.flatnonzero(cloth.any(axis=1)), np.flatnonzero(cloth.any(axis=0))
-    if not len(rows):
-        return 0, 0, width, height
-    margin = max(1, height // 40)
-    return (max(0, int(columns[0]) - margin), max(0, int(rows[0]) - 4 * margin),
-            min(width, int(columns[-1]) + 1 + margin), min(height, int(rows[-1]) + 1 + margin))
 
 
 def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:

@@ -7,7 +7,6 @@ fitted to the distinct fabrics published with Feng et al. 2022; to fit one to an
     python -m data.prior fit fabrics=FILE out=prior.json
 """
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from common.documents import read_json, shown
 from common.errors import InputError
-from common.files import replace_file
+from common.files import replace_json
 from data.fabrics import THETA_NAMES, from_theta
 from data.prior.base import Prior
 from data.prior.gaussian import GaussianPrior
@@ -72,8 +71,7 @@ def prior_from_content(content: object, *, origin: str) -> Prior:
 
 def save_prior(prior: Prior, path: str | Path) -> None:
     """Write the prior's JSON file; a file that is there is replaced in one step."""
-    text = json.dumps(prior_content(prior), indent=1, ensure_ascii=False) + "\n"
-    replace_file(Path(path), text.encode())
+    replace_json(Path(path), prior_content(prior))
 
 
 def load_prior(name: str | Path) -> Prior:

@@ -59,12 +59,9 @@ class GaussianPrior(Stored):
         factor = np.linalg.cholesky(self.covariance)
         return self.mean + rng.standard_normal((n, 6)) @ factor.T
 
-    def whiten(self, values: np.ndarray) -> np.ndarray:
-        """Differences of theta, values (6, ...), in standard deviations: of unit covariance."""
-        return np.linalg.solve(np.linalg.cholesky(self.covariance), values)
-
     def log_likelihood(self, theta: np.ndarray) -> np.ndarray:
         """Log density (n,) of theta (n, 6), per unit of theta."""
-        white = self.whiten((np.atleast_2d(theta) - self.mean).T)
+        white = np.linalg.solve(np.linalg.cholesky(self.covariance),
+                                (np.atleast_2d(theta) - self.mean).T)
         log_volume = 0.5 * np.linalg.slogdet(self.covariance)[1] + 3 * np.log(2 * np.pi)
         return -0.5 * (white**2).sum(axis=0) - log_volume

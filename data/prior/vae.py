@@ -130,12 +130,12 @@ class VaePrior(Stored):
 
     @classmethod
     def fit(cls, theta: np.ndarray, *, architecture: Architecture = ARCHITECTURES["vae4"],
-            **training: float) -> "VaePrior":
-        """Train on the distinct fabrics theta (F, 6); ``training`` as in :func:`train`."""
+            seed: int = 0) -> "VaePrior":
+        """Train on the distinct fabrics theta (F, 6); ``seed`` as in :func:`train`."""
         theta = check_fabrics(theta, least=20)
         coordinates, points = Coordinates.fit(theta)
         return cls(coordinates=coordinates, fabrics=len(theta),
-                   weights=train(points, architecture, **training))
+                   weights=train(points, architecture, seed))
 
     @cached_property
     def encoder(self) -> Layers:
@@ -208,9 +208,7 @@ class VaePrior(Stored):
             "weights": base64.b64encode(save(self.weights)).decode("ascii")}
 
 
-def train(
-    points: np.ndarray, architecture: Architecture, *, noise: float = 0.0, seed: int = 0
-) -> dict[str, np.ndarray]:
+def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:
     """Weights of an autoencoder (see :class:`VaePrior`) of points (F, 6).
 
     Adam maximises the importance-weighted bound on the likelihood, of ``DRAWS`` latent vectors a
@@ -219,8 +217,6 @@ def train(
     weight, the learning rate falls along a cosine.
 
     Args:
-        noise: standard deviation of what is added to a fabric each time it is seen, in
-            deviations of the table.
         seed: of the first weights, the batches and all noise.
     """
     import torch  # reading and sampling do without
@@ -230,14 +226,12 @@ def train(
     try:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            return _train(torch.tensor(points, dtype=torch.float32), architecture, noise)
+            return _train(torch.tensor(points, dtype=torch.float32), architecture)
     finally:
         torch.set_num_threads(threads)
 
 
-def _train(
-    points: "torch.Tensor", architecture: Architecture, noise: float
-) -> dict[str, np.ndarray]:
+def _train(points: "torch.Tensor", architecture: Architecture) -> dict[str, np.ndarray]:
     import torch
 
     hidden, latent = architecture.hidden, architecture.latent
@@ -252,8 +246,6 @@ def _train(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     for step in range(steps):
         batch = points[torch.randint(len(points), (BATCH,))]
-        if noise:
-            batch = batch + noise * torch.randn_like(batch)
         mean, log_variance = encoder(batch).chunk(2, dim=-1)
         draws = torch.randn(DRAWS, *mean.shape)
         z = mean + torch.exp(0.5 * log_variance) * draws

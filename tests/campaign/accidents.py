@@ -11,7 +11,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +37,10 @@ TRAINING = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "d
 class _Here(Executor):
     """Worker processes that are this process: a start takes no time."""
 
-    def __init__(self, prepare: Callable[[], object]) -> None:
-        self._prepare = cache(prepare)
-
     def submit(self, work: Callable, /, *arguments: Any, **options: Any) -> Future:
         """Do the work at once."""
         future: Future = Future()
         try:
-            self._prepare()
             future.set_result(work(*arguments, **options))
         except InputError as error:
             future.set_exception(error)
@@ -53,8 +48,8 @@ class _Here(Executor):
 
 
 @contextlib.contextmanager
-def _here(workers: int, initializer: Callable, *arguments: object) -> Iterator[Executor]:
-    yield _Here(lambda: initializer(*arguments))
+def _here(workers: int) -> Iterator[Executor]:
+    yield _Here()
 
 
 def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) -> dict:
@@ -62,7 +57,7 @@ def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) 
     if not workers:
         data.workers.worker_pool = _here
     return generate_dataset(small_config(DRAPES, PER_SHARD), out, part=part, parts=parts,
-                            workers=workers or 1, progress=False, solver=fake_drapes.cone)
+                            workers=workers or 1, solver=fake_drapes.cone)
 
 
 def digest(folder: Path, names: str = "*") -> str:

@@ -50,7 +50,7 @@ from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
-from data.shards import SEAL_SIZE, _seal, verified_digest
+from data.shards import SEAL_SIZE, _seal
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
 from drapenet.export import TARGETS, read_material
 from drapenet.network import MapNet
@@ -358,14 +358,16 @@ def _mend_dataset(folder: Path) -> None:
                 path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
         manifest = json.loads((folder / "dataset.json").read_text())
         manifest["identity"] = json_digest(manifest["config"])
-        manifest["shards"] = {name: verified_digest(folder / name) for name in manifest["shards"]}
+        manifest["shards"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+                              for name in manifest["shards"]}
         manifest["hash"] = json_digest(manifest["shards"])
         for path in folder.glob("shard_*.h5"):
             with h5py.File(path, "r+") as file:
                 file.attrs["identity"] = np.bytes_(manifest["identity"].encode())
             content = path.read_bytes()[SEAL_SIZE:]
             path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
-        manifest["shards"] = {name: verified_digest(folder / name) for name in manifest["shards"]}
+        manifest["shards"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+                              for name in manifest["shards"]}
         manifest["hash"] = json_digest(manifest["shards"])
         (folder / "dataset.json").write_text(json.dumps(manifest))
     except Exception:  # damage that cannot be hidden

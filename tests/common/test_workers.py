@@ -68,18 +68,6 @@ def test_joblib_has_a_pool_of_its_own():
         assert pool.submit(os.getenv, "MKL_CBWR").result() == "AUTO"
 
 
-def test_processes_with_an_initializer_are_fresh_and_end_with_the_block():
-    with worker_pool(1) as pool:
-        kept = process_of(pool)
-    with worker_pool(1, os.putenv, "DRAPE_TEST", "prepared") as pool:
-        process = process_of(pool)
-        assert process != kept
-        assert pool.submit(subprocess.getoutput, "echo $DRAPE_TEST").result() == "prepared"
-    assert ended(process)
-    with worker_pool(1) as pool:
-        assert process_of(pool) == kept
-
-
 def test_nobody_comes_and_they_end(monkeypatch):
     monkeypatch.setattr(workers, "IDLE_SECONDS", 0.5)
     with worker_pool(1) as pool:

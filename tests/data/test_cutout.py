@@ -10,6 +10,7 @@ import pytest
 import trimesh
 import yaml
 from cloths import skirt
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 import data.capture
@@ -133,8 +134,8 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
         assert picture.size == (960, 1080)
         below = np.asarray(picture.convert("RGB"), int)[720:]
     assert (below[:, 480:] == 255).all()  # the empty cell
-    for blue, green, red in data.capture._VIEWS[:4]:
-        seen = (np.abs(below[:, 150:480] - (red, green, blue)) < 12).all(axis=2)
+    for colour in data.capture._VIEWS[:4]:
+        seen = (np.abs(below[:, 150:480] - 255 * np.array(to_rgb(colour))) < 12).all(axis=2)
         assert seen.sum() > 100
     assert "capture.png" in capsys.readouterr().out
     save(scene.background[:90], folder / "background.png")
@@ -145,13 +146,13 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
 def test_the_hem_of_a_disc_is_its_circle_on_the_side_of_the_camera():
     grid = np.stack(np.meshgrid(*[np.linspace(-0.15, 0.15, 301)] * 2), axis=-1).reshape(-1, 2)
     disc = grid[np.linalg.norm(grid, axis=1) <= 0.15]
-    line, = data.capture._hem(disc, towards=np.pi)
+    line = data.capture._hem(disc, towards=np.pi)
     assert np.linalg.norm(line, axis=1) == pytest.approx(0.15, abs=2e-3)
     away = np.degrees(np.arctan2(line[:, 1], -line[:, 0]))
     assert [away.min(), away.max()] == pytest.approx([-75, 75], abs=3)
     # A notch that no point is seen in parts the line.
     notched = disc[np.abs(np.arctan2(disc[:, 1], -disc[:, 0])) > np.radians(8)]
-    assert len(data.capture._hem(notched, towards=np.pi)) == 2
+    assert np.isnan(data.capture._hem(notched, towards=np.pi)).all(axis=1).sum() == 1
 
 
 def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene):
@@ -217,7 +218,7 @@ def big_ply(file: Path) -> None:
 
 BAD = {
     "an object": ("view_0.npy", pickled, "floating-point numbers"),
-    "too large an array": ("view_0.npy", huge, "too few for an array of shape (1000000, 1000000)"),
+    "too large an array": ("view_0.npy", huge, "cannot be read"),
     "a short array": ("view_0.npy", lambda f: (huge(f), f.write_bytes(f.read_bytes()[:50])),
                       "cannot be read"),
     "whole numbers": ("view_0.npy", lambda f: np.save(f, np.ones((180, 240), int)),

@@ -77,21 +77,21 @@ def peaceful(tmp_path_factory):
 def test_borrowed_starts_are_earlier_drapes_of_other_fabrics_of_the_shard(peaceful):
     borrowed = 0
     for path in sorted(peaceful.glob("shard_*.h5")):
-        with Shard(path) as shard:
-            names = ("index", "fabric", "status", "start", "planned", "lender")
-            rows = [dict(zip(names, row, strict=True))
-                    for row in zip(*(shard.column(name).tolist() for name in names), strict=True)]
-            for i, row in enumerate(rows):
-                able = [r["index"] for r in rows[:i]
-                        if r["status"] == "converged" and r["fabric"] != row["fabric"]]
-                if row["planned"] == BORROWED and able:
-                    assert row["start"] == BORROWED
-                    assert row["lender"] == choose_lender(row["index"], seed=0, candidates=able)
-                    borrowed += 1
-                else:
-                    assert row["start"] in (STARTS if row["planned"] == BORROWED
-                                            else (row["planned"],))
-                    assert row["lender"] == -1
+        shard = Shard(path)
+        names = ("index", "fabric", "status", "start", "planned", "lender")
+        rows = [dict(zip(names, row, strict=True))
+                for row in zip(*(shard.column(name).tolist() for name in names), strict=True)]
+        for i, row in enumerate(rows):
+            able = [r["index"] for r in rows[:i]
+                    if r["status"] == "converged" and r["fabric"] != row["fabric"]]
+            if row["planned"] == BORROWED and able:
+                assert row["start"] == BORROWED
+                assert row["lender"] == choose_lender(row["index"], seed=0, candidates=able)
+                borrowed += 1
+            else:
+                assert row["start"] in (STARTS if row["planned"] == BORROWED
+                                        else (row["planned"],))
+                assert row["lender"] == -1
     assert borrowed > 3  # else this dataset tests nothing
 
 
@@ -185,7 +185,8 @@ def test_a_full_disk_ends_in_one_line_and_loses_nothing(peaceful, small_disk):
     process = start(out, pause=0)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert error.startswith("error: cannot write") and error.count("\n") == 1
+    message, = [line for line in error.splitlines() if line and "drape/s" not in line]
+    assert message.startswith("error: cannot write")
     assert "No space left on device" in error and "finished shards are kept" in error
     assert not list(out.glob("*.part"))
     kept = {path.name: path.read_bytes() for path in out.glob("shard_*.h5")}

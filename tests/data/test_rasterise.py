@@ -9,13 +9,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from common.errors import InputError
 from data.cameras import CameraRig
-from data.rasterise import (
-    camera_points,
-    camera_tensors,
-    rasterise,
-    rasterise_tensors,
-    render_batch,
-)
+from data.rasterise import camera_points, camera_tensors, rasterise_tensors, render_batch
 from data.rasterise_cpu import rasterise_arrays
 from data.render import DepthRenderer
 from sim.mesh import grid_faces
@@ -191,17 +185,15 @@ def test_each_drape_of_a_batch_is_drawn_as_if_alone(monkeypatch):
         own = {name: value[k : k + 1] if isinstance(value, torch.Tensor) else value
                for name, value in settings.items()}
         assert torch.equal(render_batch(positions[k : k + 1], faces[k], **own)[0], together[k])
-    # Cameras of each picture rather than of each drape, threads, and chunks change nothing.
-    each = settings | {"intrinsics": settings["intrinsics"][:, None].expand(-1, 4, -1),
-                       "world_to_camera": settings["world_to_camera"][:, None]}
+    # Threads and chunks change nothing.
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        assert torch.equal(render_batch(positions, faces, **each), together)
+        assert torch.equal(render_batch(positions, faces, **settings), together)
     finally:
         torch.set_num_threads(threads)
     points = camera_points(positions.float(), settings["angles"], settings["world_to_camera"])
-    arguments = (points, faces, each["intrinsics"].float())
+    arguments = (points, faces, settings["intrinsics"].float()[:, None].expand(-1, 4, -1))
     whole = rasterise_tensors(*arguments, height=HEIGHT, width=WIDTH)
     monkeypatch.setattr("data.rasterise.CHUNK", 8)
     assert torch.equal(rasterise_tensors(*arguments, height=HEIGHT, width=WIDTH), whole)
@@ -226,5 +218,5 @@ def test_faces_must_name_vertices_and_may_repeat_one():
     filled = torch.cat([faces, torch.zeros(1, 7, 3, dtype=faces.dtype)], 1)
     assert torch.equal(render_batch(positions, filled, **settings),
                        render_batch(positions, faces, **settings))
-    nothing = rasterise(torch.zeros(1, 1, 0, 3), faces[:, :0], INTRINSICS, height=3, width=4)
-    assert not nothing.any() and nothing.shape == (1, 1, 3, 4)
+    nothing = render_batch(positions[:, :0], faces[:, :0], **settings)
+    assert not nothing.any() and nothing.shape == (1, 4, HEIGHT, WIDTH)

@@ -10,7 +10,7 @@ import pytest
 
 from common.errors import InputError
 from data.manifest import SCHEMA_VERSION, read_manifest, write_manifest
-from data.shards import SEAL_SIZE, Shard, fields, to_counts, verified_digest, write_shard
+from data.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
 
 VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
@@ -33,8 +33,7 @@ def random_record(seed):
 @pytest.fixture
 def shard(tmp_path):
     write_shard(tmp_path / "s.h5", [random_record(0), random_record(1)], attributes=ATTRIBUTES)
-    with Shard(tmp_path / "s.h5") as file:
-        yield file
+    return Shard(tmp_path / "s.h5")
 
 
 def test_every_field_comes_back(shard):
@@ -50,9 +49,8 @@ def test_every_field_comes_back(shard):
 
 
 def test_attributes_and_units(shard):
-    assert shard.attribute("identity") == "abc"
-    assert shard.attribute("schema_version") == SCHEMA_VERSION
-    assert shard.attribute("absent") is None
+    assert shard.attributes["identity"] == "abc"
+    assert shard.attributes["schema_version"] == SCHEMA_VERSION
     with h5py.File(shard.path) as file:
         assert file["offset"].attrs["unit"] == b"m"
         assert file["positions"].attrs["unit"] == b"1e-5 m"
@@ -67,8 +65,7 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
         "rest": to_counts(rest),
     }
     write_shard(tmp_path / "s.h5", [record], attributes=ATTRIBUTES)
-    with Shard(tmp_path / "s.h5") as shard:
-        back = shard.mesh(0)
+    back = Shard(tmp_path / "s.h5").mesh(0)
     assert np.abs(back[0] - positions).max() <= 0.5001e-5
     assert np.abs(back[1] - rest).max() <= 0.5001e-5
     np.testing.assert_array_equal(back[2], record["faces"])
@@ -82,12 +79,12 @@ def test_each_triangulation_is_stored_once(tmp_path):
             "faces": np.zeros((0, 3))}
     records += [records[0] | small, records[0] | lost]
     write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
-    with Shard(tmp_path / "s.h5") as shard:
-        assert shard.column("mesh").tolist() == [0, 1, 0, 2, 3]
-        for row, record in enumerate(records):
-            positions, rest, faces = shard.mesh(row)
-            assert len(positions) == len(rest) == record["vertices"]
-            np.testing.assert_array_equal(faces, record["faces"])
+    shard = Shard(tmp_path / "s.h5")
+    assert shard.column("mesh").tolist() == [0, 1, 0, 2, 3]
+    for row, record in enumerate(records):
+        positions, rest, faces = shard.mesh(row)
+        assert len(positions) == len(rest) == record["vertices"]
+        np.testing.assert_array_equal(faces, record["faces"])
 
 
 @pytest.mark.parametrize("value", [0.328, -0.328, np.nan, np.inf])
@@ -106,7 +103,7 @@ def test_bytes_depend_on_the_content_alone(tmp_path):
 
 def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
     whole = shard.path.read_bytes()
-    assert verified_digest(shard.path) == hashlib.sha256(whole).hexdigest()
+    assert shard.digest == hashlib.sha256(whole).hexdigest()
     damaged = tmp_path / "damaged.h5"
     rng = np.random.default_rng(0)
     positions = [0, 511, 512, len(whole) - 1, *rng.integers(len(whole), size=40)]
@@ -115,11 +112,11 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
         content[position] ^= 1 << int(rng.integers(8))
         damaged.write_bytes(content)
         with pytest.raises(InputError, match="damaged"):
-            verified_digest(damaged)
+            Shard(damaged)
     for content in (b"", whole[:100], whole[:SEAL_SIZE], whole[:-1], whole + b"\0"):
         damaged.write_bytes(content)
         with pytest.raises(InputError, match="damaged"):
-            verified_digest(damaged)
+            Shard(damaged)
 
 
 def test_the_seal_is_that_of_the_documentation(shard):
@@ -139,10 +136,11 @@ def test_a_record_of_another_shape_is_refused_and_leaves_no_file(tmp_path):
 
 def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
-    write_shard(tmp_path / "old.h5", [random_record(0)],
-                attributes=ATTRIBUTES | {"schema_version": 0})
-    for name, complaint in (("text.h5", "readable"), ("none.h5", "No such file"),
-                            ("old.h5", "schema")):
+    write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
+    content = (tmp_path / "new.h5").read_bytes()
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 6", b"schema 5", 1))
+    for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
+                            ("old.h5", "not a shard of schema version 6")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 

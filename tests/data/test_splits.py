@@ -4,15 +4,17 @@ from test_generate import generate, small_config
 
 from common.errors import InputError
 from data.manifest import finished_manifest, read_manifest, write_manifest
-from data.splits import FRACTIONS, split_by_fabric
+from data.splits import split_by_fabric
+
+FRACTIONS = {"train": 0.8, "validation": 0.1, "test": 0.1}
 
 
 def test_split_is_stable_and_has_its_fractions():
-    names = split_by_fabric(np.arange(5000))
+    names = split_by_fabric(np.arange(5000), fractions=FRACTIONS)
     for name, fraction in FRACTIONS.items():
         assert abs((names == name).mean() - fraction) < 0.02
-    np.testing.assert_array_equal(split_by_fabric(np.array([7, 3, 7])), names[[7, 3, 7]])
-    assert (split_by_fabric(np.arange(5000), seed=1) != names).mean() > 0.2
+    some = split_by_fabric(np.array([7, 3, 7]), fractions=FRACTIONS)
+    np.testing.assert_array_equal(some, names[[7, 3, 7]])
     with pytest.raises(InputError, match="add up"):
         split_by_fabric(np.arange(3), fractions={"train": 0.5, "test": 0.4})
 

@@ -40,7 +40,7 @@ def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> No
         [3 * np.sqrt(1e5)] * 2)
     assert made["finer mesh"].edge < base.edge
     for cell in CELLS.values():  # all are possible
-        assert set(cell.setups) <= set(header.setups.as_dict())
+        assert set(cell.setups) <= set(vars(header.setups))
 
 
 def test_seen_fabrics_are_refused_before_they_are_made(

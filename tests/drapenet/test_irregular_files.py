@@ -18,7 +18,7 @@ from data.prior import load_prior
 from data.reading import read_picture
 from data.recordings import read_recording
 from data.scans import read_scan
-from data.shards import Shard, verified_digest
+from data.shards import Shard
 from drapenet.checkpoint import load_state, read_header
 from drapenet.export import read_material
 from drapenet.refine.scans import read_cloud
@@ -53,7 +53,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "prior.json": load_prior,
     "dataset.json": lambda file: read_manifest(file.parent),
     "shard_00000.h5": Shard,
-    "sealed.h5": verified_digest,
     "net.json": _header,
     "state.safetensors": _state,
     "estimate.json": read_material,
