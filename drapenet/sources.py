@@ -1,7 +1,6 @@
 """What a user names to be estimated: captures and scans, and the checkpoint for them."""
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +40,6 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
     require_alike([one.rig for one in captures],
                   [one.warp_direction is not None for one in captures],
                   [one.density for one in captures])
-    header = known_header(checkpoint or str(bundled(captures[0].rig)))
+    header = read_header(checkpoint or bundled(captures[0].rig))
     header.require_rig(captures[0].rig)
     return header
-
-
-@cache
-def known_header(checkpoint: str) -> Header:
-    """A checkpoint's header, read once a process, so that its network is loaded once too."""
-    return read_header(checkpoint)
