@@ -77,9 +77,9 @@ def main(config: InferConfig) -> None:
         write_files(folder, one.files)
         found.append(one)
     if len(found) > 1:
-        from drapenet.joint import joint_content
+        from drapenet.joint import joint_result
 
-        content = joint_content([one.estimate for one in found], [one.content for one in found])
+        content = joint_result(found).content
         write_estimate(out, content, format_table(content))
     export_estimates([out / ESTIMATE], config.export)
 

@@ -15,18 +15,25 @@ from pathlib import Path
 from typing import Any
 
 import joblib
-import numpy as np
 
 from common.documents import Schema, read_json
 from common.errors import InputError, one_line
-from common.files import remove_file, replace_file, replace_json, replacing, require_folder
+from common.files import remove_file, replace_file, replace_json, require_folder
 from common.provenance import code_state
 from common.workers import worker_pool
 from data.captures import read_capture
 from data.picture import thumbnail
 from data.progress import progress_bar
 from drapenet.checkpoint import read_header
-from drapenet.output import DONE, ESTIMATE, SAMPLES, SHOWN, THUMBNAIL
+from drapenet.output import (
+    DONE,
+    ESTIMATE,
+    SAMPLES,
+    SHOWN,
+    THUMBNAIL,
+    write_result,
+    write_samples,
+)
 from drapenet.overview import write_overview
 from drapenet.sources import header_for
 from drapenet.table import format_fabrics
@@ -152,12 +159,6 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
 
     capture = read_capture(path)
     result = estimate_capture(capture, header_for([capture], checkpoint), **options)
-    found = result.estimate
-    with replacing(folder / SAMPLES) as stream:
-        np.savez(stream, samples=found.samples, names=np.array(found.names), axis=found.axis,
-                 certainty=found.certainty, density=found.density, spread=found.spread,
-                 warnings=np.array(found.warnings, dtype=str))
+    write_samples(folder, result.estimate)
     replace_file(folder / THUMBNAIL, thumbnail(capture.views[0]))
-    for name, data in result.files.items():
-        replace_file(folder / name, data)
-    replace_json(folder / ESTIMATE, result.content)
+    write_result(folder, result)

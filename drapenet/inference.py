@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -16,7 +16,7 @@ from data.nuisances import at_density
 from data.setups import Setups
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
-from drapenet.content import interval_table, to_json
+from drapenet.content import Result, interval_table, to_json
 from drapenet.estimate import Estimate, make_estimate
 from drapenet.maps import located_camera
 from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
@@ -86,22 +86,6 @@ def capture_doubts(
         raise InputError(f"{capture.path}: {error}") from None
     return [*camera_doubts(camera, setups), *turn_doubts(found.turns, capture.turns),
             *quality_doubts(quality)]
-
-
-@dataclass(frozen=True)
-class Result:
-    """What is known of one capture.
-
-    Attributes:
-        estimate: with its own warnings.
-        content: of ``estimate.json``.
-        files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
-            was wanted.
-    """
-
-    estimate: Estimate
-    content: dict[str, Any]
-    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def estimate_capture(

@@ -3,13 +3,25 @@ run; of a capture among hundreds also what the tables and pages are made of.
 """
 
 import os
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from common.documents import read_json
 from common.errors import InputError
-from common.files import remove_file, replace_file, replace_json, require_file, require_folder
+from common.files import (
+    remove_file,
+    replace_file,
+    replace_json,
+    replacing,
+    require_file,
+    require_folder,
+)
+from drapenet.content import Result
+from drapenet.estimate import Estimate
 
 ESTIMATE = "estimate.json"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
@@ -76,8 +88,36 @@ def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
     print(f"estimate: {out / ESTIMATE}")
 
 
+def write_result(out: Path, result: Result) -> None:
+    """Write ``result``, its estimate last: where that is, all of it is."""
+    for name, data in result.files.items():
+        replace_file(out / name, data)
+    replace_json(out / ESTIMATE, result.content)
+
+
+def write_samples(out: Path, estimate: Estimate) -> None:
+    """Keep the samples of a capture's ``estimate`` for the joint one of its fabric."""
+    with replacing(out / SAMPLES) as stream:
+        np.savez(stream, **vars(estimate))
+
+
+def read_result(out: Path) -> Result:
+    """The result of one capture among many, without its pictures; InputError where it is damaged.
+    """
+    try:
+        content = read_json(out / ESTIMATE)
+        with np.load(out / SAMPLES, allow_pickle=False) as file:
+            kept = dict(file)
+        texts = {name: tuple(kept.pop(name).tolist()) for name in ("names", "warnings")}
+        numbers = {name: float(kept.pop(name)) for name in ("axis", "certainty", "density")}
+        return Result(Estimate(**kept, **texts, **numbers), content)
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise InputError(f"{out} is damaged ({type(error).__name__}); remove it and run the "
+                         "same command again") from None
+
+
 def write_files(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write what shows an estimate (:class:`drapenet.inference.Result`); a failure is a warning."""
+    """Write what shows an estimate (:class:`drapenet.content.Result`); a failure is a warning."""
     written = []
     for name, data in files.items():
         try:

@@ -10,7 +10,7 @@ from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.workers import follow
-from drapenet.output import ESTIMATE
+from drapenet.output import ESTIMATE, write_result
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
@@ -42,15 +42,14 @@ def warm_up(parent: int) -> None:
     follow(parent)
     from data.cameras import DEFAULT_RIG
     from data.render import import_open3d
-    from drapenet.checkpoint import bundled
+    from drapenet.checkpoint import bundled, read_header
     from drapenet.inference import network_of
     from drapenet.report import draw_report  # noqa: F401
     from drapenet.resimulate import EDGE
-    from drapenet.sources import known_header
     from sim.drape import drape
     from sim.material import MICRO, Fabric
 
-    network_of(known_header(str(bundled(DEFAULT_RIG))))
+    network_of(read_header(bundled(DEFAULT_RIG)))
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
 
@@ -86,9 +85,7 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
         result = estimate_capture(capture, header_for([capture]), seen=seen, refine=refine,
                                   first=first, progress=_throttled(folder))
-        for file, data in result.files.items():
-            replace_file(folder / file, data)
-        replace_json(folder / ESTIMATE, result.content)
+        write_result(folder, result)
         change_state(folder, state=DONE, stage=None, progress=None, ended=time.time())
     except InputError as error:
         sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)

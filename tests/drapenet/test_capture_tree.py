@@ -82,6 +82,13 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     file.write_text(file.read_text().replace("150.0", "300.0"))
     infer.main(words)
     assert rows(out / "fabrics.csv")[0]["density_g_m2"] == "300"
+    # A damaged file costs its fabric, and no other.
+    samples = sorted(out.rglob("samples.npz"))[0]
+    samples.write_bytes(samples.read_bytes()[:-100])
+    infer.main(words)
+    assert len(rows(out / "fabrics.csv")) == 1
+    assert any("is damaged (BadZipFile); remove it" in row["reason"]
+               for row in rows(out / "failures.csv"))
 
 
 def test_a_tree_of_broken_captures_ends_with_an_error_and_a_list(tmp_path, untrained_checkpoint):
