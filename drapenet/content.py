@@ -22,7 +22,7 @@ class Result:
     """What is known of a capture, or of a fabric from several.
 
     Attributes:
-        estimate: with its own warnings.
+        estimate: with all warnings, also those of capture and refinement.
         content: of ``estimate.json``.
         files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
             was wanted.
