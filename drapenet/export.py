@@ -10,7 +10,6 @@ what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction 
 secant of the torque at a stated curvature.
 """
 
-import csv
 import hashlib
 import io
 import json
@@ -34,7 +33,7 @@ from drapenet.config import ExportConfig
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
 from drapenet.output import ESTIMATE, result_name
-from drapenet.table import csv_number, interval_columns
+from drapenet.table import csv_number, csv_table, interval_columns
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.hinge_laws import ARCSIM, mean_modulus
 from sim.material import BIAS, MICRO, NANO, SOFTENING_LIMIT, WARP, WEFT, torque
@@ -390,16 +389,12 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
-    stream = io.StringIO()
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
              **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
              "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
             for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
                                          strict=True)]
-    writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return {name: stream.getvalue().encode()}
+    return {name: csv_table(rows).encode()}
 
 
 def _torque(material: Material, name: str) -> dict[str, bytes]:

@@ -5,7 +5,6 @@ All are made from the files of finished captures (:mod:`drapenet.batch`), those 
 joined (:mod:`drapenet.joint`).
 """
 
-import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,14 +23,13 @@ from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from drapenet.joint import joint_result
 from drapenet.output import ESTIMATE, REPORT, THUMBNAIL, read_result
 from drapenet.pages import render
-from drapenet.table import csv_number, interval_columns, with_interval
+from drapenet.table import csv_number, csv_table, interval_columns, with_interval
 from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
 SPREAD, INDEX = "captures.png", "index.html"
-_FORMULA = "=+-@\t\r\n"  # a cell that begins like this is computed by spreadsheets
 
 
 @dataclass(frozen=True)
@@ -84,11 +82,13 @@ def write_overview(
         except InputError as error:
             apart += 1
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
-    _write_csv(out / "summary.csv", [_summary_row(one) for one in fabrics])
-    _write_csv(out / "fabrics.csv", [_fabric_row(one) for one in fabrics])
-    _write_csv(out / "captures.csv", [_capture_row(*one) for fabric in fabrics
-                                      for one in fabric.captures])
-    _write_csv(out / "failures.csv", failures, FAILURE)
+    for name, rows, columns in (
+            ("summary", [_summary_row(one) for one in fabrics], ()),
+            ("fabrics", [_fabric_row(one) for one in fabrics], ()),
+            ("captures", [_capture_row(*one) for each in fabrics for one in each.captures], ()),
+            ("failures", failures, FAILURE)):
+        # Excel takes it for UTF-8 with a mark.
+        replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
     for fabric in fabrics:
         folder = out / fabric.place
         replace_json(folder / ESTIMATE, fabric.content)
@@ -170,29 +170,6 @@ def _figures(content: dict[str, Any]) -> dict[str, object]:
                 else:
                     row |= interval_columns(name, value)
     return row
-
-
-def _write_csv(
-    path: Path, rows: Sequence[dict[str, object]], columns: Sequence[str] = ()
-) -> None:
-    """A table for spreadsheets; ``columns`` are those of a table that may have no rows."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
-                            lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    replace_file(path, ("\ufeff" + stream.getvalue()).encode())  # Excel takes it for UTF-8
-
-
-def _cell(value: object) -> object:
-    """No formula: names are a user's, and may come from anywhere. Numbers stay numbers."""
-    if not isinstance(value, str) or not value.startswith(tuple(_FORMULA)):
-        return "" if value is None else value
-    try:
-        float(value)
-    except ValueError:
-        return "'" + value
-    return value
 
 
 def _spread(fabric: FabricResult) -> bytes:

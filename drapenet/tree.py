@@ -1,13 +1,12 @@
 """Which captures a laboratory's tree of folders, or its list, holds, and where results go."""
 
-import csv
 import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.documents import LARGEST_TABLE, read_text, shown
+from common.documents import read_table, shown
 from common.errors import InputError, one_line
 from data.captures import MARKS
 
@@ -81,23 +80,17 @@ def _stop(error: OSError) -> None:
 
 
 def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
-    try:
-        text = read_text(file, LARGEST_TABLE, "list").splitlines()
-        # Spreadsheets write semicolons where the comma is decimal.
-        separator = ";" if text and ";" in text[0] and "," not in text[0] else ","
-        lines = csv.DictReader(text, delimiter=separator, strict=True)
-        missing = {"fabric", "capture"} - set(lines.fieldnames or ())
-        if missing:
-            raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
-                             f"{','.join(COLUMNS)}")
-        for number, row in enumerate(lines, start=2):
-            fabric, sample, capture = ((row.get(name) or "").strip() for name in COLUMNS)
-            if not fabric or not capture:
-                raise InputError(f"{file}, line {number}: fabric={shown(fabric)} and "
-                                 f"capture={shown(capture)} must both be given")
-            yield (fabric, sample, capture), file.parent / capture
-    except csv.Error as error:
-        raise InputError(f"{file} cannot be read ({one_line(error)}); give a CSV file") from None
+    header, rows = read_table(file, "list")
+    if missing := {"fabric", "capture"} - set(header):
+        raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
+                         f"{','.join(COLUMNS)}")
+    for line, row in rows:
+        cells = dict(zip(header, row, strict=False))
+        fabric, sample, capture = (cells.get(name, "").strip() for name in COLUMNS)
+        if not fabric or not capture:
+            raise InputError(f"{file}, line {line}: fabric={shown(fabric)} and "
+                             f"capture={shown(capture)} must both be given")
+        yield (fabric, sample, capture), file.parent / capture
 
 
 def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:

@@ -10,7 +10,7 @@ from cloths import capture_views
 import infer
 from common.errors import InputError
 from data.captures import write_capture
-from drapenet.overview import _cell, _write_csv
+from drapenet.table import csv_table
 from drapenet.tree import entries_of, plain_name
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
@@ -181,10 +181,15 @@ def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
     assert "\n" not in str(raised.value)
 
 
-def test_cells_are_no_formulas_but_numbers_stay(tmp_path):
-    assert [_cell(value) for value in ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain")] == [
-        "'=1+1", "'@x", "'\tx", "-2.5", "+3", -2.5, "", "plain"]
-    _write_csv(tmp_path / "t.csv", [{"a": 'x,"y"\nz', "b": -1}])
-    assert rows(tmp_path / "t.csv") is not None
-    with (tmp_path / "t.csv").open(encoding="utf-8-sig", newline="") as stream:
-        assert list(csv.reader(stream)) == [["a", "b"], ['x,"y"\nz', "-1"]]
+def test_cells_are_no_formulas_but_numbers_stay():
+    values = ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain", 'x,"y"\nz')
+    text = csv_table([dict(enumerate(values))])
+    assert list(csv.reader(text.splitlines(keepends=True)))[1] == [
+        "'=1+1", "'@x", "'\tx", "-2.5", "+3", "-2.5", "", "plain", 'x,"y"\nz']
+
+
+def test_the_line_of_a_faulty_row_counts_empty_ones(tmp_path):
+    file = tmp_path / "list.csv"
+    file.write_text("fabric,capture\nsilk,one\n\nsilk,\n")
+    with pytest.raises(InputError, match="line 4: fabric='silk' and capture='' must"):
+        entries_of(file)

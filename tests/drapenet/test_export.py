@@ -240,6 +240,8 @@ def test_the_name_of_the_fabric_is_in_the_files(estimate: Path) -> None:
         usda = exported(estimate, "usd", name=name).read_text()
         assert f'{wanted}"' in usda and "/Fabric" not in usda
         assert exported(estimate, "csv", name=name).read_text().splitlines()[1].endswith(wanted)
+    formula = exported(estimate, "csv", name="=1+1").read_text()
+    assert formula.splitlines()[1].endswith(",'=1+1")
 
 
 def test_programs_stand_for_their_format_and_folders_for_their_estimate(
