@@ -22,7 +22,7 @@ from common.files import remove_file, replace_file, replace_json, require_folder
 from common.provenance import code_state
 from common.workers import worker_pool
 from data.captures import read_capture
-from data.picture import thumbnail
+from data.picture import thumbnails
 from data.progress import progress_bar
 from drapenet.checkpoint import read_header
 from drapenet.output import (
@@ -160,5 +160,5 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
     capture = read_capture(path)
     result = estimate_capture(capture, header_for([capture], checkpoint), **options)
     write_samples(folder, result.estimate)
-    replace_file(folder / THUMBNAIL, thumbnail(capture.views[0]))
+    replace_file(folder / THUMBNAIL, thumbnails(capture.views[:1]))
     write_result(folder, result)

@@ -136,8 +136,8 @@ def estimate_capture(
         first(result({}).content)
     drape, files = None, {}
     if refine and (refine is True or refine["by"] != "none"):
-        refined = _refined(inferred, capture, doubts, rig=rig, seen=seen, known=known,
-                           settings=None if refine is True else refine, progress=progress)
+        refined = _refined(inferred, capture, doubts, seen=seen, known=known, progress=progress,
+                           settings=None if refine is True else refine)
         if refined:
             doubts += refined.doubts
             before = interval_table(estimate, estimate.density)

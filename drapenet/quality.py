@@ -15,9 +15,9 @@ from common.errors import InputError
 from data.cameras import Camera
 from drapenet.canonical import DrapeMap, disagreement
 from drapenet.lie import specimen_lie
+from drapenet.registration import INNER
 from sim.scene import Rig
 
-_INNER = 0.7  # of the plate's radius, where cloth lies flat on it
 _OFF_PLATE = 10e-3  # m, from the plate's plane: not cloth that lies on it
 _TIE = 1.5e-3  # m, depths of a border that a threshold has cut
 LARGEST_SCALE = 0.05  # of the logarithm of the scale
@@ -175,7 +175,7 @@ def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
     """Bulge of the cloth on the plate, m, from the middle to the edge of the paraboloid through
     it, and the share of points (N, 3), m, over the plate that lie off its plane.
     """
-    reach = _INNER * rig.plate_radius
+    reach = INNER * rig.plate_radius
     over = points[np.hypot(points[:, 0], points[:, 1]) < reach]
     flat = np.abs(over[:, 2]) < _OFF_PLATE
     x, y, z = over[flat].T

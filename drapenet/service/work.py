@@ -95,21 +95,14 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
 def preview(capture: Any) -> bytes:
     """PNG of what was captured: frames with the cloth outlined, or the cloth of each view."""
-    import cv2
-    import numpy as np
-
     from data.capture import picture
-    from data.picture import thumbnail
+    from data.picture import thumbnails
     from sim.scene import Rig
 
     if capture.cut:
         return picture(capture.cut, capture.intrinsics, Rig.from_name(capture.rig),
                        turns=capture.turns)
-    tiles = [cv2.imdecode(np.frombuffer(thumbnail(view), np.uint8), cv2.IMREAD_COLOR)
-             for view in capture.views]
-    gap = np.full((tiles[0].shape[0], 12, 3), 255, np.uint8)
-    row = [part for tile in tiles for part in (tile, gap)][:-1]
-    return cv2.imencode(".png", np.hstack(row))[1].tobytes()
+    return thumbnails(capture.views)
 
 
 def _throttled(folder: Path) -> Callable[[int, int, float], None]:
