@@ -127,8 +127,6 @@ def check(config: InferConfig) -> None:
         raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
     if config.edge_mm:
         check_edge(1e-3 * config.edge_mm)
-    if config.membrane_n_per_m < 0:
-        raise InputError(f"membrane_n_per_m={config.membrane_n_per_m:g} must be positive")
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:

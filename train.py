@@ -22,7 +22,6 @@ from drapenet.config import TrainConfig, learning_rate
 
 def train(config: TrainConfig) -> Path:
     """Train, or go on training, and return the checkpoint with the least validation loss."""
-    config.check()
     out = folder_named(config.out)
     require_folder(out / "tensorboard")
     with deferred():  # torch takes seconds, and a bad word should be refused at once

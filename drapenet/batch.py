@@ -64,8 +64,6 @@ def estimate_tree(
         InputError: no captures, a bad checkpoint, a folder that cannot be written to, or not one
             capture that can be estimated.
     """
-    if workers < 0:
-        raise InputError(f"workers={workers} must be 0, one for each core, or more")
     entries = entries_of(source)
     require_folder(out)
     chosen = str(read_header(checkpoint).path) if checkpoint else ""

@@ -23,6 +23,7 @@ from data.manifest import finished_manifest
 from data.setups import Setups
 from data.shards import Shard
 from drapenet.canonical import AZIMUTHS, DrapeMap, drape_map
+from drapenet.config import FromOne, FromZero
 from drapenet.maps import located_camera
 from sim.scene import Rig
 
@@ -38,8 +39,8 @@ class LieConfig:
 
     data: str
     rig: str
-    captures: int
-    seed: int
+    captures: FromOne
+    seed: FromZero
 
 
 def specimen_lie(found: DrapeMap, rig: Rig) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
+from common.files import folder_named, require_folder
 from data.captures import MARKS
 from drapenet.export import MESHES, TARGETS, read_material
 from drapenet.output import ESTIMATE, SHOWN
@@ -66,7 +67,7 @@ def serve(settings: Settings) -> None:
     Raises:
         InputError: settings out of range, or an address that cannot be listened at.
     """
-    settings.check()
+    require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
         http=ImpatientProtocol, ws="none",
