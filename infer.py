@@ -42,6 +42,7 @@ DRAPES = 2  # of the report of a single capture
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
+    exports = exports_named(config.export)
     options = {"refine": config.refine, "drapes": config.drapes,
                "edge": config.edge_mm * 1e-3, "known": known(config),
                "strict": config.strict}
@@ -52,7 +53,7 @@ def main(config: InferConfig) -> None:
         estimate_tree(Path(config.captures), root,
                       checkpoint=config.checkpoint, workers=config.workers,
                       **options | {"drapes": max(config.drapes, 0)})
-        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), config.export)
+        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), exports)
         return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
@@ -81,17 +82,23 @@ def main(config: InferConfig) -> None:
 
         content = joint_result(found).content
         write_estimate(out, content, format_table(content))
-    export_estimates([out / ESTIMATE], config.export)
+    export_estimates([out / ESTIMATE], exports)
 
 
-def export_estimates(files: list[Path], names: str) -> None:
-    """Write the exports ``names`` beside each ``estimate.json`` of ``files``."""
-    if not names:
-        return
-    from drapenet.export import export_all, read_material, targets_named
+def exports_named(words: str) -> list[str]:
+    """Names of the exports that the key ``export`` lists."""
+    if not words:
+        return []
+    from drapenet.export import targets_named
 
-    targets = targets_named(names, "export")
-    for file in files:
+    return targets_named(words, "export")
+
+
+def export_estimates(files: list[Path], targets: list[str]) -> None:
+    """Write the exports ``targets`` beside each ``estimate.json`` of ``files``."""
+    for file in files if targets else ():
+        from drapenet.export import export_all, read_material
+
         written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
@@ -119,10 +126,6 @@ def check(config: InferConfig) -> None:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
         raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
-    if config.export:
-        from drapenet.export import targets_named
-
-        targets_named(config.export, "export")
     if not -1 <= config.drapes <= 4:
         raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
     if config.edge_mm:

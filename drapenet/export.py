@@ -5,9 +5,9 @@
     python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
     python -m drapenet.export to=list
 
-:data:`TARGETS` says what each tool gets, in which unit, by which relation, from which source, and
-what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction gets alpha, or the
-secant of the torque at a stated curvature.
+``docs/exports.md`` says what each tool gets, in which unit, by which relation, from which source,
+and what is lost. A tool with one modulus a direction gets alpha, or the secant of the torque at a
+stated curvature.
 """
 
 import hashlib
@@ -174,15 +174,12 @@ class Target:
 
     Attributes:
         file: its usual name.
-        tool, fields, relation, source, lost: for people.
+        tool, lost: for people; what of the estimate is not in the file.
         write: the bytes of the files by their names, the first for the name given.
     """
 
     file: str
     tool: str
-    fields: str
-    relation: str
-    source: str
     lost: str
     write: Callable[[Material, str], dict[str, bytes]]
 
@@ -408,53 +405,24 @@ def _torque(material: Material, name: str) -> dict[str, bytes]:
 TARGETS = {
     "jfab": Target(
         "fabric.jfab", "CLO, Marvelous Designer",
-        "`mapPhysical`: `fBuK` weft, `fBvK` warp, `fBhK` bias, `fDensity` g/mm²",
-        "g·mm²/s²: α · 10⁹, at most 2 · 10⁶",
-        "keys and defaults as written by ttiimmaacc/mcp-for-clo3d; unit from Unreal's importer of "
-        "CLO's USD",
         "β; stretch, shear, thickness and friction, which get CLO's defaults; not opened in CLO",
         _jfab),
-    "u3m": Target(
-        "fabric.u3m", "Browzwear, U3M 1.1",
-        "`custom.browzwear.bend.length` warp, `.width` weft, `mass` g/m², in `fabric.fab.json` "
-        "beside it", "dyn·cm: α · 10⁷", "vizoogmbh/u3m, `u3m1.1/physics`; unit derived from FAB's "
-        "loads", "bias, β, stretch; not opened in VStitcher", _u3m),
-    "usd": Target(
-        "fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
-        "`primvars:clo:bendingWarp`, `Weft`, `BiasLeft`, `BiasRight`, `density`; "
-        "`physics:surfaceBendStiffness`",
-        "α · 10⁹; mean of α over all directions, N·m",
-        "Unreal's `InterchangeOpenUSDChaosCloth`; AOUSD proposal `wp_deformable_physics`",
-        "β; the proposal's names may change; not opened in Unreal", _usd),
+    "u3m": Target("fabric.u3m", "Browzwear, U3M 1.1",
+                  "bias, β, stretch; not opened in VStitcher", _u3m),
+    "usd": Target("fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
+                  "β; the proposal's names may change; not opened in Unreal", _usd),
     "arcsim": Target(
-        "arcsim.json", "ARCSim", "`bending` [3][5], `density` kg/m²",
-        "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; a row each for edges along warp, bias, "
-        "weft, which bend weft, bias, warp",
-        "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
+        "arcsim.json", "ARCSim",
         "β beyond 40 m⁻¹, and at negative angles, where ARCSim extrapolates the table and cloth of "
         "β < 0 stiffens; add `stretching` and damping yourself", _arcsim),
-    "newton": Target(
-        "newton_fabric.py", "Newton 1.8",
-        "Style3D `edge_aniso_ke`; VBD `edge_bending_properties`",
-        "(weft, warp, bias) · ratio / 3; 2α · ratio / (h₀ + h₁) an edge",
-        "newton 1.8: `style3d/kernels.py`, `style3d/cloth.py`, `vbd/particle_vbd_kernels.py`",
-        "β; Style3D's own law between the directions", _newton),
-    "ppf": Target(
-        "ppf.toml", "ppf-contact-solver", "`bend`, `bend-warp`, `bend-weft`, `shell_density`",
-        "α · ratio / (1.28 · 10⁻⁵ ρ)", "st-tech/ppf-contact-solver, `energy.cu`, `data.hpp`",
-        "β; bias, which is the mean of warp and weft there", _ppf),
-    "json": Target(
-        "material.json", "any", "SI moduli, density, intervals", "as estimated", "this project",
-        "nothing", _neutral),
-    "csv": Target(
-        "material.csv", "spreadsheets", "moduli with intervals, µN·m and nN·m²", "as estimated",
-        "this project", "origin and warnings; the name is kept", _table),
-    "torque": Target(
-        "torque.csv", "tools with a curve", "torque per width, mN, over curvature, 1/m",
-        "ακ + βκ², straight beyond the law's limit", "`docs/physics.md`", "intervals", _torque),
+    "newton": Target("newton_fabric.py", "Newton 1.8",
+                     "β; Style3D's own law between the directions", _newton),
+    "ppf": Target("ppf.toml", "ppf-contact-solver",
+                  "β; bias, which is the mean of warp and weft there", _ppf),
+    "json": Target("material.json", "any", "nothing", _neutral),
+    "csv": Target("material.csv", "spreadsheets", "origin and warnings; the name is kept", _table),
+    "torque": Target("torque.csv", "tools with a curve", "intervals", _torque),
 }
-
-
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
            "vbd": "newton"}
