@@ -23,6 +23,7 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
+from drapenet.export import export_all, read_material, targets_named
 from drapenet.output import (
     ESTIMATE,
     keep_estimate,
@@ -42,7 +43,7 @@ DRAPES = 2  # of the report of a single capture
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
-    exports = exports_named(config.export)
+    exports = targets_named(config.export, "export") if config.export else []
     options = {"refine": config.refine, "drapes": config.drapes,
                "edge": config.edge_mm * 1e-3, "known": known(config),
                "strict": config.strict}
@@ -85,20 +86,9 @@ def main(config: InferConfig) -> None:
     export_estimates([out / ESTIMATE], exports)
 
 
-def exports_named(words: str) -> list[str]:
-    """Names of the exports that the key ``export`` lists."""
-    if not words:
-        return []
-    from drapenet.export import targets_named
-
-    return targets_named(words, "export")
-
-
 def export_estimates(files: list[Path], targets: list[str]) -> None:
     """Write the exports ``targets`` beside each ``estimate.json`` of ``files``."""
     for file in files if targets else ():
-        from drapenet.export import export_all, read_material
-
         written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
