@@ -18,12 +18,11 @@ from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doub
 from drapenet.checkpoint import Header, load_model
 from drapenet.content import Result, interval_table, to_json
 from drapenet.estimate import Estimate, make_estimate
-from drapenet.maps import located_camera
 from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
 from drapenet.pages import render
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts, require_plate
-from drapenet.registration import camera_doubts
+from drapenet.registration import camera_doubts, locate_camera
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
@@ -63,7 +62,7 @@ def infer_capture(
             where they are known.
     """
     rig = Rig.from_name(header.rig)
-    camera = located_camera(capture.views, capture.intrinsics, rig)
+    camera = locate_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
     given = {"membrane": membrane, "friction": friction}
     known = at_density({name: value for name, value in given.items() if value is not None},

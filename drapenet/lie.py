@@ -24,7 +24,7 @@ from data.setups import Setups
 from data.shards import Shard
 from drapenet.canonical import AZIMUTHS, DrapeMap, drape_map
 from drapenet.config import FromOne, FromZero
-from drapenet.maps import located_camera
+from drapenet.registration import locate_camera
 from sim.scene import Rig
 
 FILE = Path(__file__).parent / "weights" / "lie.json"
@@ -110,7 +110,7 @@ def main(config: LieConfig) -> None:
                 seen = setups.capture(positions, faces, rng, nominal=nominal)
                 for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                     views = seen.views * np.float32(math.exp(scale))
-                    camera = located_camera(views, seen.intrinsics, rig)
+                    camera = locate_camera(views, seen.intrinsics, rig)
                     found = drape_map(views, camera, rig, turns=seen.turns)
                     scales.append((_scale_features(found), scale, int(fabric[row])))
                     if scale == 0.0 and len(seen.views) > 1:

@@ -7,7 +7,7 @@ Files depend on the dataset, the set-ups and the seed only, so an interrupted ru
 
 import io
 from concurrent.futures import as_completed
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from common.files import remove_partial, replace_file
 from common.workers import worker_pool
-from data.cameras import Camera, CameraRig, Intrinsics
+from data.cameras import CameraRig
 from data.manifest import finished_manifest, json_digest
 from data.nuisances import NAMES
 from data.setups import Setups
@@ -71,13 +71,6 @@ class Maps:
         """The rows of all parts."""
         return Maps(*map(np.concatenate, zip(*(vars(part).values() for part in parts),
                                            strict=True)))
-
-
-def located_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
-    """The camera of views (K, H, W), m: its intrinsics as given, its pose from the plate."""
-    nominal = CameraRig.load(rig.name).nominal()
-    return locate_camera(views, replace(nominal, **vars(intrinsics)),
-                         plate_radius=rig.plate_radius)
 
 
 def make_maps(
@@ -150,7 +143,7 @@ def maps_of_shard(
                     step = change(own["theta"], table["theta"][chosen], rng)
                     shown = positions + np.tensordot(step, derivatives, 1)
                 capture = setups.capture(shown, faces, rng, nominal=nominal)
-                camera = located_camera(capture.views, capture.intrinsics, rig)
+                camera = locate_camera(capture.views, capture.intrinsics, rig)
                 found.append(drape_map(capture.views, camera, rig, turns=capture.turns))
                 scaled = own["nuisances"].copy()
                 scaled[NAMES.index("membrane")] *= np.exp(step[-1])
