@@ -24,16 +24,8 @@ from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
 from drapenet.export import export_all, read_material, targets_named
-from drapenet.output import (
-    ESTIMATE,
-    keep_estimate,
-    require_output,
-    result_name,
-    write_estimate,
-    write_files,
-)
+from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
 from drapenet.sources import header_for, read_scan_capture
-from drapenet.table import format_table
 from sim.mesh.specimens import check_edge
 
 DRAPES = 2  # of the report of a single capture
@@ -44,16 +36,15 @@ def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
     exports = targets_named(config.export, "export") if config.export else []
-    options = {"refine": config.refine, "drapes": config.drapes,
-               "edge": config.edge_mm * 1e-3, "known": known(config),
-               "strict": config.strict}
+    usual = 0 if config.captures else DRAPES
+    options = {"refine": config.refine, "drapes": usual if config.drapes < 0 else config.drapes,
+               "edge": config.edge_mm * 1e-3, "known": known(config), "strict": config.strict}
     if config.captures:
         from drapenet.batch import estimate_tree
 
         root = folder_named(config.out)
-        estimate_tree(Path(config.captures), root,
-                      checkpoint=config.checkpoint, workers=config.workers,
-                      **options | {"drapes": max(config.drapes, 0)})
+        estimate_tree(Path(config.captures), root, checkpoint=config.checkpoint,
+                      workers=config.workers, **options)
         export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), exports)
         return
     sources = read_sources(config)
@@ -67,22 +58,16 @@ def main(config: InferConfig) -> None:
         require_output(folder)
     with deferred():  # torch takes seconds, and a bad capture should be refused at once
         from drapenet.inference import estimate_capture
+        from drapenet.joint import joint_result
 
     found = []
-    if config.drapes < 0:
-        options["drapes"] = DRAPES
     for (capture, seen), folder in zip(sources, folders, strict=True):
         # Refinement takes minutes: what ends it must not lose the network's estimate.
         first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
-        one = estimate_capture(capture, header, seen=seen, first=first, **options)
-        write_estimate(folder, one.content, format_table(one.content))
-        write_files(folder, one.files)
-        found.append(one)
+        found.append(estimate_capture(capture, header, seen=seen, first=first, **options))
+        show_result(folder, found[-1])
     if len(found) > 1:
-        from drapenet.joint import joint_result
-
-        content = joint_result(found).content
-        write_estimate(out, content, format_table(content))
+        show_result(out, joint_result(found))
     export_estimates([out / ESTIMATE], exports)
 
 

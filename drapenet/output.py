@@ -4,7 +4,7 @@ run; of a capture among hundreds also what the tables and pages are made of.
 
 import os
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from common.files import (
 )
 from drapenet.content import Result
 from drapenet.estimate import Estimate
+from drapenet.table import format_table
 
 ESTIMATE = "estimate.json"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
@@ -81,11 +82,19 @@ def keep_estimate(out: Path, content: dict[str, Any]) -> None:
         remove_file(out / name)
 
 
-def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
-    """Write ``content`` (:func:`keep_estimate`), and print it as ``lines``."""
-    keep_estimate(out, content)
-    print(lines)
-    print(f"estimate: {out / ESTIMATE}")
+def show_result(out: Path, result: Result) -> None:
+    """Write ``result`` and print it; a file that cannot be written to show it is a warning."""
+    keep_estimate(out, result.content)
+    print(f"{format_table(result.content)}\nestimate: {out / ESTIMATE}")
+    written = []
+    for name, data in result.files.items():
+        try:
+            replace_file(out / name, data)
+            written.append(str(out / name))
+        except InputError as error:
+            print(f"warning: no report: {error}")
+    if written:
+        print(f"report:   {', '.join(written)}")
 
 
 def write_result(out: Path, result: Result) -> None:
@@ -114,16 +123,3 @@ def read_result(out: Path) -> Result:
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise InputError(f"{out} is damaged ({type(error).__name__}); remove it and run the "
                          "same command again") from None
-
-
-def write_files(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write what shows an estimate (:class:`drapenet.content.Result`); a failure is a warning."""
-    written = []
-    for name, data in files.items():
-        try:
-            replace_file(out / name, data)
-            written.append(str(out / name))
-        except InputError as error:
-            print(f"warning: no report: {error}")
-    if written:
-        print(f"report:   {', '.join(written)}")
