@@ -42,10 +42,9 @@ def main(config: InferConfig) -> None:
     if config.captures:
         from drapenet.batch import estimate_tree
 
-        root = folder_named(config.out)
-        estimate_tree(Path(config.captures), root, checkpoint=config.checkpoint,
-                      workers=config.workers, **options)
-        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), exports)
+        estimates = estimate_tree(Path(config.captures), folder_named(config.out),
+                                  checkpoint=config.checkpoint, workers=config.workers, **options)
+        export_estimates(estimates, exports)
         return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]

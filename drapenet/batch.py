@@ -51,9 +51,9 @@ class Done(Schema):
 
 def estimate_tree(
     source: Path, out: Path, *, checkpoint: str = "", workers: int = 0, **options: Any
-) -> None:
+) -> list[Path]:
     """Estimate all captures of ``source`` (:func:`drapenet.tree.entries_of`); write tables, a page
-    of each fabric and one of all to ``out``.
+    of each fabric and one of all to ``out``; the fabrics' files ``estimate.json``.
 
     Args:
         checkpoint: for all captures; empty: the bundled one of each one's rig.
@@ -96,6 +96,7 @@ def estimate_tree(
     if all(failure for _, failure in outcomes):
         raise InputError(f"none of {len(outcomes)} captures could be estimated; see "
                          f"{out / 'failures.csv'}")
+    return [out / one.place / ESTIMATE for one in fabrics]
 
 
 def stamp_of(capture: Path, checkpoint: str, options: Mapping[str, Any]) -> str:

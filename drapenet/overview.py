@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.errors import InputError
-from common.files import replace_file, replace_json
+from common.files import remove_file, replace_file, replace_json
 from data.captures import require_alike
 from drapenet.content import Result
 from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
@@ -97,6 +97,10 @@ def write_overview(
             "fabric.html", fabric=fabric, estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT,
             spread=SPREAD, reports={entry.place for entry, _ in fabric.captures
                                     if (out / entry.place / REPORT).exists()}))
+    places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
+    for place in places - {one.place for one in fabrics}:  # what an earlier run knew of them
+        for name in (ESTIMATE, SPREAD, INDEX):
+            remove_file(out / place / name)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
     return fabrics, apart

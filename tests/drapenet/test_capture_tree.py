@@ -85,8 +85,13 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     # A damaged file costs its fabric, and no other.
     samples = sorted(out.rglob("samples.npz"))[0]
     samples.write_bytes(samples.read_bytes()[:-100])
-    infer.main(words)
+    fabric = out / samples.relative_to(out).parts[0]
+    assert (fabric / "estimate.json").exists()
+    capsys.readouterr()
+    infer.main([*words, "export=csv"])
     assert len(rows(out / "fabrics.csv")) == 1
+    assert not (fabric / "estimate.json").exists() and not (fabric / "index.html").exists()
+    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 1
     assert any("is damaged (BadZipFile); remove it" in row["reason"]
                for row in rows(out / "failures.csv"))
 
