@@ -9,7 +9,6 @@ it more and more, until its strain is as large as in a drape. Trimesh's non-rigi
 """
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -158,9 +157,8 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
         if points.shape[1:] != (3,):
             raise ValueError("points of another number of coordinates than three")
         faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
-            UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:
-        # What trimesh says of a file that it cannot read is of no use to its owner.
+    except Exception as error:
+        # What trimesh makes of a file that it cannot read is of no use to its owner.
         reason = getattr(error, "strerror", None) or (
             "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
         raise InputError(f"cannot read the scan {path}: {reason}") from None
