@@ -23,7 +23,8 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
-from drapenet.export import export_all, read_material, targets_named
+from drapenet.export import export_all, targets_named
+from drapenet.material import read_material
 from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
 from drapenet.sources import header_for, read_scan_capture
 from sim.mesh.specimens import check_edge

@@ -27,7 +27,8 @@ from starlette.requests import ClientDisconnect
 from common.errors import InputError, one_line
 from common.files import folder_named, require_folder
 from data.captures import MARKS
-from drapenet.export import MESHES, TARGETS, read_material
+from drapenet.export import TARGETS
+from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs

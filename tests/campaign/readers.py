@@ -52,7 +52,8 @@ from data.scans import read_scan
 from data.setups import Setups
 from data.shards import SEAL_SIZE, _seal, verified_digest
 from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
-from drapenet.export import TARGETS, read_material
+from drapenet.export import TARGETS
+from drapenet.material import read_material
 from drapenet.network import MapNet
 from drapenet.refine.scans import read_cloud
 from drapenet.service.settings import Settings

@@ -12,14 +12,13 @@ import pytest
 from common.errors import InputError
 from drapenet.export import (
     ALIASES,
-    MESHES,
     NOT_OFFERED,
     TARGETS,
     export,
     export_all,
     main,
-    read_material,
 )
+from drapenet.material import MESHES, read_material
 from sim.hinge_laws import HingeLaw, mean_modulus
 from sim.material import MICRO, NANO, Fabric, torque
 from sim.mesh import strip

@@ -20,7 +20,7 @@ from data.recordings import read_recording
 from data.scans import read_scan
 from data.shards import Shard, verified_digest
 from drapenet.checkpoint import load_state, read_header
-from drapenet.export import read_material
+from drapenet.material import read_material
 from drapenet.refine.scans import read_cloud
 from drapenet.tree import entries_of
 from sim.scene import DISC_RIG
