@@ -29,17 +29,16 @@ from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name
 from drapenet.sources import header_for, read_scan_capture
 from sim.mesh.specimens import check_edge
 
-DRAPES = 2  # of the report of a single capture
-
 
 @command("infer", InferConfig, swept_out=".")
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
     exports = targets_named(config.export, "export") if config.export else []
-    usual = 0 if config.captures else DRAPES
-    options = {"refine": config.refine, "drapes": usual if config.drapes < 0 else config.drapes,
-               "edge": config.edge_mm * 1e-3, "known": known(config), "strict": config.strict}
+    options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "known": known(config),
+               "strict": config.strict}
+    if config.captures or config.drapes >= 0:
+        options["drapes"] = max(config.drapes, 0)
     if config.captures:
         from drapenet.batch import estimate_tree
 
@@ -92,8 +91,9 @@ def check(config: InferConfig) -> None:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
                          f"{' or '.join(ways)}")
     for key, value in config.refine.items():
-        if key != "by" and not (isinstance(value, int | float) and value > 0):
-            raise InputError(f"refine.{key}={value} must be a positive number")
+        whole = key == "starts"
+        if key != "by" and not (isinstance(value, int if whole else int | float) and value > 0):
+            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * whole}number")
         if key.endswith("_mm"):
             check_edge(1e-3 * value)
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
