@@ -260,16 +260,20 @@ def _step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
     optimizer.step()
 
 
+_RUN = {"settings": {"seed": 0}, "dataset": "0" * 64}
+
+
 def _state(folder: Path) -> None:
     model, optimizer = _training()
     _step(model, optimizer)
     save_state(folder / "state.safetensors", model=model, optimizer=optimizer, record={
-        "run": {"settings": {"seed": 0}, "dataset": "0" * 64}, "epochs_done": 2, "best_loss": 0.5})
+        "run": _RUN, "epochs_done": 2, "best_loss": 0.5})
 
 
 def _read_state(folder: Path) -> None:
     model, optimizer = _training()
-    load_state(folder / "state.safetensors", model=model, optimizer=optimizer)
+    load_state(folder / "state.safetensors", run=_RUN, model=model,
+               optimizer=optimizer)
     _step(model, optimizer)
 
 

@@ -28,7 +28,7 @@ from sim.scene import DISC_RIG
 
 def _state(file: Path) -> None:
     model = torch.nn.Linear(1, 1)
-    load_state(file, model=model, optimizer=torch.optim.Adam(model.parameters()))
+    load_state(file, run={}, model=model, optimizer=torch.optim.Adam(model.parameters()))
 
 
 def _header(file: Path) -> None:
