@@ -14,7 +14,7 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 from common.errors import InputError
 from data.cameras import Camera
 from drapenet.canonical import DrapeMap, disagreement
-from drapenet.lie import specimen_lie
+from drapenet.placement import specimen_placement
 from drapenet.registration import INNER
 from sim.scene import Rig
 
@@ -41,7 +41,7 @@ class Quality:
 
     Attributes:
         log_scale, offset: how much larger than possible the drape looks, and how far its centre
-            lies from the plate's axis, m (:mod:`drapenet.lie`).
+            lies from the plate's axis, m (:mod:`drapenet.placement`).
         bulge: m, by which cloth on the plate is not flat, up in the middle.
         off_plate: share of the points over the plate's middle that lie off its plane.
         disagreement: m, between what two views see of the same cloth.
@@ -77,7 +77,7 @@ def measure(
     clouds = [camera.cloth_points(view) for view in views]
     gap = disagreement(clouds, turns, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    log_scale, offset = specimen_lie(found, rig) if len(views) > 1 else (np.nan, np.nan)
+    log_scale, offset = specimen_placement(found, rig) if len(views) > 1 else (np.nan, np.nan)
     bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
     return Quality(
         log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,

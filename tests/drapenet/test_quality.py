@@ -11,7 +11,7 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.setups import Setups, SyntheticCapture
 from drapenet.canonical import drape_map
-from drapenet.lie import fit
+from drapenet.placement import fit
 from drapenet.quality import measure, quality_doubts, require_plate
 from drapenet.registration import locate_camera
 from sim.drape import drape
