@@ -108,9 +108,6 @@ def make_maps(
 
 
 def _write_maps(shard: Path, path: Path, **options: Any) -> None:
-    import torch
-
-    torch.set_num_threads(1)
     content = io.BytesIO()
     np.savez(content, **vars(maps_of_shard(shard, **options)))
     remove_partial(path.parent, path.name)

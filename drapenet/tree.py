@@ -1,5 +1,6 @@
 """Which captures a laboratory's tree of folders, or its list, holds, and where results go."""
 
+import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -101,7 +102,7 @@ def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) 
             continue
         # Names that are alike but for what a file system cannot hold, or does not distinguish.
         owner, plain = tuple(names[:depth]), plain_name(name)
-        for number in range(1, 1 + len(taken) + 1):
+        for number in itertools.count(1):
             here = (*place, plain if number == 1 else f"{plain}-{number}")
             key = tuple(part.casefold() for part in here)
             # Of the last part every row has its own.
