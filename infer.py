@@ -22,11 +22,11 @@ from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
+from drapenet.checkpoint import header_for
 from drapenet.config import InferConfig
 from drapenet.export import export_all, targets_named
 from drapenet.material import read_material
 from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
-from drapenet.sources import header_for, read_scan_capture
 from sim.mesh.specimens import check_edge
 
 
@@ -116,6 +116,9 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
     density = checked_density(config.density_g_m2)
+    with deferred():
+        from drapenet.refine.scans import read_scan_capture
+
     return [read_scan_capture(path, density=density, held=config.held) for path in paths]
 
 

@@ -24,7 +24,7 @@ from common.workers import worker_pool
 from data.captures import read_capture
 from data.picture import thumbnails
 from data.progress import progress_bar
-from drapenet.checkpoint import read_header
+from drapenet.checkpoint import header_for, read_header
 from drapenet.output import (
     DONE,
     ESTIMATE,
@@ -35,7 +35,6 @@ from drapenet.output import (
     write_samples,
 )
 from drapenet.overview import write_overview
-from drapenet.sources import header_for
 from drapenet.table import format_fabrics
 from drapenet.tree import entries_of
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,6 +28,7 @@ from common.documents import (
 )
 from common.errors import InputError, one_line
 from common.files import remove_partial, replace_file
+from data.captures import Capture, require_alike
 from data.fabrics import THETA_NAMES
 from drapenet.convention import SWAPPED
 
@@ -130,12 +131,6 @@ class Header(Excerpt):
 
         return Setups.from_config(self.config.setup)
 
-    def require_rig(self, rig: str) -> None:
-        """InputError for captures of another rig than the checkpoint's."""
-        if rig != self.rig:
-            raise InputError(f"the capture is of the rig '{rig}' but the checkpoint of "
-                             f"'{self.rig}'; choose a checkpoint trained for this rig")
-
     @property
     def identity(self) -> dict[str, str]:
         """What identifies this checkpoint: file name, its hash, the dataset's hash."""
@@ -177,6 +172,23 @@ def read_header(path: str | Path) -> Header:
                              "NAME.json beside it, or train one with 'make train'")
     content = read_json(description, remedy=Header.remedy)
     return Header.of(content, description).model_copy(update={"path": weights})
+
+
+def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
+    """The checkpoint for captures of one rig, and of one naming; the bundled one if none is named.
+
+    Raises:
+        InputError: several rigs or densities, some captures with a marked warp and some without, or
+            a checkpoint of another rig.
+    """
+    require_alike([one.rig for one in captures],
+                  [one.warp_direction is not None for one in captures],
+                  [one.density for one in captures])
+    header = read_header(checkpoint or bundled(captures[0].rig))
+    if header.rig != captures[0].rig:
+        raise InputError(f"the capture is of the rig '{captures[0].rig}' but the checkpoint of "
+                         f"'{header.rig}'; choose a checkpoint trained for this rig")
+    return header
 
 
 def load_model(header: Header) -> MapNet:

@@ -22,10 +22,11 @@ from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
+from drapenet.refine.search import CapturedScan
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
-from sim.scene import Rig
+from sim.scene import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """Bends as easily as the softest real fabrics: it irons no fold out."""
@@ -97,6 +98,21 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
                          "from this surface on average and does not fit it; give all of the cloth "
                          "and nothing else, in metres")
     return found
+
+
+def read_scan_capture(
+    path: Path, *, density: float, held: float = 1.0
+) -> tuple[Capture, CapturedScan]:
+    """A scan of a drape on the disc rig as a capture, and as what the search compares with.
+
+    Args:
+        density: kg/m². held: see :class:`.surface.CapturedShape`.
+
+    Raises:
+        InputError: no such scan, or none of a drape.
+    """
+    shape = read_shape(path, DISC_RIG, held=held).shape
+    return scan_capture(path, shape, density), CapturedScan(shape)
 
 
 def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:

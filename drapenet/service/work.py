@@ -63,8 +63,9 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
         name: of the capture, for people. density: kg/m², of a scan.
     """
     from data.captures import read_capture
+    from drapenet.checkpoint import header_for
     from drapenet.inference import estimate_capture
-    from drapenet.sources import header_for, read_scan_capture
+    from drapenet.refine.scans import read_scan_capture
 
     uploaded = folder / UPLOADED
     change_state(folder, state=RUNNING, stage="reading")

@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import fake_drapes
 import h5py
@@ -51,7 +52,7 @@ from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
 from data.shards import SEAL_SIZE, _seal, verified_digest
-from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
+from drapenet.checkpoint import header_for, load_model, load_state, save_checkpoint, save_state
 from drapenet.export import TARGETS
 from drapenet.material import read_material
 from drapenet.network import MapNet
@@ -242,9 +243,9 @@ def _mend_checkpoint(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    header = read_header(folder / "net")
+    capture = SimpleNamespace(rig="square300_cylinder100", warp_direction=None, density=0.15)
+    header = header_for([capture], str(folder / "net"))
     _ = header.setups, header.scale, header.identity
-    header.require_rig("square300_cylinder100")
     load_model(header)
 
 

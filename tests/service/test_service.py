@@ -15,6 +15,7 @@ from fastapi.testclient import TestClient
 
 from common.command import compose_config
 from data.captures import read_capture
+from drapenet.checkpoint import header_for
 from drapenet.export import TARGETS
 from drapenet.inference import infer_capture
 from drapenet.service.app import create_app
@@ -22,7 +23,6 @@ from drapenet.service.jobs import Jobs
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError
 from drapenet.service.work import change_state
-from drapenet.sources import header_for
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PICTURES = sorted(EXAMPLE.glob("*.png"))
