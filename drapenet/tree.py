@@ -61,8 +61,10 @@ def entries_of(source: Path) -> list[Entry]:
 
 def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     try:
-        for folder, inside, files in os.walk(root, onerror=_stop):
-            inside[:] = sorted(name for name in inside if not name.startswith("."))
+        for folder, inside, files in os.walk(root, onerror=_stop, followlinks=True):
+            here = Path(folder).resolve()  # a link to a folder above would have no end
+            inside[:] = sorted(name for name in inside if not name.startswith(".")
+                               and not here.is_relative_to(Path(folder, name).resolve()))
             parts = Path(folder).relative_to(root).parts
             marked = any(mark in files for mark in MARKS)
             if marked:

@@ -141,9 +141,13 @@ def test_trees_of_every_depth_are_found(tmp_path):
     (tmp_path / ".hidden" / "capture.yaml").touch()
     (tmp_path / "denim" / "notes.txt").touch()
     (tmp_path / "denim" / "empty").mkdir()
+    (tmp_path / "twill").mkdir()
+    (tmp_path / "twill" / "linked").symlink_to(tmp_path / "wool")
+    (tmp_path / "twill" / "loop").symlink_to(tmp_path)
+    (tmp_path / "twill" / "top").symlink_to("/")
     found = {(one.fabric, one.sample, one.capture) for one in entries_of(tmp_path)}
     assert found == {("denim", "1", "first"), ("denim", "1", "second"), ("silk", "", "only"),
-                     ("wool", "", "wool"), ("felt", "2/side", "third")}
+                     ("wool", "", "wool"), ("felt", "2/side", "third"), ("twill", "", "linked")}
     with pytest.raises(InputError, match=r"is one capture: give capture="):
         entries_of(tmp_path / "wool")
     with pytest.raises(InputError, match="holds no captures"):
