@@ -22,37 +22,29 @@ from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
 from data.captures import Capture, captures_in, checked_density, read_capture
+from drapenet.checkpoint import header_for
 from drapenet.config import InferConfig
-from drapenet.output import (
-    ESTIMATE,
-    keep_estimate,
-    require_output,
-    result_name,
-    write_estimate,
-    write_files,
-)
-from drapenet.sources import header_for, read_scan_capture
-from drapenet.table import format_table
+from drapenet.export import export_all, targets_named
+from drapenet.material import read_material
+from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
 from sim.mesh.specimens import check_edge
-
-DRAPES = 2  # of the report of a single capture
 
 
 @command("infer", InferConfig, swept_out=".")
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
-    options = {"refine": config.refine, "drapes": config.drapes,
-               "edge": config.edge_mm * 1e-3, "known": known(config),
+    exports = targets_named(config.export, "export") if config.export else []
+    options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "known": known(config),
                "strict": config.strict}
+    if config.captures or config.drapes >= 0:
+        options["drapes"] = max(config.drapes, 0)
     if config.captures:
         from drapenet.batch import estimate_tree
 
-        root = folder_named(config.out)
-        estimate_tree(Path(config.captures), root,
-                      checkpoint=config.checkpoint, workers=config.workers,
-                      **options | {"drapes": max(config.drapes, 0)})
-        export_estimates(sorted(root.glob(f"*/{ESTIMATE}")), config.export)
+        estimates = estimate_tree(Path(config.captures), folder_named(config.out),
+                                  checkpoint=config.checkpoint, workers=config.workers, **options)
+        export_estimates(estimates, exports)
         return
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
@@ -65,33 +57,22 @@ def main(config: InferConfig) -> None:
         require_output(folder)
     with deferred():  # torch takes seconds, and a bad capture should be refused at once
         from drapenet.inference import estimate_capture
+        from drapenet.joint import joint_result
 
     found = []
-    if config.drapes < 0:
-        options["drapes"] = DRAPES
     for (capture, seen), folder in zip(sources, folders, strict=True):
         # Refinement takes minutes: what ends it must not lose the network's estimate.
         first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
-        one = estimate_capture(capture, header, seen=seen, first=first, **options)
-        write_estimate(folder, one.content, format_table(one.content))
-        write_files(folder, one.files)
-        found.append(one)
+        found.append(estimate_capture(capture, header, seen=seen, first=first, **options))
+        show_result(folder, found[-1])
     if len(found) > 1:
-        from drapenet.joint import joint_content
-
-        content = joint_content([one.estimate for one in found], [one.content for one in found])
-        write_estimate(out, content, format_table(content))
-    export_estimates([out / ESTIMATE], config.export)
+        show_result(out, joint_result(found))
+    export_estimates([out / ESTIMATE], exports)
 
 
-def export_estimates(files: list[Path], names: str) -> None:
-    """Write the exports ``names`` beside each ``estimate.json`` of ``files``."""
-    if not names:
-        return
-    from drapenet.export import export_all, read_material, targets_named
-
-    targets = targets_named(names, "export")
-    for file in files:
+def export_estimates(files: list[Path], targets: list[str]) -> None:
+    """Write the exports ``targets`` beside each ``estimate.json`` of ``files``."""
+    for file in files if targets else ():
         written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
@@ -110,8 +91,9 @@ def check(config: InferConfig) -> None:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
                          f"{' or '.join(ways)}")
     for key, value in config.refine.items():
-        if key != "by" and not (isinstance(value, int | float) and value > 0):
-            raise InputError(f"refine.{key}={value} must be a positive number")
+        whole = key == "starts"
+        if key != "by" and not (isinstance(value, int if whole else int | float) and value > 0):
+            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * whole}number")
         if key.endswith("_mm"):
             check_edge(1e-3 * value)
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
@@ -119,16 +101,10 @@ def check(config: InferConfig) -> None:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
         raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
-    if config.export:
-        from drapenet.export import targets_named
-
-        targets_named(config.export, "export")
     if not -1 <= config.drapes <= 4:
         raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
     if config.edge_mm:
         check_edge(1e-3 * config.edge_mm)
-    if config.membrane_n_per_m < 0:
-        raise InputError(f"membrane_n_per_m={config.membrane_n_per_m:g} must be positive")
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
@@ -140,6 +116,9 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
     density = checked_density(config.density_g_m2)
+    with deferred():
+        from drapenet.refine.scans import read_scan_capture
+
     return [read_scan_capture(path, density=density, held=config.held) for path in paths]
 
 

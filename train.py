@@ -14,7 +14,6 @@ from pathlib import Path
 
 from common.command import command
 from common.ctrl_c import deferred
-from common.documents import differences
 from common.errors import InputError
 from common.files import folder_named, require_folder
 from drapenet.config import TrainConfig, learning_rate
@@ -22,7 +21,6 @@ from drapenet.config import TrainConfig, learning_rate
 
 def train(config: TrainConfig) -> Path:
     """Train, or go on training, and return the checkpoint with the least validation loss."""
-    config.check()
     out = folder_named(config.out)
     require_folder(out / "tensorboard")
     with deferred():  # torch takes seconds, and a bad word should be refused at once
@@ -53,12 +51,7 @@ def train(config: TrainConfig) -> Path:
     run = {"settings": config.defining(), "dataset": manifest["hash"]}
     record = {"run": run, "epochs_done": 0, "best_loss": None}
     if state.exists():
-        record = load_state(state, model=network, optimizer=optimizer)
-        if changed := differences(record["run"], run):
-            names = ", ".join(name.removeprefix("settings.") for name in changed)
-            raise InputError(f"{out} contains a training with other settings ({names}); choose "
-                             "another out=, or remove it (epochs must be the same, because the "
-                             "learning rate depends on them)")
+        record = load_state(state, run=run, model=network, optimizer=optimizer)
 
     size = config.optim.batch_size
     steps = len(training) // size

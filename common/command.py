@@ -1,7 +1,7 @@
 """Commands as Hydra applications: ``@command("infer", InferConfig)`` above a function.
 
-``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema the types. On
-top of Hydra's own command line, with its options, groups, sweeps and launchers:
+``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema the types and
+ranges. On top of Hydra's own command line, with its options, groups, sweeps and launchers:
 
 - a mistake is one line on standard error and exit code 2 (:func:`common.cli.run_command`);
 - the value of a text needs no quotes, whatever a path contains, except ``${key}``, which stands for
@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from common.cli import FULL_ERROR, check_counts, refuse_repeated, run_command
 from common.configs import CONFIG_DIR, config_text, group_options, read_config
@@ -316,7 +316,23 @@ def as_schema(config: Any, schema: type) -> Any:
     settings = OmegaConf.to_object(typed)
     check_counts(vars(settings))
     _require_finite(asdict(settings))
+    _require_ranges(settings)
     return settings
+
+
+def _require_ranges(settings: Any, inside: str = "") -> None:
+    """InputError for a value outside the range that its type states: Annotated[int, Field(ge=1)].
+    """
+    from pydantic import create_model
+
+    from common.documents import Schema
+
+    for key, kind in get_type_hints(type(settings), include_extras=True).items():
+        value, name = getattr(settings, key), f"{inside}{key}"
+        if is_dataclass(value):
+            _require_ranges(value, f"{name}.")
+        elif get_origin(kind) is Annotated:
+            create_model("Range", __base__=Schema, **{name: (kind, ...)}).of({name: value}, "")
 
 
 def _require_finite(content: dict[str, Any], inside: str = "") -> None:

@@ -178,11 +178,15 @@ def read_table(
 
     Empty rows are left out; the header of an empty file is empty.
     """
-    reader = csv.reader(read_text(file, largest, kind).splitlines(), skipinitialspace=True)
+    lines = read_text(file, largest, kind).splitlines()
+    # Spreadsheets write semicolons where the comma is decimal.
+    separator = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except csv.Error as error:
-        raise InputError(f"{file} cannot be read as a table ({one_line(error)})") from None
+        raise InputError(f"{file} cannot be read as a table ({one_line(error)}); give a CSV "
+                         "file") from None
     return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
 
 

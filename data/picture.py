@@ -13,7 +13,7 @@ _STAND = np.array([0.62, 0.60, 0.57])
 _LAMPS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4), 0.15))
 """Direction towards each lamp as (right, away from the viewer, up), and its brightness."""
 _SKY = 0.22
-_THUMBNAIL = 120  # pixels, height
+_THUMBNAIL, _GAP = 120, 12  # pixels, height and distance of thumbnails
 _AWAY = 2.0  # m, of the viewer's plane from the middle
 _MIDDLE = -0.07  # m, height of a drape's middle, in the middle of a picture from the side
 
@@ -117,14 +117,19 @@ def _background(
     return image
 
 
-def thumbnail(view: np.ndarray) -> bytes:
-    """PNG of a depth image (H, W), m, background 0: the cloth alone, near parts bright."""
-    rows, columns = np.nonzero(view > 0)
-    cut = view[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    near, far = np.quantile(cut[cut > 0], (0.01, 0.99))
-    bright = np.clip(255 * (far - cut) / max(far - near, 1e-6), 0, 255).astype(np.uint8)
-    picture = cv2.applyColorMap(bright, cv2.COLORMAP_VIRIDIS)
-    picture[cut == 0] = 255
-    width = max(1, round(_THUMBNAIL * cut.shape[1] / cut.shape[0]))
-    picture = cv2.resize(picture, (width, _THUMBNAIL), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".png", picture)[1].tobytes()
+def thumbnails(views: np.ndarray) -> bytes:
+    """PNG of depth images (K, H, W), m, background 0, side by side: the cloth alone, near parts
+    bright.
+    """
+    tiles = []
+    for view in views:
+        rows, columns = np.nonzero(view > 0)
+        cut = view[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+        near, far = np.quantile(cut[cut > 0], (0.01, 0.99))
+        bright = np.clip(255 * (far - cut) / max(far - near, 1e-6), 0, 255).astype(np.uint8)
+        picture = cv2.applyColorMap(bright, cv2.COLORMAP_VIRIDIS)
+        picture[cut == 0] = 255
+        width = max(1, round(_THUMBNAIL * cut.shape[1] / cut.shape[0]))
+        tiles += [cv2.resize(picture, (width, _THUMBNAIL), interpolation=cv2.INTER_AREA),
+                  np.full((_THUMBNAIL, _GAP, 3), 255, np.uint8)]
+    return cv2.imencode(".png", np.hstack(tiles[:-1]))[1].tobytes()

@@ -15,20 +15,26 @@ from pathlib import Path
 from typing import Any
 
 import joblib
-import numpy as np
 
 from common.documents import Schema, read_json
 from common.errors import InputError, one_line
-from common.files import remove_file, replace_file, replace_json, replacing, require_folder
+from common.files import remove_file, replace_file, replace_json, require_folder
 from common.provenance import code_state
 from common.workers import worker_pool
 from data.captures import read_capture
-from data.picture import thumbnail
+from data.picture import thumbnails
 from data.progress import progress_bar
-from drapenet.checkpoint import read_header
-from drapenet.output import DONE, ESTIMATE, SAMPLES, SHOWN, THUMBNAIL
+from drapenet.checkpoint import header_for, read_header
+from drapenet.output import (
+    DONE,
+    ESTIMATE,
+    SAMPLES,
+    SHOWN,
+    THUMBNAIL,
+    write_result,
+    write_samples,
+)
 from drapenet.overview import write_overview
-from drapenet.sources import header_for
 from drapenet.table import format_fabrics
 from drapenet.tree import entries_of
 
@@ -44,9 +50,9 @@ class Done(Schema):
 
 def estimate_tree(
     source: Path, out: Path, *, checkpoint: str = "", workers: int = 0, **options: Any
-) -> None:
+) -> list[Path]:
     """Estimate all captures of ``source`` (:func:`drapenet.tree.entries_of`); write tables, a page
-    of each fabric and one of all to ``out``.
+    of each fabric and one of all to ``out``; the fabrics' files ``estimate.json``.
 
     Args:
         checkpoint: for all captures; empty: the bundled one of each one's rig.
@@ -57,8 +63,6 @@ def estimate_tree(
         InputError: no captures, a bad checkpoint, a folder that cannot be written to, or not one
             capture that can be estimated.
     """
-    if workers < 0:
-        raise InputError(f"workers={workers} must be 0, one for each core, or more")
     entries = entries_of(source)
     require_folder(out)
     chosen = str(read_header(checkpoint).path) if checkpoint else ""
@@ -91,6 +95,7 @@ def estimate_tree(
     if all(failure for _, failure in outcomes):
         raise InputError(f"none of {len(outcomes)} captures could be estimated; see "
                          f"{out / 'failures.csv'}")
+    return [out / one.place / ESTIMATE for one in fabrics]
 
 
 def stamp_of(capture: Path, checkpoint: str, options: Mapping[str, Any]) -> str:
@@ -152,12 +157,6 @@ def _write(path: Path, folder: Path, checkpoint: str, options: dict[str, Any]) -
 
     capture = read_capture(path)
     result = estimate_capture(capture, header_for([capture], checkpoint), **options)
-    found = result.estimate
-    with replacing(folder / SAMPLES) as stream:
-        np.savez(stream, samples=found.samples, names=np.array(found.names), axis=found.axis,
-                 certainty=found.certainty, density=found.density, spread=found.spread,
-                 warnings=np.array(found.warnings, dtype=str))
-    replace_file(folder / THUMBNAIL, thumbnail(capture.views[0]))
-    for name, data in result.files.items():
-        replace_file(folder / name, data)
-    replace_json(folder / ESTIMATE, result.content)
+    write_samples(folder, result.estimate)
+    replace_file(folder / THUMBNAIL, thumbnails(capture.views[:1]))
+    write_result(folder, result)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,6 +20,7 @@ from pydantic import Field, model_validator
 from common.documents import (
     Excerpt,
     Schema,
+    differences,
     parse_json,
     read_bytes,
     read_json,
@@ -25,6 +28,7 @@ from common.documents import (
 )
 from common.errors import InputError, one_line
 from common.files import remove_partial, replace_file
+from data.captures import Capture, require_alike
 from data.fabrics import THETA_NAMES
 from drapenet.convention import SWAPPED
 
@@ -127,12 +131,6 @@ class Header(Excerpt):
 
         return Setups.from_config(self.config.setup)
 
-    def require_rig(self, rig: str) -> None:
-        """InputError for captures of another rig than the checkpoint's."""
-        if rig != self.rig:
-            raise InputError(f"the capture is of the rig '{rig}' but the checkpoint of "
-                             f"'{self.rig}'; choose a checkpoint trained for this rig")
-
     @property
     def identity(self) -> dict[str, str]:
         """What identifies this checkpoint: file name, its hash, the dataset's hash."""
@@ -174,6 +172,23 @@ def read_header(path: str | Path) -> Header:
                              "NAME.json beside it, or train one with 'make train'")
     content = read_json(description, remedy=Header.remedy)
     return Header.of(content, description).model_copy(update={"path": weights})
+
+
+def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
+    """The checkpoint for captures of one rig, and of one naming; the bundled one if none is named.
+
+    Raises:
+        InputError: several rigs or densities, some captures with a marked warp and some without, or
+            a checkpoint of another rig.
+    """
+    require_alike([one.rig for one in captures],
+                  [one.warp_direction is not None for one in captures],
+                  [one.density for one in captures])
+    header = read_header(checkpoint or bundled(captures[0].rig))
+    if header.rig != captures[0].rig:
+        raise InputError(f"the capture is of the rig '{captures[0].rig}' but the checkpoint of "
+                         f"'{header.rig}'; choose a checkpoint trained for this rig")
+    return header
 
 
 def load_model(header: Header) -> MapNet:
@@ -249,20 +264,25 @@ def save_state(
 
 
 def load_state(
-    path: Path, *, model: torch.nn.Module, optimizer: torch.optim.Optimizer
+    path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
 ) -> dict[str, Any]:
     """Put the state of :func:`save_state` into ``model`` and ``optimizer``; return its record.
 
     Raises:
-        InputError: the file is damaged or of another network.
+        InputError: the file is damaged, of another network, or of a training unlike ``run``.
     """
-    from safetensors import SafetensorError, safe_open
+    from safetensors import safe_open
 
     require_regular(path, LARGEST_WEIGHTS, "training's state")
-    try:
-        with safe_open(path, framework="pt") as file:
-            record = Record.of(parse_json((file.metadata() or {}).get("record", ""), "record"), "")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
+    with _damage_explained(path), safe_open(path, framework="pt") as file:
+        record = Record.of(parse_json((file.metadata() or {}).get("record", ""), "record"), "")
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+    if changed := differences(record.run, run):
+        names = ", ".join(name.removeprefix("settings.") for name in changed)
+        raise InputError(f"{path.parent} contains a training with other settings ({names}); choose "
+                         "another out=, or remove it (epochs must be the same, because the "
+                         "learning rate depends on them)")
+    with _damage_explained(path):
         model.load_state_dict({name.removeprefix("model."): value
                                for name, value in tensors.items() if name.startswith("model.")})
         moments: dict[int, dict[str, torch.Tensor]] = {}
@@ -274,9 +294,18 @@ def load_state(
             shapes = {name: value.shape for name, value in moments[index].items()}
             if shapes != {"step": (), "exp_avg": parameter.shape, "exp_avg_sq": parameter.shape}:
                 raise ValueError(f"moments of parameter {index} are missing or of another shape")
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError, OSError) as error:
-        raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
-                         ) from None
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
     return record.model_dump()
+
+
+@contextmanager
+def _damage_explained(path: Path) -> Iterator[None]:
+    """An InputError for a training's state ``path`` that cannot be resumed."""
+    from safetensors import SafetensorError
+
+    try:
+        yield
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError, OSError) as error:
+        raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
+                         ) from None

@@ -1,31 +1,33 @@
-"""Types of the keys of ``configs/``, which explains them and holds their defaults."""
+"""Types and ranges of the keys of ``configs/``, which explains them and holds their defaults."""
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
-from common.errors import InputError
+from pydantic import Field
 
-MOST_CORES = 1024
+FromOne = Annotated[int, Field(ge=1)]
+FromZero = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
 
 
 @dataclass
 class ModelConfig:
     """See :class:`drapenet.network.MapNet`."""
 
-    width: int
-    components: int
+    width: Annotated[int, Field(ge=1, le=512)]
+    components: Annotated[int, Field(ge=1, le=32)]
 
 
 @dataclass
 class OptimConfig:
     """AdamW, and a learning rate that rises and falls once along cosines."""
 
-    learning_rate: float
-    warm_up: float
-    weight_decay: float
-    batch_size: int
-    clip: float
+    learning_rate: Positive
+    warm_up: Annotated[float, Field(ge=0, lt=1)]
+    weight_decay: Annotated[float, Field(ge=0)]
+    batch_size: Annotated[int, Field(ge=2)]
+    clip: Positive
 
 
 @dataclass
@@ -35,46 +37,19 @@ class TrainConfig:
     data: str
     out: str
     maps: str
-    seed: int
-    epochs: int
-    captures: int
+    seed: FromZero
+    epochs: FromOne
+    captures: FromOne
     neighbours: bool
-    validation_fraction: float
-    fabrics: int
+    validation_fraction: Annotated[float, Field(gt=0, lt=1)]
+    fabrics: FromZero
     device: str
-    workers: int
-    threads: int
+    workers: FromOne
+    threads: FromZero
     half_precision: bool
     setup: dict[str, Any]
     model: ModelConfig
     optim: OptimConfig
-
-    def check(self) -> None:
-        """Raise InputError for settings that make no sense."""
-        optim = self.optim
-        for name, value, low, high in (
-                ("seed", self.seed, 0, 2**63 - 1), ("threads", self.threads, 0, MOST_CORES),
-                ("workers", self.workers, 1, MOST_CORES), ("fabrics", self.fabrics, 0, 10**9),
-                ("model.width", self.model.width, 1, 512),
-                ("model.components", self.model.components, 1, 32)):
-            if not low <= value <= high:
-                raise InputError(f"{name}={value} must lie between {low} and {high}")
-        for name, value, least in (
-                ("epochs", self.epochs, 1), ("captures", self.captures, 1),
-                ("optim.batch_size", optim.batch_size, 2),
-                ("optim.weight_decay", optim.weight_decay, 0)):
-            if not value >= least:
-                raise InputError(f"{name}={value} must be at least {least}")
-        for name, value in (("optim.learning_rate", optim.learning_rate),
-                            ("optim.clip", optim.clip)):
-            if not value > 0:
-                raise InputError(f"{name}={value} must be positive")
-        if not 0 < self.validation_fraction < 1:
-            raise InputError(f"validation_fraction={self.validation_fraction} must lie between 0 "
-                             "and 1")
-        if not 0 <= optim.warm_up < 1:
-            raise InputError(f"optim.warm_up={optim.warm_up} must be a share of the training, from "
-                             "0 to below 1")
 
     def defining(self) -> dict:
         """The settings that a resumed run must share: all but places and machinery."""
@@ -107,10 +82,10 @@ class InferConfig:
     checkpoint: str
     refine: dict[str, Any]
     export: str
-    workers: int
+    workers: FromZero
     drapes: int
     edge_mm: float
-    membrane_n_per_m: float
+    membrane_n_per_m: Annotated[float, Field(ge=0)]
     friction_un: float
     density_g_m2: float
     held: float
@@ -125,10 +100,10 @@ class EvaluateConfig:
     checkpoint: str
     out: str
     fabrics: str
-    drapes: int
-    captures: int
-    seed: int
-    workers: int
+    drapes: FromOne
+    captures: FromOne
+    seed: FromZero
+    workers: FromOne
 
 
 @dataclass

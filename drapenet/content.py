@@ -1,5 +1,6 @@
 """The content of ``estimate.json``: what is known of a fabric, every key with its unit."""
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,22 @@ POOR = 0.7
 """Standard deviation of a modulus, over its spread over fabrics, from which it is called poorly
 constrained."""
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is known of a capture, or of a fabric from several.
+
+    Attributes:
+        estimate: with all warnings, also those of capture and refinement.
+        content: of ``estimate.json``.
+        files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
+            was wanted.
+    """
+
+    estimate: Estimate
+    content: dict[str, Any]
+    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def to_json(

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from drapenet.maps import Maps
     from drapenet.network import MapNet
 
+FEWER = 5  # times as many captures are like those trained on as there are of any other kind
 _AT_ONCE = 64  # captures
 _FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
@@ -108,9 +109,6 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
         **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
            for sign, value in (("x", 3 * middle), ("/", middle / 3))},
     }
-
-
-FEWER = 5  # times as many captures are like those trained on as there are of any other kind
 
 
 def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> dict[str, Any]:

@@ -5,44 +5,31 @@
     python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
     python -m drapenet.export to=list
 
-:data:`TARGETS` says what each tool gets, in which unit, by which relation, from which source, and
-what is lost; ``docs/exports.md`` shows it. A tool with one modulus a direction gets alpha, or the
-secant of the torque at a stated curvature.
+``docs/exports.md`` says what each tool gets, in which unit, by which relation, from which source,
+and what is lost. A tool with one modulus a direction gets alpha, or the secant of the torque at a
+stated curvature.
 """
 
-import csv
-import hashlib
 import io
 import json
 import pprint
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from common.command import command
-from common.documents import Excerpt, parse_json, read_bytes, shown
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
 from drapenet.config import ExportConfig
-from drapenet.content import SCHEMA, SCHEMA_VERSION
-from drapenet.convention import STIFF_SOFT, WARP_WEFT
-from drapenet.output import ESTIMATE, result_name
-from drapenet.table import csv_number, interval_columns
-from sim.cantilever.equivalent import equivalent_modulus
+from drapenet.convention import WARP_WEFT
+from drapenet.material import Material, read_material
+from drapenet.table import csv_number, csv_table, interval_columns
 from sim.hinge_laws import ARCSIM, mean_modulus
-from sim.material import BIAS, MICRO, NANO, SOFTENING_LIMIT, WARP, WEFT, torque
-from sim.mesh import strip
-from sim.scene import GRAVITY
+from sim.material import BIAS, WARP, WEFT, torque
 
-LARGEST_ESTIMATE = 8 << 20  # bytes
-LONGEST_NAME = 80  # characters
 CLO = 1e9  # g·mm²/s² per N·m
 CLO_MOST = 2e6  # g·mm²/s², CLO's largest bending stiffness
 BROWZWEAR = 1e7  # dyn·cm per N·m
@@ -52,121 +39,6 @@ ARCSIM_CURVATURES = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
 """1/m, of ARCSim's table: theta l/(A0 + A1) is twice the number that its columns count in steps of
 5/m (``dde.cpp``, ``bending_stiffness``); beyond the last it stays."""
 CURVE = np.linspace(0.0, 400.0, 81)  # 1/m, of the torque's table
-MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
-          "equal": ("equal", 0.0), "random": ("random", 0.0)}
-"""Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
-FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
-SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
-GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
-
-
-_Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
-
-
-class _Quantity(Excerpt):
-    median: float
-    interval_68: _Interval
-    interval_90: _Interval
-
-
-class _Positive(_Quantity):
-    median: float = Field(gt=0)
-
-
-class _Direction(Excerpt):
-    alpha_uN_m: _Positive  # noqa: N815 (the file's own name)
-    beta_nN_m2: _Quantity  # noqa: N815
-
-
-class _Capture(Excerpt):
-    density_g_m2: float = Field(gt=0)
-
-
-class EstimateFile(Excerpt):
-    """What is read of an ``estimate.json``."""
-
-    remedy = "give the estimate.json that infer.py writes"
-    convention: Literal["warp/weft", "stiff/soft"]
-    capture: _Capture
-    moduli: dict[str, _Direction]
-    warnings: list[str]
-
-    @model_validator(mode="after")
-    def _named(self) -> "EstimateFile":
-        if tuple(self.moduli) not in (WARP_WEFT, STIFF_SOFT):
-            raise ValueError(f"moduli: the directions {shown(list(self.moduli))} are unknown")
-        return self
-
-
-@dataclass(frozen=True)
-class Material:
-    """What an estimate says of a fabric, as a tool takes it.
-
-    Attributes:
-        alpha: (3,) N·m, median linear moduli of the first yarns (warp), bias, second yarns (weft).
-        beta: (3,) N·m², quadratic.
-        density: kg/m².
-        curvature: 1/m, at which one modulus stands for the law.
-        mesh: name of :data:`MESHES`; edge: m.
-        name: of the fabric, for people.
-        content: of ``estimate.json``.
-        identity: SHA-256 of that file.
-        written: when it was, in ISO 8601.
-    """
-
-    alpha: np.ndarray
-    beta: np.ndarray
-    density: float
-    curvature: float
-    mesh: str
-    edge: float
-    name: str
-    content: dict[str, Any]
-    identity: str
-    written: str
-
-    @property
-    def modulus(self) -> np.ndarray:
-        """(3,) N·m: alpha, or the secant of the torque at :attr:`curvature`."""
-        if not self.curvature:
-            return self.alpha
-        return torque(np.array(self.curvature), self.alpha, self.beta) / self.curvature
-
-    @property
-    def ratio(self) -> float:
-        """Modulus of hinges on the mesh over the plate's that they hang like."""
-        natural = np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
-        cells = round(natural / self.edge)
-        if cells < FEWEST_CELLS:
-            raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
-                             f"folds are about {1e3 * natural:.0f} mm long; at most "
-                             f"{1e3 * natural / FEWEST_CELLS:.1f}")
-        return _ratio(self.mesh, min(cells, MOST_CELLS))
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Identity, intervals and circumstances, for files that have room, in JSON's types."""
-        capture = self.content["capture"]
-        first = self.content["convention"].partition("/")[0]
-        notes = [] if first == WARP_WEFT[0] else [
-            "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
-            "the warp"]
-        if np.any(-self.beta * self.curvature > SOFTENING_LIMIT * self.alpha):
-            notes.append(f"curvature_1_m={self.curvature:g} is outside the law: the "
-                         "torque is continued as a straight line there")
-        return {
-            "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
-            "source": capture.get("source") or capture.get("sources"),
-            "density_g_m2": capture["density_g_m2"], "directions": self.content["convention"],
-            "moduli": self.content["moduli"], "modulus_at_curvature_1_m": self.curvature,
-            "warnings": [*self.content["warnings"], *notes],
-        }
-
-    @property
-    def about_hinges(self) -> dict[str, Any]:
-        """:attr:`about`, with the mesh that the figures belong to."""
-        return self.about | {"mesh": self.mesh, "edge_mm": round(1e3 * self.edge, 6),
-                             "hinge_over_plate_modulus": round(self.ratio, 4)}
 
 
 @dataclass(frozen=True)
@@ -175,76 +47,14 @@ class Target:
 
     Attributes:
         file: its usual name.
-        tool, fields, relation, source, lost: for people.
+        tool, lost: for people; what of the estimate is not in the file.
         write: the bytes of the files by their names, the first for the name given.
     """
 
     file: str
     tool: str
-    fields: str
-    relation: str
-    source: str
     lost: str
     write: Callable[[Material, str], dict[str, bytes]]
-
-
-def read_material(
-    path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3,
-    name: str = "",
-) -> Material:
-    """The fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes of
-    :class:`Material`, ``name`` if empty that of the captures.
-
-    Raises:
-        InputError: no such file, another one, or an argument out of range.
-    """
-    if mesh not in MESHES:
-        raise InputError(f"mesh={mesh} is unknown; choose from {', '.join(MESHES)}")
-    if not 1e-4 <= edge <= 0.1:
-        raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
-    if not 0 <= curvature <= 1000:
-        raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
-    if len(name) > LONGEST_NAME or not name.isprintable():
-        raise InputError(f"name= must be at most {LONGEST_NAME} printable characters")
-    path = path / ESTIMATE if path.is_dir() else path
-    data = read_bytes(path, LARGEST_ESTIMATE, "file estimate.json")
-    written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
-    content = parse_json(data, path, EstimateFile.remedy)
-    if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
-                                         ] != [SCHEMA, SCHEMA_VERSION]:
-        raise InputError(f"{path} is not an estimate of version {SCHEMA_VERSION}; estimate the "
-                         "capture again")
-    found = EstimateFile.of(content, path)
-    alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
-                   for key in ("alpha_uN_m", "beta_nN_m2"))
-    return Material(MICRO * np.array(alpha), NANO * np.array(beta),
-                    1e-3 * found.capture.density_g_m2, curvature, mesh, edge,
-                    name or _captured_name(content["capture"]), content,
-                    hashlib.sha256(data).hexdigest(), f"{written:%Y-%m-%dT%H:%M:%SZ}")
-
-
-def _captured_name(capture: dict[str, Any]) -> str:
-    sources = capture.get("sources") or [capture.get("source")]
-    if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
-        return "fabric"
-    return result_name([Path(source) for source in sources])[-LONGEST_NAME:]
-
-
-@cache
-def _ratio(mesh: str, cells: int) -> float:
-    diagonals, jitter = MESHES[mesh]
-    length = 0.09
-    edge = length / cells
-    ratios = []
-    for seed in range(SAMPLES if jitter or diagonals == "random" else 1):
-        found = equivalent_modulus(*strip(
-            length=length, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
-            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA)
-        if not found.found:
-            raise InputError(f"no strip on the mesh '{mesh}' came to rest ({found.message}); "
-                             "choose another mesh or edge_mm")
-        ratios.append(found.ratio)
-    return float(np.mean(ratios))
 
 
 def _json(content: object) -> bytes:
@@ -390,16 +200,12 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
-    stream = io.StringIO()
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
              **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
              "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
             for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
                                          strict=True)]
-    writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return {name: stream.getvalue().encode()}
+    return {name: csv_table(rows).encode()}
 
 
 def _torque(material: Material, name: str) -> dict[str, bytes]:
@@ -413,53 +219,24 @@ def _torque(material: Material, name: str) -> dict[str, bytes]:
 TARGETS = {
     "jfab": Target(
         "fabric.jfab", "CLO, Marvelous Designer",
-        "`mapPhysical`: `fBuK` weft, `fBvK` warp, `fBhK` bias, `fDensity` g/mm²",
-        "g·mm²/s²: α · 10⁹, at most 2 · 10⁶",
-        "keys and defaults as written by ttiimmaacc/mcp-for-clo3d; unit from Unreal's importer of "
-        "CLO's USD",
         "β; stretch, shear, thickness and friction, which get CLO's defaults; not opened in CLO",
         _jfab),
-    "u3m": Target(
-        "fabric.u3m", "Browzwear, U3M 1.1",
-        "`custom.browzwear.bend.length` warp, `.width` weft, `mass` g/m², in `fabric.fab.json` "
-        "beside it", "dyn·cm: α · 10⁷", "vizoogmbh/u3m, `u3m1.1/physics`; unit derived from FAB's "
-        "loads", "bias, β, stretch; not opened in VStitcher", _u3m),
-    "usd": Target(
-        "fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
-        "`primvars:clo:bendingWarp`, `Weft`, `BiasLeft`, `BiasRight`, `density`; "
-        "`physics:surfaceBendStiffness`",
-        "α · 10⁹; mean of α over all directions, N·m",
-        "Unreal's `InterchangeOpenUSDChaosCloth`; AOUSD proposal `wp_deformable_physics`",
-        "β; the proposal's names may change; not opened in Unreal", _usd),
+    "u3m": Target("fabric.u3m", "Browzwear, U3M 1.1",
+                  "bias, β, stretch; not opened in VStitcher", _u3m),
+    "usd": Target("fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
+                  "β; the proposal's names may change; not opened in Unreal", _usd),
     "arcsim": Target(
-        "arcsim.json", "ARCSim", "`bending` [3][5], `density` kg/m²",
-        "4 (α + βκ) · ratio at κ = 0, 10, 20, 30, 40 m⁻¹; a row each for edges along warp, bias, "
-        "weft, which bend weft, bias, warp",
-        "ARCSim, `dde.cpp`, `bending_stiffness`; Narain et al. 2012",
+        "arcsim.json", "ARCSim",
         "β beyond 40 m⁻¹, and at negative angles, where ARCSim extrapolates the table and cloth of "
         "β < 0 stiffens; add `stretching` and damping yourself", _arcsim),
-    "newton": Target(
-        "newton_fabric.py", "Newton 1.8",
-        "Style3D `edge_aniso_ke`; VBD `edge_bending_properties`",
-        "(weft, warp, bias) · ratio / 3; 2α · ratio / (h₀ + h₁) an edge",
-        "newton 1.8: `style3d/kernels.py`, `style3d/cloth.py`, `vbd/particle_vbd_kernels.py`",
-        "β; Style3D's own law between the directions", _newton),
-    "ppf": Target(
-        "ppf.toml", "ppf-contact-solver", "`bend`, `bend-warp`, `bend-weft`, `shell_density`",
-        "α · ratio / (1.28 · 10⁻⁵ ρ)", "st-tech/ppf-contact-solver, `energy.cu`, `data.hpp`",
-        "β; bias, which is the mean of warp and weft there", _ppf),
-    "json": Target(
-        "material.json", "any", "SI moduli, density, intervals", "as estimated", "this project",
-        "nothing", _neutral),
-    "csv": Target(
-        "material.csv", "spreadsheets", "moduli with intervals, µN·m and nN·m²", "as estimated",
-        "this project", "origin and warnings; the name is kept", _table),
-    "torque": Target(
-        "torque.csv", "tools with a curve", "torque per width, mN, over curvature, 1/m",
-        "ακ + βκ², straight beyond the law's limit", "`docs/physics.md`", "intervals", _torque),
+    "newton": Target("newton_fabric.py", "Newton 1.8",
+                     "β; Style3D's own law between the directions", _newton),
+    "ppf": Target("ppf.toml", "ppf-contact-solver",
+                  "β; bias, which is the mean of warp and weft there", _ppf),
+    "json": Target("material.json", "any", "nothing", _neutral),
+    "csv": Target("material.csv", "spreadsheets", "origin and warnings; the name is kept", _table),
+    "torque": Target("torque.csv", "tools with a curve", "intervals", _torque),
 }
-
-
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
            "vbd": "newton"}

@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,16 +16,19 @@ from data.nuisances import at_density
 from data.setups import Setups
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
-from drapenet.content import interval_table, to_json
+from drapenet.content import Result, interval_table, to_json
 from drapenet.estimate import Estimate, make_estimate
-from drapenet.maps import located_camera
 from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
 from drapenet.pages import render
 from drapenet.predict import predict
 from drapenet.quality import measure, quality_doubts, require_plate
-from drapenet.registration import camera_doubts
+from drapenet.registration import camera_doubts, locate_camera
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
+
+if TYPE_CHECKING:
+    from drapenet.refine.refined import Refined
+    from drapenet.resimulate import Resimulation
 
 Progress = Callable[[int, int, float], None]
 """Called with drapes made, drapes expected, and the misfit so far."""
@@ -59,7 +62,7 @@ def infer_capture(
             where they are known.
     """
     rig = Rig.from_name(header.rig)
-    camera = located_camera(capture.views, capture.intrinsics, rig)
+    camera = locate_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
     given = {"membrane": membrane, "friction": friction}
     known = at_density({name: value for name, value in given.items() if value is not None},
@@ -86,22 +89,6 @@ def capture_doubts(
         raise InputError(f"{capture.path}: {error}") from None
     return [*camera_doubts(camera, setups), *turn_doubts(found.turns, capture.turns),
             *quality_doubts(quality)]
-
-
-@dataclass(frozen=True)
-class Result:
-    """What is known of one capture.
-
-    Attributes:
-        estimate: with its own warnings.
-        content: of ``estimate.json``.
-        files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
-            was wanted.
-    """
-
-    estimate: Estimate
-    content: dict[str, Any]
-    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def estimate_capture(
@@ -138,36 +125,24 @@ def estimate_capture(
                          "strict=false estimates it with a warning", longest=LONGEST_LIST)
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
-    name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
 
-    def content() -> dict[str, Any]:
-        known_by_now = to_json(estimate, capture=about, source=source)
-        return known_by_now | {"warnings": known_by_now["warnings"] + doubts}
+    def result(files: dict[str, bytes]) -> Result:
+        """What is known so far."""
+        known_so_far = replace(estimate, warnings=(*estimate.warnings, *doubts))
+        return Result(known_so_far, to_json(known_so_far, capture=about, source=source), files)
 
     if first:
-        first(content())
+        first(result({}).content)
     drape, files = None, {}
     if refine and (refine is True or refine["by"] != "none"):
-        from drapenet.refine.refined import refined_capture
-
-        result = None
-        try:
-            result = refined_capture(estimate, capture, camera, rig=rig, turns=found.turns,
-                                     seen=seen, settings=None if refine is True else refine,
-                                     known=known, progress=progress)
-            if result is None:
-                doubts.append("no drape of the estimate converged; it is not refined")
-        except InputError:  # a word that is out of range
-            raise
-        except Exception as error:  # the network's estimate must not be lost for it
-            doubts.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
-                          "network's estimate is given")
-        if result:
-            doubts += result.doubts
+        refined = _refined(inferred, capture, doubts, seen=seen, known=known, progress=progress,
+                           settings=None if refine is True else refine)
+        if refined:
+            doubts += refined.doubts
             before = interval_table(estimate, estimate.density)
-            source["refined"], drape = result.content | {"before": before}, result.resimulation
-            if result.draws:
-                estimate = make_estimate(result.draws, capture=capture, header=header)
+            source["refined"], drape = refined.content | {"before": before}, refined.resimulation
+            if refined.draws:
+                estimate = make_estimate(refined.draws, capture=capture, header=header)
     try:
         if drapes and not drape:
             from drapenet.resimulate import EDGE, resimulate
@@ -179,27 +154,54 @@ def estimate_capture(
             source["resimulation"] = drape.as_dict()
             doubts += drape.doubts
         if drapes:
-            from drapenet.report import draw_report, draw_torques
-            from drapenet.shapes import drape_glb
-
-            files = {
-                REPORT: draw_report(
-                    estimate, capture.views, drape, warnings=[*estimate.warnings, *doubts],
-                    title=f"{name}: {capture.density * 1e3:g} g/m²"),
-                TORQUES: draw_torques(estimate),
-                SHAPES: drape_glb(capture.views, camera, found, rig, drape)}
-            files[PAGE] = render("report.html", name=name, content=content(), report=files[REPORT])
+            files = _shown(result({}), inferred, capture, rig, drape)
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
         # A minute of refinement must not be lost for it.
         doubts.append("interrupted: there is no report")
-        files = {}
     except InputError:  # a word that is out of range
         raise
     except Exception as error:  # nor for a font, a full memory or a name that cannot be drawn
         doubts.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
-        files = {}
-    return Result(estimate, content(), files)
+    return result(files)
+
+
+def _refined(
+    inferred: Inferred, capture: Capture, doubts: list[str], **options: Any
+) -> "Refined | None":
+    """The refinement of an estimate; None, with a line in ``doubts``, where there is none.
+
+    ``options``: of :func:`drapenet.refine.refined.refined_capture`.
+    """
+    from drapenet.refine.refined import refined_capture
+
+    try:
+        refined = refined_capture(inferred.estimate, capture, inferred.camera,
+                                  turns=inferred.found.turns, **options)
+    except InputError:  # a word that is out of range
+        raise
+    except Exception as error:  # the network's estimate must not be lost for it
+        doubts.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
+                      "network's estimate is given")
+        return None
+    if refined is None:
+        doubts.append("no drape of the estimate converged; it is not refined")
+    return refined
+
+
+def _shown(
+    result: Result, inferred: Inferred, capture: Capture, rig: Rig, drape: "Resimulation | None"
+) -> dict[str, bytes]:
+    """The files that show a result, bytes by name."""
+    from drapenet.report import draw_report, draw_torques
+    from drapenet.shapes import drape_glb
+
+    name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
+    report = draw_report(result.estimate, capture.views, drape,
+                         title=f"{name}: {capture.density * 1e3:g} g/m²")
+    return {REPORT: report, TORQUES: draw_torques(result.estimate),
+            SHAPES: drape_glb(capture.views, inferred.camera, inferred.found, rig, drape),
+            PAGE: render("report.html", name=name, content=result.content, report=report)}
 
 
 def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:

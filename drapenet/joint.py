@@ -7,7 +7,6 @@ each counts as one in ``1 + (n - 1) SHARED``.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -15,7 +14,7 @@ from scipy.stats import chi2
 from data.fabrics import from_theta
 from data.prior import load_prior
 from data.prior.gaussian import GaussianPrior
-from drapenet.content import to_json
+from drapenet.content import Result, to_json
 from drapenet.convention import LINEAR, STIFF_SOFT, SWAPPED
 from drapenet.estimate import Estimate
 from sim.material import REFERENCE_DENSITY, is_admissible
@@ -70,15 +69,12 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
                    warnings=tuple(contradictions(estimates, labels)))
 
 
-def joint_content(
-    estimates: Sequence[Estimate], contents: Sequence[dict[str, Any]]
-) -> dict[str, Any]:
-    """The content of ``estimate.json`` of several captures, each with its own moduli beside it.
-
-    Args:
-        estimates: as for :func:`joined`.
-        contents: of the ``estimate.json`` of each.
+def joint_result(results: Sequence[Result]) -> Result:
+    """The estimate of one fabric from the ``results`` of its captures (:func:`joined`); its content
+    has the moduli of each.
     """
+    estimates, contents = ([getattr(one, part) for one in results]
+                           for part in ("estimate", "content"))
     labels = [content["capture"]["source"] for content in contents]
     densities = {round(one.density, 6) for one in estimates}
     estimate = joined(estimates, labels)
@@ -95,7 +91,7 @@ def joint_content(
     if len(densities) > 1:
         content["warnings"].append("the captures state different densities: moduli are those at "
                                    f"{1e3 * estimates[0].density:g} g/m²")
-    return content
+    return Result(estimate, content)
 
 
 def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list[str]:

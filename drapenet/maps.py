@@ -7,7 +7,7 @@ Files depend on the dataset, the set-ups and the seed only, so an interrupted ru
 
 import io
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from common.files import remove_partial, replace_file
 from common.workers import worker_pool
-from data.cameras import Camera, CameraRig, Intrinsics
+from data.cameras import CameraRig
 from data.manifest import finished_manifest, json_digest
 from data.nuisances import NAMES
 from data.setups import Setups
@@ -73,13 +73,6 @@ class Maps:
                                            strict=True)))
 
 
-def located_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
-    """The camera of views (K, H, W), m: its intrinsics as given, its pose from the plate."""
-    nominal = CameraRig.load(rig.name).nominal()
-    return locate_camera(views, replace(nominal, **vars(intrinsics)),
-                         plate_radius=rig.plate_radius)
-
-
 def make_maps(
     root: str | Path, out: Path, *, rig: Rig, setups: Setups, captures: int, seed: int,
     neighbours: bool = False, workers: int = 1, shards: int | None = None,
@@ -115,9 +108,6 @@ def make_maps(
 
 
 def _write_maps(shard: Path, path: Path, **options: Any) -> None:
-    import torch
-
-    torch.set_num_threads(1)
     content = io.BytesIO()
     np.savez(content, **vars(maps_of_shard(shard, **options)))
     remove_partial(path.parent, path.name)
@@ -150,7 +140,7 @@ def maps_of_shard(
                 step = change(own["theta"], table["theta"][chosen], rng)
                 shown = positions + np.tensordot(step, derivatives, 1)
             capture = setups.capture(shown, faces, rng, nominal=nominal)
-            camera = located_camera(capture.views, capture.intrinsics, rig)
+            camera = locate_camera(capture.views, capture.intrinsics, rig)
             found.append(drape_map(capture.views, camera, rig, turns=capture.turns))
             scaled = own["nuisances"].copy()
             scaled[NAMES.index("membrane")] *= np.exp(step[-1])

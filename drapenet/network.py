@@ -96,8 +96,7 @@ class MapNet(torch.nn.Module):
     """
 
     def __init__(
-        self, *, width: int = 64, components: int = 2, targets: int = 6, distance: float = 0.1,
-        spread: float = 0.02,
+        self, *, width: int, components: int, targets: int, distance: float, spread: float
     ) -> None:
         super().__init__()
         self.distance, self.spread = distance, spread

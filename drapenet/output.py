@@ -3,13 +3,26 @@ run; of a capture among hundreds also what the tables and pages are made of.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from common.documents import read_json
 from common.errors import InputError
-from common.files import remove_file, replace_file, replace_json, require_file, require_folder
+from common.files import (
+    remove_file,
+    replace_file,
+    replace_json,
+    replacing,
+    require_file,
+    require_folder,
+)
+from drapenet.content import Result
+from drapenet.estimate import Estimate
+from drapenet.table import format_table
 
 ESTIMATE = "estimate.json"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
@@ -69,17 +82,12 @@ def keep_estimate(out: Path, content: dict[str, Any]) -> None:
         remove_file(out / name)
 
 
-def write_estimate(out: Path, content: dict[str, Any], lines: str) -> None:
-    """Write ``content`` (:func:`keep_estimate`), and print it as ``lines``."""
-    keep_estimate(out, content)
-    print(lines)
-    print(f"estimate: {out / ESTIMATE}")
-
-
-def write_files(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write what shows an estimate (:class:`drapenet.inference.Result`); a failure is a warning."""
+def show_result(out: Path, result: Result) -> None:
+    """Write ``result`` and print it; a file that cannot be written to show it is a warning."""
+    keep_estimate(out, result.content)
+    print(f"{format_table(result.content)}\nestimate: {out / ESTIMATE}")
     written = []
-    for name, data in files.items():
+    for name, data in result.files.items():
         try:
             replace_file(out / name, data)
             written.append(str(out / name))
@@ -87,3 +95,31 @@ def write_files(out: Path, files: Mapping[str, bytes]) -> None:
             print(f"warning: no report: {error}")
     if written:
         print(f"report:   {', '.join(written)}")
+
+
+def write_result(out: Path, result: Result) -> None:
+    """Write ``result``, its estimate last: where that is, all of it is."""
+    for name, data in result.files.items():
+        replace_file(out / name, data)
+    replace_json(out / ESTIMATE, result.content)
+
+
+def write_samples(out: Path, estimate: Estimate) -> None:
+    """Keep the samples of a capture's ``estimate`` for the joint one of its fabric."""
+    with replacing(out / SAMPLES) as stream:
+        np.savez(stream, **vars(estimate))
+
+
+def read_result(out: Path) -> Result:
+    """The result of one capture among many, without its pictures; InputError where it is damaged.
+    """
+    try:
+        content = read_json(out / ESTIMATE)
+        with np.load(out / SAMPLES, allow_pickle=False) as file:
+            kept = dict(file)
+        texts = {name: tuple(kept.pop(name).tolist()) for name in ("names", "warnings")}
+        numbers = {name: float(kept.pop(name)) for name in ("axis", "certainty", "density")}
+        return Result(Estimate(**kept, **texts, **numbers), content)
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise InputError(f"{out} is damaged ({type(error).__name__}); remove it and run the "
+                         "same command again") from None

@@ -5,7 +5,6 @@ All are made from the files of finished captures (:mod:`drapenet.batch`), those 
 joined (:mod:`drapenet.joint`).
 """
 
-import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,32 +15,21 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from common.documents import read_json
 from common.errors import InputError
-from common.files import replace_file, replace_json
+from common.files import remove_file, replace_file, replace_json
 from data.captures import require_alike
+from drapenet.content import Result
 from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
-from drapenet.estimate import Estimate
-from drapenet.joint import joint_content
-from drapenet.output import ESTIMATE, REPORT, SAMPLES, THUMBNAIL
+from drapenet.joint import joint_result
+from drapenet.output import ESTIMATE, REPORT, THUMBNAIL, read_result
 from drapenet.pages import render
-from drapenet.table import csv_number, interval_columns, with_interval
+from drapenet.table import csv_number, csv_table, interval_columns, with_interval
 from drapenet.tree import Entry
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
 SPREAD, INDEX = "captures.png", "index.html"
-_FORMULA = "=+-@\t\r\n"  # a cell that begins like this is computed by spreadsheets
-
-
-@dataclass(frozen=True)
-class Finished:
-    """A capture's estimate, and the content of its ``estimate.json``."""
-
-    entry: Entry
-    estimate: Estimate
-    content: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -56,19 +44,19 @@ class FabricResult:
 
     name: str
     place: Path
-    captures: list[Finished]
+    captures: list[tuple[Entry, Result]]
     content: dict[str, Any]
     scatter: np.ndarray
 
     @property
     def doubted(self) -> int:
         """Captures with warnings."""
-        return sum(bool(one.content["warnings"]) for one in self.captures)
+        return sum(bool(one.content["warnings"]) for _, one in self.captures)
 
     @property
     def warnings(self) -> int:
         """Of all captures, and of what they say together."""
-        own = sum(len(one.content["warnings"]) for one in self.captures)
+        own = sum(len(one.content["warnings"]) for _, one in self.captures)
         together = len(self.content["warnings"]) - self.doubted if len(self.captures) > 1 else 0
         return own + together
 
@@ -90,53 +78,46 @@ def write_overview(
                      key=lambda entry: (entry.fabric, entry.place))
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
-            fabrics.append(_fabric(name, [_finished(out, entry) for entry in entries]))
+            fabrics.append(_fabric(name, list(entries), out))
         except InputError as error:
             apart += 1
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
-    _write_csv(out / "summary.csv", [_summary_row(one) for one in fabrics])
-    _write_csv(out / "fabrics.csv", [_fabric_row(one) for one in fabrics])
-    _write_csv(out / "captures.csv", [_capture_row(one) for fabric in fabrics
-                                      for one in fabric.captures])
-    _write_csv(out / "failures.csv", failures, FAILURE)
+    for name, rows, columns in (
+            ("summary", [_summary_row(one) for one in fabrics], ()),
+            ("fabrics", [_fabric_row(one) for one in fabrics], ()),
+            ("captures", [_capture_row(*one) for each in fabrics for one in each.captures], ()),
+            ("failures", failures, FAILURE)):
+        # Excel takes it for UTF-8 with a mark.
+        replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
     for fabric in fabrics:
         folder = out / fabric.place
         replace_json(folder / ESTIMATE, fabric.content)
         replace_file(folder / SPREAD, _spread(fabric))
         replace_file(folder / INDEX, render(
             "fabric.html", fabric=fabric, estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT,
-            spread=SPREAD, reports={one.entry.place for one in fabric.captures
-                                    if (out / one.entry.place / REPORT).exists()}))
+            spread=SPREAD, reports={entry.place for entry, _ in fabric.captures
+                                    if (out / entry.place / REPORT).exists()}))
+    places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
+    for place in places - {one.place for one in fabrics}:  # what an earlier run knew of them
+        for name in (ESTIMATE, SPREAD, INDEX):
+            remove_file(out / place / name)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
     return fabrics, apart
 
 
-def _finished(out: Path, entry: Entry) -> Finished:
-    folder = out / entry.place
-    try:
-        content = read_json(folder / ESTIMATE)
-        with np.load(folder / SAMPLES, allow_pickle=False) as file:
-            kept = dict(file)
-        estimate = Estimate(kept["samples"], tuple(kept["names"].tolist()), float(kept["axis"]),
-                            float(kept["certainty"]), float(kept["density"]), kept["spread"],
-                            tuple(kept["warnings"].tolist()))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{folder} is damaged ({type(error).__name__}); remove it and run the "
-                         "same command again") from None
-    return Finished(entry, estimate, content)
-
-
-def _fabric(name: str, captures: list[Finished]) -> FabricResult:
-    require_alike([one.content["capture"]["rig"] for one in captures],
-                  [one.estimate.names == WARP_WEFT for one in captures],
-                  [one.estimate.density for one in captures])
-    place = Path(captures[0].entry.place.parts[0])
-    if len(captures) == 1:
-        return FabricResult(name, place, captures, captures[0].content, np.full(3, np.nan))
-    content = joint_content([one.estimate for one in captures], [one.content for one in captures])
-    middles = [one.estimate.samples[:, LINEAR].mean(axis=0) for one in captures]
-    return FabricResult(name, place, captures, content, np.exp(np.std(middles, axis=0, ddof=1)))
+def _fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricResult:
+    results = [read_result(out / entry.place) for entry in entries]
+    require_alike([one.content["capture"]["rig"] for one in results],
+                  [one.estimate.names == WARP_WEFT for one in results],
+                  [one.estimate.density for one in results])
+    joint, scatter = results[0], np.full(3, np.nan)
+    if len(results) > 1:
+        joint = joint_result(results)
+        middles = [one.estimate.samples[:, LINEAR].mean(axis=0) for one in results]
+        scatter = np.exp(np.std(middles, axis=0, ddof=1))
+    return FabricResult(name, Path(entries[0].place.parts[0]),
+                        list(zip(entries, results, strict=True)), joint.content, scatter)
 
 
 def _summary_row(fabric: FabricResult) -> dict[str, object]:
@@ -150,7 +131,7 @@ def _summary_row(fabric: FabricResult) -> dict[str, object]:
 
 
 def _coefficient(fabric: FabricResult) -> str:
-    values = [one.content["capture"]["drape_coefficient_percent"] for one in fabric.captures]
+    values = [one.content["capture"]["drape_coefficient_percent"] for _, one in fabric.captures]
     known = [value for value in values if value is not None]
     return csv_number(np.mean(known)) if known else ""
 
@@ -159,7 +140,7 @@ def _fabric_row(fabric: FabricResult) -> dict[str, object]:
     several = len(fabric.captures) > 1
     return {
         "fabric": fabric.name,
-        "samples": len({one.entry.sample for one in fabric.captures}),
+        "samples": len({entry.sample for entry, _ in fabric.captures}),
         "captures": len(fabric.captures), "captures_with_warnings": fabric.doubted,
         "rig": fabric.content["capture"]["rig"], "directions": fabric.content["convention"],
         **_figures(fabric.content),
@@ -171,12 +152,12 @@ def _fabric_row(fabric: FabricResult) -> dict[str, object]:
     }
 
 
-def _capture_row(one: Finished) -> dict[str, object]:
-    entry, about = one.entry, one.content["capture"]
+def _capture_row(entry: Entry, result: Result) -> dict[str, object]:
+    content = result.content
     return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
-            "directions": one.content["convention"], **_figures(one.content),
-            "drape_coefficient_percent": about["drape_coefficient_percent"],
-            "flags": "; ".join(one.content["warnings"])}
+            "directions": content["convention"], **_figures(content),
+            "drape_coefficient_percent": content["capture"]["drape_coefficient_percent"],
+            "flags": "; ".join(content["warnings"])}
 
 
 def _figures(content: dict[str, Any]) -> dict[str, object]:
@@ -195,29 +176,6 @@ def _figures(content: dict[str, Any]) -> dict[str, object]:
     return row
 
 
-def _write_csv(
-    path: Path, rows: Sequence[dict[str, object]], columns: Sequence[str] = ()
-) -> None:
-    """A table for spreadsheets; ``columns`` are those of a table that may have no rows."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
-                            lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    replace_file(path, ("\ufeff" + stream.getvalue()).encode())  # Excel takes it for UTF-8
-
-
-def _cell(value: object) -> object:
-    """No formula: names are a user's, and may come from anywhere. Numbers stay numbers."""
-    if not isinstance(value, str) or not value.startswith(tuple(_FORMULA)):
-        return "" if value is None else value
-    try:
-        float(value)
-    except ValueError:
-        return "'" + value
-    return value
-
-
 def _spread(fabric: FabricResult) -> bytes:
     """PNG: alpha of every capture with its 68 % interval, and the fabric's as a band."""
     names = list(fabric.content["moduli"])
@@ -226,13 +184,13 @@ def _spread(fabric: FabricResult) -> bytes:
         joint = fabric.content["moduli"][name]["alpha_uN_m"]
         axes.axvspan(*joint["interval_68"], color=COLOURS[k], alpha=0.2, lw=0)
         axes.axvline(joint["median"], color=COLOURS[k], lw=1)
-        for row, one in enumerate(fabric.captures):
+        for row, (_, one) in enumerate(fabric.captures):
             each = one.content["moduli"][list(one.content["moduli"])[k]]["alpha_uN_m"]
             axes.plot(each["interval_68"], [row, row], color=COLOURS[k], lw=1.5)
             axes.plot(each["median"], row, "o", color=COLOURS[k], ms=4)
         axes.set(title=f"alpha {name} [µN·m]", ylim=(len(fabric.captures) - 0.4, -0.6))
         axes.set_yticks(range(len(fabric.captures)), [
-            _short(one.entry) for one in fabric.captures], fontsize=8, parse_math=False)
+            _short(entry) for entry, _ in fabric.captures], fontsize=8, parse_math=False)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100, metadata={"Software": None})
     return picture.getvalue()

@@ -30,12 +30,19 @@ class Draws:
     Attributes:
         theta: (S, 6) at 300 g/m²: of one of the two yarns, the bias, the other yarn.
         axis: (S,) direction of the first of them in the first view, rad.
-        impossible: share of what the network said that no cloth can have, and that was left out.
+        impossible: share of all samples that no cloth can have, and that was left out.
     """
 
     theta: np.ndarray
     axis: np.ndarray
     impossible: float
+
+    @classmethod
+    def possible(cls, theta: np.ndarray, axis: np.ndarray) -> "Draws":
+        """Those of the samples theta (S, 6) and axis (S,) that cloth can have; all if none can."""
+        possible = is_admissible(*from_theta(theta))
+        kept = possible if possible.any() else ~possible
+        return cls(theta[kept], axis[kept], float(1 - possible.mean()))
 
 
 @torch.no_grad()
@@ -78,6 +85,4 @@ def _draws(targets: np.ndarray, zero: float) -> Draws:
     axis = np.full(len(targets), zero)
     if targets.shape[1] > MODULI:
         axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
-    possible = is_admissible(*from_theta(targets[:, :MODULI]))
-    kept = possible if possible.any() else ~possible
-    return Draws(targets[kept, :MODULI], axis[kept], float(1 - possible.mean()))
+    return Draws.possible(targets[:, :MODULI], axis)

@@ -14,10 +14,10 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 from common.errors import InputError
 from data.cameras import Camera
 from drapenet.canonical import DrapeMap, disagreement
-from drapenet.lie import specimen_lie
+from drapenet.placement import specimen_placement
+from drapenet.registration import INNER
 from sim.scene import Rig
 
-_INNER = 0.7  # of the plate's radius, where cloth lies flat on it
 _OFF_PLATE = 10e-3  # m, from the plate's plane: not cloth that lies on it
 _TIE = 1.5e-3  # m, depths of a border that a threshold has cut
 LARGEST_SCALE = 0.05  # of the logarithm of the scale
@@ -41,7 +41,7 @@ class Quality:
 
     Attributes:
         log_scale, offset: how much larger than possible the drape looks, and how far its centre
-            lies from the plate's axis, m (:mod:`drapenet.lie`).
+            lies from the plate's axis, m (:mod:`drapenet.placement`).
         bulge: m, by which cloth on the plate is not flat, up in the middle.
         off_plate: share of the points over the plate's middle that lie off its plane.
         disagreement: m, between what two views see of the same cloth.
@@ -77,7 +77,7 @@ def measure(
     clouds = [camera.cloth_points(view) for view in views]
     gap = disagreement(clouds, turns, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    log_scale, offset = specimen_lie(found, rig) if len(views) > 1 else (np.nan, np.nan)
+    log_scale, offset = specimen_placement(found, rig) if len(views) > 1 else (np.nan, np.nan)
     bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
     return Quality(
         log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
@@ -175,7 +175,7 @@ def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
     """Bulge of the cloth on the plate, m, from the middle to the edge of the paraboloid through
     it, and the share of points (N, 3), m, over the plate that lie off its plane.
     """
-    reach = _INNER * rig.plate_radius
+    reach = INNER * rig.plate_radius
     over = points[np.hypot(points[:, 0], points[:, 1]) < reach]
     flat = np.abs(over[:, 2]) < _OFF_PLATE
     x, y, z = over[flat].T

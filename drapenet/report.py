@@ -4,7 +4,6 @@ the laws alone.
 
 import io
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -28,7 +27,6 @@ def draw_report(
     resimulation: Resimulation | None,
     *,
     title: str,
-    warnings: Sequence[str],
 ) -> bytes:
     """The report as a PNG file.
 
@@ -62,8 +60,8 @@ def draw_report(
     _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
     _figures(lower.add_subplot(grid[2]), estimate, resimulation)
     figure.suptitle(title, fontsize=14, parse_math=False)
-    if warnings:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in warnings),
+    if estimate.warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in estimate.warnings),
                          x=0.01, ha="left", fontsize=9, parse_math=False)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)

@@ -13,16 +13,16 @@ import numpy as np
 
 from data.cameras import Camera
 from data.render import QUARTERS, DepthRenderer
-from drapenet.registration import count_folds, radius_profile, silhouette_overlap
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
-from sim.measures import drape_coefficient
+from sim.measures import drape_coefficient, folds_around
 from sim.scene import Rig
 
 TURNS = 48  # orientations tried for the fit
 FIT_WIDTH = 120  # pixels, of the pictures compared for it
 EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
-PROFILE_HEIGHT = -0.04  # m above the plate, where the radius profiles are taken
+PROFILE_HEIGHT, PROFILE_BAND = -0.04, 0.016  # m above the plate, of radius profiles, and around it
+BINS = 180  # of a radius profile
 LEAST_OVERLAP = 0.7
 """Of the silhouettes. Sound captures have 0.82 and more (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
@@ -35,7 +35,7 @@ class Resimulation:
 
     Attributes:
         views: (K, H, W) of the simulated drape, z-depth, m.
-        profiles: radius profiles (bins,), m, captured and simulated.
+        profiles: radius profiles (BINS,), m, captured and simulated.
         folds: captured and simulated.
         overlap: mean intersection over union of the silhouettes.
         statuses: of all drapes made, in the order of :data:`STARTS`.
@@ -76,7 +76,7 @@ def resimulate(
     rig: Rig,
     edge: float,
     drapes: int,
-    turns: Sequence[float] = QUARTERS,
+    turns: Sequence[float],
 ) -> Resimulation | None:
     """Drape ``fabric`` as a capture shows it; None if no drape converges.
 
@@ -122,12 +122,51 @@ def beside(
     """A drape whose views (K, H, W) are ``simulated`` beside the captured ``views``; other
     arguments as for :class:`Resimulation`.
     """
-    profiles = tuple(radius_profile(v, camera, height=PROFILE_HEIGHT, turns=turns)
-                     for v in (views, simulated))
+    profiles = tuple(radius_profile(v, camera, turns=turns) for v in (views, simulated))
     return Resimulation(
         views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
         overlap=silhouette_overlap(views, simulated), statuses=tuple(statuses), drape=drape,
         positions=positions)
+
+
+def radius_profile(
+    views: np.ndarray, camera: Camera, *, turns: Sequence[float] = QUARTERS
+) -> np.ndarray:
+    """Distance (BINS,), m, of the cloth from the axis around the drape at :data:`PROFILE_HEIGHT`.
+
+    Each view contributes mostly what faces the camera. NaN where no view saw any cloth.
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0.
+        camera: of all of them (:func:`drapenet.registration.locate_camera`).
+        turns: (K,) rad, how far the table had turned in each view.
+    """
+    total, weight = np.zeros((2, BINS))
+    for turn, view in zip(turns, views, strict=True):
+        points = camera.cloth_points(view)
+        band = points[np.abs(points[:, 2] - PROFILE_HEIGHT) < PROFILE_BAND / 2]
+        azimuth = np.arctan2(band[:, 1], band[:, 0])
+        facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera stands at -y
+        bin_of = np.floor((azimuth - turn) / (2 * np.pi) * BINS).astype(int) % BINS
+        np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
+        np.add.at(weight, bin_of, facing)
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
+
+
+def count_folds(profile: np.ndarray) -> int:
+    """Number of outward folds of a radius profile (bins,), which may have gaps."""
+    known = np.flatnonzero(np.isfinite(profile))
+    if len(known) < len(profile) // 2:
+        return 0
+    filled = np.interp(np.arange(len(profile)), known, profile[known], period=len(profile))
+    return len(folds_around(filled, len(profile) / 90))
+
+
+def silhouette_overlap(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean intersection over union of the cloth in views (K, H, W) and (K, H, W)."""
+    a, b = first > 0, second > 0
+    union = (a | b).sum(axis=(1, 2))
+    return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))
 
 
 def _fit_orientation(

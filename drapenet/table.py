@@ -1,10 +1,13 @@
-"""Estimates in the units that people see, for the terminal."""
+"""Estimates in the units that people see, as text for terminals and spreadsheets."""
 
+import csv
+import io
 import math
 from collections.abc import Sequence
 from typing import Any
 
 WIDEST = 28  # characters of a fabric's name
+_FORMULA = tuple("=+-@\t\r\n")  # a cell that begins like this is computed by spreadsheets
 
 
 def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[str, str]:
@@ -29,6 +32,27 @@ def interval_columns(name: str, quantity: dict[str, Any] | None) -> dict[str, st
 def csv_number(value: float) -> str:
     """A number for a CSV table."""
     return f"{value:.6g}"
+
+
+def csv_table(rows: Sequence[dict[str, object]], columns: Sequence[str] = ()) -> str:
+    """A table for spreadsheets; ``columns`` are those of a table that may have no rows."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
+                            lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: object) -> object:
+    """No formula: names are a user's, and may come from anywhere. Numbers stay numbers."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return "" if value is None else value
+    try:
+        float(value)
+    except ValueError:
+        return "'" + value
+    return value
 
 
 def format_table(content: dict[str, Any]) -> str:

@@ -1,13 +1,13 @@
 """Which captures a laboratory's tree of folders, or its list, holds, and where results go."""
 
-import csv
+import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.documents import LARGEST_TABLE, read_text, shown
+from common.documents import read_table, shown
 from common.errors import InputError, one_line
 from data.captures import MARKS
 
@@ -61,8 +61,10 @@ def entries_of(source: Path) -> list[Entry]:
 
 def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     try:
-        for folder, inside, files in os.walk(root, onerror=_stop):
-            inside[:] = sorted(name for name in inside if not name.startswith("."))
+        for folder, inside, files in os.walk(root, onerror=_stop, followlinks=True):
+            here = Path(folder).resolve()  # a link to a folder above would have no end
+            inside[:] = sorted(name for name in inside if not name.startswith(".")
+                               and not here.is_relative_to(Path(folder, name).resolve()))
             parts = Path(folder).relative_to(root).parts
             marked = any(mark in files for mark in MARKS)
             if marked:
@@ -81,23 +83,17 @@ def _stop(error: OSError) -> None:
 
 
 def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
-    try:
-        text = read_text(file, LARGEST_TABLE, "list").splitlines()
-        # Spreadsheets write semicolons where the comma is decimal.
-        separator = ";" if text and ";" in text[0] and "," not in text[0] else ","
-        lines = csv.DictReader(text, delimiter=separator, strict=True)
-        missing = {"fabric", "capture"} - set(lines.fieldnames or ())
-        if missing:
-            raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
-                             f"{','.join(COLUMNS)}")
-        for number, row in enumerate(lines, start=2):
-            fabric, sample, capture = ((row.get(name) or "").strip() for name in COLUMNS)
-            if not fabric or not capture:
-                raise InputError(f"{file}, line {number}: fabric={shown(fabric)} and "
-                                 f"capture={shown(capture)} must both be given")
-            yield (fabric, sample, capture), file.parent / capture
-    except csv.Error as error:
-        raise InputError(f"{file} cannot be read ({one_line(error)}); give a CSV file") from None
+    header, rows = read_table(file, "list")
+    if missing := {"fabric", "capture"} - set(header):
+        raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
+                         f"{','.join(COLUMNS)}")
+    for line, row in rows:
+        cells = dict(zip(header, row, strict=False))
+        fabric, sample, capture = (cells.get(name, "").strip() for name in COLUMNS)
+        if not fabric or not capture:
+            raise InputError(f"{file}, line {line}: fabric={shown(fabric)} and "
+                             f"capture={shown(capture)} must both be given")
+        yield (fabric, sample, capture), file.parent / capture
 
 
 def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
@@ -108,7 +104,7 @@ def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) 
             continue
         # Names that are alike but for what a file system cannot hold, or does not distinguish.
         owner, plain = tuple(names[:depth]), plain_name(name)
-        for number in range(1, 1 + len(taken) + 1):
+        for number in itertools.count(1):
             here = (*place, plain if number == 1 else f"{plain}-{number}")
             key = tuple(part.casefold() for part in here)
             # Of the last part every row has its own.

@@ -53,11 +53,18 @@ def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarra
 def fold_angles(outline: np.ndarray) -> np.ndarray:
     """Where the folds are: angles (n,) on the material circle, radians, ascending. A fold is a peak
     of the distance from the axis along ``outline`` (:func:`fold_outline`) of at least 3 mm."""
-    radius = gaussian_filter1d(np.linalg.norm(outline, axis=1), 6.0, mode="wrap")
-    seam = int(radius.argmin())
-    radius = np.roll(radius, -seam)  # no peak at the seam
-    peaks, _ = find_peaks(np.append(radius, radius[0]), prominence=_LEAST_FOLD)
-    return np.sort((peaks + seam) % _OUTLINE) * (2 * np.pi / _OUTLINE)
+    return folds_around(np.linalg.norm(outline, axis=1), 6.0) * (2 * np.pi / len(outline))
+
+
+def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
+    """Where the folds are among distances from the axis around a drape, (N,) m, smoothed over
+    ``sigma`` of them: indices (n,) of the peaks of at least 3 mm, ascending.
+    """
+    smooth = gaussian_filter1d(radius, sigma, mode="wrap")
+    seam = int(smooth.argmin())  # there is no peak
+    smooth = np.roll(smooth, -seam)
+    peaks, _ = find_peaks(np.append(smooth, smooth[0]), prominence=_LEAST_FOLD)
+    return np.sort((peaks + seam) % len(radius))
 
 
 def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:

@@ -157,7 +157,9 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
     ("edge_mm=0.3", "edge=0.3 mm"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
     ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
     ("refine=scan", "none or depth"), ("refine=depth refine.edge_mm=100", "edge=100 mm"),
-    ("refine.starts=2", "refine.starts"), ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
+    ("refine.starts=2", "refine.starts"),
+    ("refine=depth refine.starts=0.5", "refine.starts=0.5 must be a positive whole number"),
+    ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,

@@ -70,8 +70,10 @@ def test_a_checkpoint_describes_itself(words: list[str], tmp_path: Path) -> None
 
 def test_another_setting_in_the_same_folder_is_refused(words: list[str]) -> None:
     train.main([*words, "epochs=1"])
-    with pytest.raises(InputError, match=r"other settings \(optim\.weight_decay\); choose"):
-        train.main([*words, "epochs=1", "optim.weight_decay=0.02"])
+    for word, name in (("optim.weight_decay=0.02", r"optim\.weight_decay"),
+                       ("model.width=8", r"model\.width")):
+        with pytest.raises(InputError, match=rf"other settings \({name}\); choose"):
+            train.main(last(*words, "epochs=1", word))
 
 
 @pytest.mark.parametrize(("word", "message"), [

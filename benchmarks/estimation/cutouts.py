@@ -26,7 +26,7 @@ from data.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.canonical import drape_map
 from drapenet.checkpoint import bundled, read_header
 from drapenet.convention import LINEAR
-from drapenet.maps import located_camera
+from drapenet.registration import locate_camera
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
@@ -59,7 +59,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
              **plate_errors(cut, scene, tester)}
     perfect = np.where(scene.cloth & ~blended(scene, sensor), scene.frames, np.float32(0.0))
     for name, views in (("turn_deg", cut.views), ("turn_perfect_deg", perfect)):
-        camera = located_camera(views, intrinsics, tester)
+        camera = locate_camera(views, intrinsics, tester)
         measured = drape_map(views, camera, tester, turns=np.array(QUARTERS)).turns
         found[name] = float(np.degrees(np.abs(measured - turns)).max())
     if estimated:

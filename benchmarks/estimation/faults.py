@@ -23,7 +23,7 @@ from data.setups import Setups, SyntheticCapture
 from data.shards import Shard
 from drapenet.canonical import drape_map
 from drapenet.inference import capture_doubts
-from drapenet.maps import located_camera
+from drapenet.registration import locate_camera
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
@@ -162,7 +162,7 @@ def doubts(
     if sound is not None and checked.views.shape == sound.views.shape and (
             np.abs(checked.views - read(sound).views) > 1e-6).sum() < FEW * len(checked.views):
         return ["mended"]
-    camera = located_camera(checked.views, checked.intrinsics, rig)
+    camera = locate_camera(checked.views, checked.intrinsics, rig)
     found = drape_map(checked.views, camera, rig, turns=checked.turns)
     try:
         return [*checked.warnings, *capture_doubts(checked, setups, camera, found)]

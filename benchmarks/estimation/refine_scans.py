@@ -74,8 +74,8 @@ def refined(scan: "Registered") -> dict:
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
     inferred = infer_capture(capture, header)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    result = refined_capture(estimate, capture, camera, rig=DISC_RIG, turns=found.turns,
-                             seen=CapturedScan(shape), edge=0.0, known={})
+    result = refined_capture(estimate, capture, camera, turns=found.turns,
+                             seen=CapturedScan(shape), known={})
     if result is None:
         raise InputError("no cloth settles at the scan")
     network = estimate.samples

@@ -26,6 +26,7 @@ from benchmarks.common import (
 )
 from benchmarks.comparison import same_folds
 from benchmarks.known import CLEAN, known_drape
+from common.configs import read_option
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.nuisances import NAMES
@@ -64,8 +65,9 @@ def case(
     own = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
            if nuisances == "none" else {})
     began = time.perf_counter()
-    refined = refined_capture(estimate, capture, camera, rig=nominal, turns=found.turns, seen=None,
-                              edge=1e-3 * edge_mm, known=own)
+    settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
+    refined = refined_capture(estimate, capture, camera, turns=found.turns, seen=None, known=own,
+                              settings=settings)
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}
     if refined is not None and refined.draws is not None:

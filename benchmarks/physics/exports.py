@@ -16,7 +16,8 @@ import numpy as np
 from benchmarks.common import Config, Result, table
 from benchmarks.physics import style3d
 from drapenet.content import SCHEMA, SCHEMA_VERSION
-from drapenet.export import GAMMA, MESHES, export, read_material
+from drapenet.export import export
+from drapenet.material import GAMMA, MESHES, read_material
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
 from sim.cantilever.equivalent import free_end
 from sim.material import DIRECTIONS, MICRO

@@ -17,7 +17,7 @@ from common.command import compose_config
 from common.configs import read_option
 from data.cameras import Camera
 from data.captures import Capture
-from data.fabrics import THETA_NAMES, from_theta
+from data.fabrics import THETA_NAMES
 from data.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.options import Options, config_from_options
 from data.render import DepthRenderer
@@ -32,7 +32,7 @@ from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, sea
 from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
-from sim.material import MICRO, REFERENCE_DENSITY, is_admissible
+from sim.material import MICRO, REFERENCE_DENSITY
 from sim.scene import Rig
 
 WORST = 10.0
@@ -66,8 +66,8 @@ class Refined:
 
 
 def refined_capture(
-    estimate: Estimate, capture: Capture, camera: Camera, *, rig: Rig, turns: np.ndarray,
-    seen: CapturedScan | None, known: Mapping[str, float], edge: float = 0.0,
+    estimate: Estimate, capture: Capture, camera: Camera, *, turns: np.ndarray,
+    seen: CapturedScan | None, known: Mapping[str, float],
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refined | None:
@@ -80,7 +80,6 @@ def refined_capture(
         seen: the scan that the capture is of; None for views.
         known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate, of the fabric at
             its own density.
-        edge: m, of the last mesh for views; 0 for that of the settings.
         settings: content of a file of ``configs/refine``; None for what it is by default.
         progress: called with drapes made, drapes expected, and the misfit so far.
     """
@@ -89,8 +88,9 @@ def refined_capture(
     settings = settings or read_option("refine", "scan" if seen else "depth")
     if seen is None:
         source: Seen = CapturedViews(
-            capture.views, camera, turns=turns, turn=estimate.axis, rig=rig,
-            edge=edge or 1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
+            capture.views, camera, turns=turns, turn=estimate.axis,
+            rig=Rig.from_name(capture.rig), edge=1e-3 * settings["edge_mm"],
+            coarse=1e-3 * settings["coarse_mm"])
     else:
         source, axis = seen, flat_turn(seen.shape)
     found = _search(estimate, source, axis=axis, count=int(settings["starts"]), known=known,
@@ -109,9 +109,7 @@ def refined_capture(
         simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
     draws = None
     if theta is not None and found.improved and found.uncertainty.reduced_chi2 < WORST:
-        possible = is_admissible(*from_theta(theta))
-        kept = possible if possible.any() else ~possible
-        draws = Draws(theta[kept], np.full(int(kept.sum()), turn), float(1 - possible.mean()))
+        draws = Draws.possible(theta, np.full(len(theta), turn))
     shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
                    positions=positions, statuses=[drape.status.value])
     near = fidelity(seen.shape, found.released) if seen and found.released else None

@@ -9,7 +9,6 @@ it more and more, until its strain is as large as in a drape. Trimesh's non-rigi
 """
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,10 +22,11 @@ from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
 from data.scans import LARGEST_SCAN, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
+from drapenet.refine.search import CapturedScan
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
-from sim.scene import Rig
+from sim.scene import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """Bends as easily as the softest real fabrics: it irons no fold out."""
@@ -100,6 +100,21 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
     return found
 
 
+def read_scan_capture(
+    path: Path, *, density: float, held: float = 1.0
+) -> tuple[Capture, CapturedScan]:
+    """A scan of a drape on the disc rig as a capture, and as what the search compares with.
+
+    Args:
+        density: kg/m². held: see :class:`.surface.CapturedShape`.
+
+    Raises:
+        InputError: no such scan, or none of a drape.
+    """
+    shape = read_shape(path, DISC_RIG, held=held).shape
+    return scan_capture(path, shape, density), CapturedScan(shape)
+
+
 def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
     """A scan as a capture of four views without noise, by the rig's camera in its usual place.
 
@@ -158,9 +173,8 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
         if points.shape[1:] != (3,):
             raise ValueError("points of another number of coordinates than three")
         faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError,
-            UnicodeDecodeError, NotImplementedError, zipfile.BadZipFile) as error:
-        # What trimesh says of a file that it cannot read is of no use to its owner.
+    except Exception as error:
+        # What trimesh makes of a file that it cannot read is of no use to its owner.
         reason = getattr(error, "strerror", None) or (
             "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
         raise InputError(f"cannot read the scan {path}: {reason}") from None

@@ -120,10 +120,11 @@ class Cloud:
 
 def distances(cloud: Cloud, positions: np.ndarray) -> np.ndarray:
     """Distances (N,), m, of points (N, 3) from a scanned surface."""
-    distance, nearest = cKDTree(cloud.points).query(positions)
+    tree = cKDTree(cloud.points)
+    distance, nearest = tree.query(positions)
     across = np.abs((cloud.normals[nearest] * (positions - cloud.points[nearest])).sum(1))
     # Next to a point of the surface only what lies across counts, beyond the hem all of it.
-    spacing = cKDTree(cloud.points).query(cloud.points, 2)[0][:, 1].max()
+    spacing = tree.query(cloud.points, 2)[0][:, 1].max()
     return np.where(distance < spacing, across, distance)
 
 

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import swagger_ui_bundle
 import uvicorn
-from fastapi import FastAPI, Request
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.middleware.trustedhost import TrustedHostMiddleware
 from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
@@ -25,8 +25,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
+from common.files import folder_named, require_folder
 from data.captures import MARKS
-from drapenet.export import MESHES, TARGETS, read_material
+from drapenet.export import TARGETS
+from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
@@ -58,6 +60,8 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
                   "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"},
         **{name: {"type": "number"} for name in NUMBERS},
         **{name: {"type": "string"} for name in TEXTS}}}}}}
+router = APIRouter()
+"""The HTTP interface."""
 
 
 def serve(settings: Settings) -> None:
@@ -66,7 +70,7 @@ def serve(settings: Settings) -> None:
     Raises:
         InputError: settings out of range, or an address that cannot be listened at.
     """
-    settings.check()
+    require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
         http=ImpatientProtocol, ws="none",
@@ -109,7 +113,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
     _add_pages(app, settings)
-    _add_interface(app, settings)
+    app.include_router(router)
     return app
 
 
@@ -147,79 +151,83 @@ def _example() -> bytes:
                     if file.suffix == ".png" or file.name in MARKS})
 
 
-def _add_interface(app: FastAPI, settings: Settings) -> None:
-    answers = {status: {"description": text} for status, text in _ANSWERS.items()}
+def _answers(*statuses: int) -> dict[int, dict[str, str]]:
+    return {status: {"description": _ANSWERS[status]} for status in statuses}
 
-    @app.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
-              responses={key: answers[key] for key in (408, 413, 415, 422, 429)})
-    async def begin(request: Request) -> dict[str, str]:
-        """Upload a capture or a scan, and begin to estimate it."""
-        jobs: Jobs = request.app.state.jobs
-        try:
-            jobs.reserve()
-        except RequestError:
-            await _drain(request)
-            raise
-        try:
-            files, texts = await _form(request, settings)
-            upload = await run_in_threadpool(checked_upload, files, texts, settings)
-        except BaseException:
-            jobs.release()
-            raise
-        # From here on the place is the job's: a request that is cancelled must not give it back.
-        identity = await run_in_threadpool(jobs.submit, upload)
-        return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
-    @app.get("/estimates/{identity}", responses={404: answers[404]})
-    def state(identity: str, request: Request) -> JSONResponse:
-        """How far an estimate is, and what is known: `state` is queued, running, done, failed or
-        interrupted; `estimate` has the content of estimate.json as soon as the network has seen the
-        capture.
-        """
-        folder, found = request.app.state.jobs.found(identity)
-        content = read_json(folder / ESTIMATE)
-        files = [name for name in FILES if (folder / name).is_file()]
-        return JSONResponse(found | {"estimate": content, "files": files},
-                            headers={"Cache-Control": "no-store"})
+@router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
+             responses=_answers(408, 413, 415, 422, 429))
+async def begin(request: Request) -> dict[str, str]:
+    """Upload a capture or a scan, and begin to estimate it."""
+    jobs: Jobs = request.app.state.jobs
+    try:
+        jobs.reserve()
+    except RequestError:
+        await _drain(request)
+        raise
+    try:
+        files, texts = await _form(request, jobs.settings)
+        upload = await run_in_threadpool(checked_upload, files, texts, jobs.settings)
+    except BaseException:
+        jobs.release()
+        raise
+    # From here on the place is the job's: a request that is cancelled must not give it back.
+    identity = await run_in_threadpool(jobs.submit, upload)
+    return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
-    @app.get("/estimates/{identity}/{file}", responses={key: answers[key] for key in (404, 409)},
-             response_class=FileResponse)
-    def file(identity: str, file: str, request: Request) -> FileResponse:
-        """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
-        preview.png.
-        """
-        folder, _ = request.app.state.jobs.found(identity)
-        if file not in FILES:
-            raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
-        if not (folder / file).is_file():
-            raise RequestError(409, f"{file} is not yet available")
-        return FileResponse(folder / file, headers={"Cache-Control": "no-store"})
 
-    @app.get("/estimates/{identity}/export/{name}", response_class=Response,
-             responses={key: answers[key] for key in (404, 409, 422)})
-    def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
-               edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
-        """A file for another tool, or a zip where there are several; `mesh` and `edge_mm` for tools
-        made of hinges, `curvature_1_m` at which one modulus stands for the law.
-        """
-        folder, found = request.app.state.jobs.found(identity)
-        if name not in TARGETS:
-            raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
-        if found["state"] != DONE:
-            raise RequestError(409, "the estimate is not finished")
-        try:
-            material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
-                                     edge=1e-3 * edge_mm, name=found["name"])
-            target = TARGETS[name]
-            title = f"{plain_name(found['name'])}-{target.file}"
-            files = target.write(material, title)
-        except InputError as error:
-            raise RequestError(422, str(error).replace(str(folder), "")) from None
-        several = len(files) > 1
-        title = f"{Path(title).stem}.zip" if several else title
-        return Response(_zipped(files) if several else files[title],
-                        media_type="application/octet-stream",
-                        headers={"Content-Disposition": _attachment(title)})
+@router.get("/estimates/{identity}", responses=_answers(404))
+def state(identity: str, request: Request) -> JSONResponse:
+    """How far an estimate is, and what is known: `state` is queued, running, done, failed or
+    interrupted; `estimate` has the content of estimate.json as soon as the network has seen the
+    capture.
+    """
+    folder, found = request.app.state.jobs.found(identity)
+    content = read_json(folder / ESTIMATE)
+    files = [name for name in FILES if (folder / name).is_file()]
+    return JSONResponse(found | {"estimate": content, "files": files},
+                        headers={"Cache-Control": "no-store"})
+
+
+@router.get("/estimates/{identity}/{file}", responses=_answers(404, 409),
+            response_class=FileResponse)
+def file(identity: str, file: str, request: Request) -> FileResponse:
+    """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
+    preview.png.
+    """
+    folder, _ = request.app.state.jobs.found(identity)
+    if file not in FILES:
+        raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
+    if not (folder / file).is_file():
+        raise RequestError(409, f"{file} is not yet available")
+    return FileResponse(folder / file, headers={"Cache-Control": "no-store"})
+
+
+@router.get("/estimates/{identity}/export/{name}", response_class=Response,
+            responses=_answers(404, 409, 422))
+def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
+           edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
+    """A file for another tool, or a zip where there are several; `mesh` and `edge_mm` for tools
+    made of hinges, `curvature_1_m` at which one modulus stands for the law.
+    """
+    folder, found = request.app.state.jobs.found(identity)
+    if name not in TARGETS:
+        raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
+    if found["state"] != DONE:
+        raise RequestError(409, "the estimate is not finished")
+    try:
+        material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
+                                 edge=1e-3 * edge_mm, name=found["name"])
+        target = TARGETS[name]
+        title = f"{plain_name(found['name'])}-{target.file}"
+        files = target.write(material, title)
+    except InputError as error:
+        raise RequestError(422, str(error).replace(str(folder), "")) from None
+    several = len(files) > 1
+    title = f"{Path(title).stem}.zip" if several else title
+    return Response(_zipped(files) if several else files[title],
+                    media_type="application/octet-stream",
+                    headers={"Content-Disposition": _attachment(title)})
 
 
 def _attachment(name: str) -> str:

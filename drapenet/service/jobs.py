@@ -44,8 +44,7 @@ class Jobs:
 
     def __init__(self, settings: Settings):
         self.settings = settings
-        self._taken = 0
-        self._lock = threading.Lock()
+        self._places, self._lock = threading.Semaphore(settings.queue), threading.Lock()
         settings.folder.mkdir(parents=True, exist_ok=True)
         for folder in self._folders():
             state = read_state(folder)
@@ -72,16 +71,13 @@ class Jobs:
         """Take a place in the queue, to be given back by :meth:`release` unless :meth:`submit`
         is called, which sees to it; RequestError with the status 429 where none is free.
         """
-        with self._lock:
-            if self._taken >= self.settings.queue:
-                raise RequestError(429, f"{self._taken} estimates are waiting or under way, as "
-                                   "many as this service takes; try again in a minute")
-            self._taken += 1
+        if not self._places.acquire(blocking=False):
+            raise RequestError(429, f"{self.settings.queue} estimates are waiting or under way, as "
+                               "many as this service takes; try again in a minute")
 
     def release(self) -> None:
         """Give a place in the queue back."""
-        with self._lock:
-            self._taken -= 1
+        self._places.release()
 
     def submit(self, upload: Upload) -> str:
         """Begin to estimate an upload, in the place that :meth:`reserve` took; its identity."""

@@ -2,14 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import joblib
+from pydantic import Field
 
-from common.errors import InputError
-from common.files import folder_named, require_folder
-
-_POSITIVE = ("queue", "job_seconds", "upload_seconds", "idle_seconds", "megabytes", "files",
-             "megapixels", "keep_hours", "keep")
+from drapenet.config import FromOne, FromZero, Positive
 
 
 @dataclass
@@ -17,19 +15,19 @@ class Settings:
     """``configs/serve.yaml``, and what follows from it: sizes in bytes and pixels, seconds."""
 
     host: str
-    port: int
+    port: Annotated[int, Field(ge=0, le=65535)]
     names: str
     results: str
-    workers: int
-    queue: int
-    job_seconds: float
-    upload_seconds: float
-    idle_seconds: float
-    megabytes: float
-    files: int
-    megapixels: float
-    keep_hours: float
-    keep: int
+    workers: FromZero
+    queue: FromOne
+    job_seconds: Positive
+    upload_seconds: Positive
+    idle_seconds: Positive
+    megabytes: Positive
+    files: FromOne
+    megapixels: Positive
+    keep_hours: Positive
+    keep: FromOne
 
     def __post_init__(self) -> None:
         self.folder = Path(self.results).resolve()
@@ -37,14 +35,3 @@ class Settings:
         self.processes = self.workers or joblib.cpu_count()
         self.bytes, self.pixels = round(self.megabytes * 1e6), round(self.megapixels * 1e6)
         self.keep_seconds = 3600 * self.keep_hours
-
-    def check(self) -> None:
-        """Raise InputError for values out of range."""
-        for key in _POSITIVE:
-            if (value := getattr(self, key)) <= 0:
-                raise InputError(f"{key}={value:g} must be positive")
-        if not 0 <= self.port <= 65535:
-            raise InputError(f"port={self.port} must lie between 0 and 65535")
-        if self.workers < 0:
-            raise InputError(f"workers={self.workers} must be 0, one for each core, or more")
-        require_folder(folder_named(self.results))

@@ -10,7 +10,7 @@ from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.workers import follow
-from drapenet.output import ESTIMATE
+from drapenet.output import ESTIMATE, write_result
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
@@ -42,15 +42,14 @@ def warm_up(parent: int) -> None:
     follow(parent)
     from data.cameras import DEFAULT_RIG
     from data.render import import_open3d
-    from drapenet.checkpoint import bundled
+    from drapenet.checkpoint import bundled, read_header
     from drapenet.inference import network_of
     from drapenet.report import draw_report  # noqa: F401
     from drapenet.resimulate import EDGE
-    from drapenet.sources import known_header
     from sim.drape import drape
     from sim.material import MICRO, Fabric
 
-    network_of(known_header(str(bundled(DEFAULT_RIG))))
+    network_of(read_header(bundled(DEFAULT_RIG)))
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
 
@@ -64,8 +63,9 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
         name: of the capture, for people. density: kg/m², of a scan.
     """
     from data.captures import read_capture
+    from drapenet.checkpoint import header_for
     from drapenet.inference import estimate_capture
-    from drapenet.sources import header_for, read_scan_capture
+    from drapenet.refine.scans import read_scan_capture
 
     uploaded = folder / UPLOADED
     change_state(folder, state=RUNNING, stage="reading")
@@ -86,9 +86,7 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
         result = estimate_capture(capture, header_for([capture]), seen=seen, refine=refine,
                                   first=first, progress=_throttled(folder))
-        for file, data in result.files.items():
-            replace_file(folder / file, data)
-        replace_json(folder / ESTIMATE, result.content)
+        write_result(folder, result)
         change_state(folder, state=DONE, stage=None, progress=None, ended=time.time())
     except InputError as error:
         sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)
@@ -98,21 +96,14 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
 def preview(capture: Any) -> bytes:
     """PNG of what was captured: frames with the cloth outlined, or the cloth of each view."""
-    import cv2
-    import numpy as np
-
     from data.capture import picture
-    from data.picture import thumbnail
+    from data.picture import thumbnails
     from sim.scene import Rig
 
     if capture.cut:
         return picture(capture.cut, capture.intrinsics, Rig.from_name(capture.rig),
                        turns=capture.turns)
-    tiles = [cv2.imdecode(np.frombuffer(thumbnail(view), np.uint8), cv2.IMREAD_COLOR)
-             for view in capture.views]
-    gap = np.full((tiles[0].shape[0], 12, 3), 255, np.uint8)
-    row = [part for tile in tiles for part in (tile, gap)][:-1]
-    return cv2.imencode(".png", np.hstack(row))[1].tobytes()
+    return thumbnails(capture.views)
 
 
 def _throttled(folder: Path) -> Callable[[int, int, float], None]:

@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import fake_drapes
 import h5py
@@ -51,8 +52,9 @@ from data.sampling import SamplingConfig
 from data.scans import read_scan
 from data.setups import Setups
 from data.shards import SEAL_SIZE, _seal
-from drapenet.checkpoint import load_model, load_state, read_header, save_checkpoint, save_state
-from drapenet.export import TARGETS, read_material
+from drapenet.checkpoint import header_for, load_model, load_state, save_checkpoint, save_state
+from drapenet.export import TARGETS
+from drapenet.material import read_material
 from drapenet.network import MapNet
 from drapenet.refine.scans import read_cloud
 from drapenet.service.settings import Settings
@@ -241,9 +243,9 @@ def _mend_checkpoint(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    header = read_header(folder / "net")
+    capture = SimpleNamespace(rig="square300_cylinder100", warp_direction=None, density=0.15)
+    header = header_for([capture], str(folder / "net"))
     _ = header.setups, header.scale, header.identity
-    header.require_rig("square300_cylinder100")
     load_model(header)
 
 
@@ -259,16 +261,20 @@ def _step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
     optimizer.step()
 
 
+_RUN = {"settings": {"seed": 0}, "dataset": "0" * 64}
+
+
 def _state(folder: Path) -> None:
     model, optimizer = _training()
     _step(model, optimizer)
     save_state(folder / "state.safetensors", model=model, optimizer=optimizer, record={
-        "run": {"settings": {"seed": 0}, "dataset": "0" * 64}, "epochs_done": 2, "best_loss": 0.5})
+        "run": _RUN, "epochs_done": 2, "best_loss": 0.5})
 
 
 def _read_state(folder: Path) -> None:
     model, optimizer = _training()
-    load_state(folder / "state.safetensors", model=model, optimizer=optimizer)
+    load_state(folder / "state.safetensors", run=_RUN, model=model,
+               optimizer=optimizer)
     _step(model, optimizer)
 
 

@@ -5,9 +5,10 @@ import subprocess
 import sys
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+from pydantic import Field
 
 import common.command
 import common.configs
@@ -34,21 +35,21 @@ from data.inspect.__main__ import InspectConfig
 from data.options import Options, config_from_options
 from data.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
-from drapenet.lie import LieConfig
+from drapenet.placement import PlacementConfig
 from drapenet.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options, "infer": InferConfig,
-           "inspect": InspectConfig, "lie": LieConfig, "prior_fit": FitConfig, "serve": Settings,
-           "train": TrainConfig}
+           "inspect": InspectConfig, "placement": PlacementConfig, "prior_fit": FitConfig,
+           "serve": Settings, "train": TrainConfig}
 
 
 @dataclass
 class Inner:
     text: str
-    number: float
+    number: Annotated[float, Field(gt=-5, lt=5)]
 
 
 @dataclass
@@ -56,7 +57,7 @@ class Words:
     name: str
     names: Any
     numbers: list[float]
-    count: int
+    count: Annotated[int, Field(ge=0, le=1000)]
     seed: int
     ratio: float
     flag: bool
@@ -152,6 +153,8 @@ def test_quotes_lists_and_other_keys_are_hydras(run):
     (["--count=3"], "unrecognized arguments: --count=3; --hydra-help"),
     (["--cfg", "jobs"], "--cfg"),
     (["count=1.5"], "^count=1.5 must be a whole number, such as 3$"),
+    (["count=1001"], "^count=1001 is outside 0-1000$"),
+    (["inner.number=-5"], "^inner.number=-5.0 must be more than -5$"),
     (["count=1,2"], "takes one value; --multirun runs a job for each"),
     (["count=1", "count=2"], "count= is given 2 times"),
     (["count=1", "+count=2"], "count= is given 2 times"),

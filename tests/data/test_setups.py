@@ -9,7 +9,6 @@ from cloths import skirt
 
 from common.configs import read_option
 from common.errors import InputError
-from data.cameras import CameraRig
 from data.setups import Setups, SyntheticCapture
 from drapenet.registration import locate_camera
 from sim.scene import Rig
@@ -35,15 +34,13 @@ def test_a_capture_is_its_seed_s(drape: SimpleNamespace) -> None:
 
 
 def test_cameras_stand_where_they_may_and_see_the_specimen(drape: SimpleNamespace) -> None:
-    nominal = CameraRig.load().nominal()
     pitches, distances, cut = [], [], []
     for seed in range(40):
         found = capture(replace(CLEAN, views=(0, 0, 0, 1, 0, 0, 0, 0)), drape, seed)
         cloth = found.views > 0
         cut.append(cloth[:, [0, -1]].any() or cloth[:, :, [0, -1]].any())
         assert cloth.any(axis=(1, 2)).all()
-        given = replace(nominal, fx=found.intrinsics.fx, fy=found.intrinsics.fy)
-        camera = locate_camera(found.views, given)
+        camera = locate_camera(found.views, found.intrinsics, Rig())
         pitches.append(np.arcsin(-camera.world_to_camera[2, 2]))
         distances.append(np.linalg.norm(camera.world_to_camera[:3, 3]))
     for values, (low, high) in ((pitches, REAL.pitch), (distances, REAL.distance)):

@@ -42,7 +42,7 @@ def seen_from(pitch, distance, roll=0.0):
 def mapped(renderer, camera, orientation, *, wrong=WRONG, **options):
     views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
     nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
-    return drape_map(views, locate_camera(views, nominal), Rig(), **options)
+    return drape_map(views, locate_camera(views, nominal, Rig()), Rig(), **options)
 
 
 @pytest.mark.parametrize(("pitch", "distance", "roll"), [(45, 0.6, 2.0), (32, 0.45, 0.0)])
@@ -52,7 +52,7 @@ def test_the_table_s_turns_and_the_plate_s_centre_are_measured(renderer, pitch, 
     assert np.degrees(found.turns - QUARTERS) == pytest.approx(np.degrees(WRONG), abs=0.3)
     nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
     views = np.stack([renderer.view(camera, 0.3 + angle) for angle in QUARTERS + WRONG])
-    pose = locate_camera(views, nominal).world_to_camera
+    pose = locate_camera(views, nominal, Rig()).world_to_camera
     centre = pose[:3, :3] @ [*found.centre, 0] + pose[:3, 3]
     assert centre == pytest.approx(camera.world_to_camera[:3, 3], abs=0.6e-3)
 

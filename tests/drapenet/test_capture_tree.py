@@ -10,7 +10,7 @@ from cloths import capture_views
 import infer
 from common.errors import InputError
 from data.captures import write_capture
-from drapenet.overview import _cell, _write_csv
+from drapenet.table import csv_table
 from drapenet.tree import entries_of, plain_name
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
@@ -82,6 +82,18 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     file.write_text(file.read_text().replace("150.0", "300.0"))
     infer.main(words)
     assert rows(out / "fabrics.csv")[0]["density_g_m2"] == "300"
+    # A damaged file costs its fabric, and no other.
+    samples = sorted(out.rglob("samples.npz"))[0]
+    samples.write_bytes(samples.read_bytes()[:-100])
+    fabric = out / samples.relative_to(out).parts[0]
+    assert (fabric / "estimate.json").exists()
+    capsys.readouterr()
+    infer.main([*words, "export=csv"])
+    assert len(rows(out / "fabrics.csv")) == 1
+    assert not (fabric / "estimate.json").exists() and not (fabric / "index.html").exists()
+    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 1
+    assert any("is damaged (BadZipFile); remove it" in row["reason"]
+               for row in rows(out / "failures.csv"))
 
 
 def test_a_tree_of_broken_captures_ends_with_an_error_and_a_list(tmp_path, untrained_checkpoint):
@@ -129,9 +141,13 @@ def test_trees_of_every_depth_are_found(tmp_path):
     (tmp_path / ".hidden" / "capture.yaml").touch()
     (tmp_path / "denim" / "notes.txt").touch()
     (tmp_path / "denim" / "empty").mkdir()
+    (tmp_path / "twill").mkdir()
+    (tmp_path / "twill" / "linked").symlink_to(tmp_path / "wool")
+    (tmp_path / "twill" / "loop").symlink_to(tmp_path)
+    (tmp_path / "twill" / "top").symlink_to("/")
     found = {(one.fabric, one.sample, one.capture) for one in entries_of(tmp_path)}
     assert found == {("denim", "1", "first"), ("denim", "1", "second"), ("silk", "", "only"),
-                     ("wool", "", "wool"), ("felt", "2/side", "third")}
+                     ("wool", "", "wool"), ("felt", "2/side", "third"), ("twill", "", "linked")}
     with pytest.raises(InputError, match=r"is one capture: give capture="):
         entries_of(tmp_path / "wool")
     with pytest.raises(InputError, match="holds no captures"):
@@ -174,10 +190,15 @@ def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
     assert "\n" not in str(raised.value)
 
 
-def test_cells_are_no_formulas_but_numbers_stay(tmp_path):
-    assert [_cell(value) for value in ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain")] == [
-        "'=1+1", "'@x", "'\tx", "-2.5", "+3", -2.5, "", "plain"]
-    _write_csv(tmp_path / "t.csv", [{"a": 'x,"y"\nz', "b": -1}])
-    assert rows(tmp_path / "t.csv") is not None
-    with (tmp_path / "t.csv").open(encoding="utf-8-sig", newline="") as stream:
-        assert list(csv.reader(stream)) == [["a", "b"], ['x,"y"\nz', "-1"]]
+def test_cells_are_no_formulas_but_numbers_stay():
+    values = ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain", 'x,"y"\nz')
+    text = csv_table([dict(enumerate(values))])
+    assert list(csv.reader(text.splitlines(keepends=True)))[1] == [
+        "'=1+1", "'@x", "'\tx", "-2.5", "+3", "-2.5", "", "plain", 'x,"y"\nz']
+
+
+def test_the_line_of_a_faulty_row_counts_empty_ones(tmp_path):
+    file = tmp_path / "list.csv"
+    file.write_text("fabric,capture\nsilk,one\n\nsilk,\n")
+    with pytest.raises(InputError, match="line 4: fabric='silk' and capture='' must"):
+        entries_of(file)

@@ -132,7 +132,8 @@ def test_state_brings_back_weights_moments_and_record(tmp_path: Path) -> None:
     save_state(tmp_path / "state", model=model, optimizer=optimizer, record=record)
     other = torch.nn.Linear(3, 2)
     resumed = torch.optim.Adam(other.parameters(), lr=0.1)
-    assert load_state(tmp_path / "state", model=other, optimizer=resumed) == record
+    assert load_state(
+        tmp_path / "state", run={"settings": {}}, model=other, optimizer=resumed) == record
     step(model, optimizer)
     step(other, resumed)
     assert torch.equal(model.weight, other.weight)
@@ -142,7 +143,7 @@ def test_a_damaged_state_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "state").write_bytes(b"not safetensors")
     model = torch.nn.Linear(1, 1)
     with pytest.raises(InputError, match="cannot be resumed"):
-        load_state(tmp_path / "state", model=model,
+        load_state(tmp_path / "state", run={}, model=model,
                    optimizer=torch.optim.Adam(model.parameters()))
 
 
@@ -161,5 +162,5 @@ def test_a_state_of_other_content_is_an_input_error(
     save_file({**{f"model.{name}": value for name, value in model.state_dict().items()}, **tensors},
               tmp_path / "state", metadata={"record": json.dumps(content)})
     with pytest.raises(InputError, match=complaint):
-        load_state(tmp_path / "state", model=model,
+        load_state(tmp_path / "state", run={}, model=model,
                    optimizer=torch.optim.Adam(model.parameters()))

@@ -20,7 +20,7 @@ from data.recordings import read_recording
 from data.scans import read_scan
 from data.shards import Shard
 from drapenet.checkpoint import load_state, read_header
-from drapenet.export import read_material
+from drapenet.material import read_material
 from drapenet.refine.scans import read_cloud
 from drapenet.tree import entries_of
 from sim.scene import DISC_RIG
@@ -28,7 +28,7 @@ from sim.scene import DISC_RIG
 
 def _state(file: Path) -> None:
     model = torch.nn.Linear(1, 1)
-    load_state(file, model=model, optimizer=torch.optim.Adam(model.parameters()))
+    load_state(file, run={}, model=model, optimizer=torch.optim.Adam(model.parameters()))
 
 
 def _header(file: Path) -> None:

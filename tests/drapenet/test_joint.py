@@ -7,10 +7,11 @@ import pytest
 
 from data.prior import load_prior
 from drapenet import joint
+from drapenet.checkpoint import header_for
 from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
 from drapenet.estimate import Estimate
 from drapenet.inference import infer_capture
-from drapenet.sources import header_for, read_scan_capture
+from drapenet.refine.scans import read_scan_capture
 
 SCANS = Path(__file__).parents[3] / "shared" / "scans"
 

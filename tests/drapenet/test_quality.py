@@ -11,9 +11,9 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.setups import Setups, SyntheticCapture
 from drapenet.canonical import drape_map
-from drapenet.lie import fit
-from drapenet.maps import located_camera
+from drapenet.placement import fit
 from drapenet.quality import measure, quality_doubts, require_plate
+from drapenet.registration import locate_camera
 from sim.drape import drape
 from sim.material import Fabric
 from sim.scene import Rig
@@ -33,7 +33,7 @@ def sound() -> SyntheticCapture:
 
 
 def doubts(capture: SyntheticCapture) -> str:
-    camera = located_camera(capture.views, capture.intrinsics, RIG)
+    camera = locate_camera(capture.views, capture.intrinsics, RIG)
     found = drape_map(capture.views, camera, RIG, turns=capture.turns)
     return "; ".join(quality_doubts(measure(capture.views, camera, found, RIG,
                                             turns=capture.turns)))
@@ -87,11 +87,11 @@ def test_a_fault_is_named(
 def test_what_cannot_be_a_drape_on_the_plate_is_refused(
     sound: SyntheticCapture, spoil: Callable[[np.ndarray], np.ndarray]
 ) -> None:
-    camera = located_camera(sound.views, sound.intrinsics, RIG)
+    camera = locate_camera(sound.views, sound.intrinsics, RIG)
     found = drape_map(sound.views, camera, RIG, turns=sound.turns)
     require_plate(measure(sound.views, camera, found, RIG, turns=sound.turns))
     views = np.ascontiguousarray(spoil(sound.views), np.float32)
-    camera = located_camera(views, sound.intrinsics, RIG)
+    camera = locate_camera(views, sound.intrinsics, RIG)
     found = drape_map(views, camera, RIG, turns=sound.turns)
     with pytest.raises(InputError, match="upright"):
         require_plate(measure(views, camera, found, RIG, turns=sound.turns))
@@ -101,7 +101,7 @@ def test_a_specimen_off_the_axis_is_measured() -> None:
     shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
     seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
                          nominal=CameraRig.load().intrinsics)
-    camera = located_camera(seen.views, seen.intrinsics, RIG)
+    camera = locate_camera(seen.views, seen.intrinsics, RIG)
     found = drape_map(seen.views, camera, RIG, turns=seen.turns)
     measured = measure(seen.views, camera, found, RIG, turns=seen.turns)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)

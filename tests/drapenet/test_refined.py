@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common.configs import read_option
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.fabrics import THETA_NAMES, fabric_from_theta
@@ -63,8 +64,8 @@ def run(
     monkeypatch.setattr(refined, "search", search)
     capture, camera = capture_of(shape), CameraRig.load().nominal()
     result = refined.refined_capture(
-        before("stiff", "bias", "soft"), capture, camera, rig=Rig(), turns=np.array(QUARTERS),
-        seen=None, edge=8e-3, known=known or {})
+        before("stiff", "bias", "soft"), capture, camera, turns=np.array(QUARTERS), seen=None,
+        known=known or {}, settings=read_option("refine", "depth") | {"edge_mm": 8.0})
     return result, asked
 
 

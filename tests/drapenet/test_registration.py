@@ -6,13 +6,9 @@ import pytest
 from data.cameras import CameraRig
 from data.render import DepthRenderer
 from data.setups import Setups
-from drapenet.registration import (
-    camera_doubts,
-    count_folds,
-    locate_camera,
-    radius_profile,
-    silhouette_overlap,
-)
+from drapenet.registration import camera_doubts, locate_camera
+from drapenet.resimulate import count_folds, radius_profile, silhouette_overlap
+from sim.scene import Rig
 
 
 def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,9 +31,7 @@ def test_the_camera_is_found_again(seed: int) -> None:
     rig = CameraRig.load()
     camera = rig.sample(np.random.default_rng(seed))
     views = DepthRenderer(*skirt(7)).views(camera, 0.2)
-    # Intrinsics are given, so only the pose is to be found, from the rig's nominal one.
-    first_guess = replace(camera, world_to_camera=rig.nominal().world_to_camera)
-    found = locate_camera(views, first_guess).world_to_camera
+    found = locate_camera(views, camera.intrinsics, Rig()).world_to_camera
     assert np.linalg.norm(found[:3, 3] - camera.world_to_camera[:3, 3]) < 3e-3
     assert np.linalg.norm(found[:3, 2] - camera.world_to_camera[:3, 2]) < 5e-3  # rad
 
@@ -48,7 +42,7 @@ def test_a_camera_outside_the_set_ups_is_doubted() -> None:
 
     def doubts(pictures: np.ndarray, **changes: float) -> str:
         nominal = replace(rig.nominal(), **changes)
-        return "; ".join(camera_doubts(locate_camera(pictures, nominal), Setups.load()))
+        return "; ".join(camera_doubts(locate_camera(pictures, nominal, Rig()), Setups.load()))
 
     assert doubts(views) == ""
     assert "upright" in doubts(views[:, ::-1])
@@ -63,7 +57,7 @@ def test_a_camera_outside_the_set_ups_is_doubted() -> None:
 def test_folds_are_counted(folds: int) -> None:
     camera = CameraRig.load().nominal()
     views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
-    profile = radius_profile(views, locate_camera(views, camera), height=-0.04)
+    profile = radius_profile(views, locate_camera(views, camera, Rig()))
     assert count_folds(profile) == folds
     # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
     assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)
@@ -74,7 +68,7 @@ def test_the_profile_turns_with_the_specimen() -> None:
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
         views = DepthRenderer(vertices, faces).views(camera, orientation)
-        profile = radius_profile(views, camera, height=-0.04)
+        profile = radius_profile(views, camera)
         azimuth = (np.nanargmax(profile) + 0.5) / len(profile) * 2 * np.pi
         assert np.cos(azimuth - orientation) > 0.9
 

@@ -61,7 +61,7 @@ def test_the_scale_of_a_disc_turns_with_it() -> None:
 def test_the_network_closes_around_the_axis() -> None:
     """A map turned by a quarter gives the features turned, so averages over it stay."""
     torch.manual_seed(0)
-    network = MapNet(width=4).eval()
+    network = MapNet(width=4, components=2, targets=6, distance=0.1, spread=0.02).eval()
     maps = torch.randn(1, AZIMUTHS, ELEVATIONS)
     stages = torch.nn.Sequential(network.stem, network.stages)
     channels = maps.transpose(1, 2)[:, None].expand(-1, 4, -1, -1)

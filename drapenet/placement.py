@@ -3,10 +3,10 @@
 How much larger a drape looks than a specimen can be, and how far the specimen lies from the
 plate's axis, are regressed on a map's distances, band by band of elevations: the scale on their
 means and variations around the axis, the place on their first harmonics. The coefficients of the
-ridge regressions, ``drapenet/weights/lie.json``, come from captures of a dataset's drapes, the
-scale's from depths multiplied by up to e^±0.15:
+ridge regressions, in ``drapenet/weights/placement.json``, come from captures of a dataset's drapes,
+the scale's from depths multiplied by up to e^±0.15:
 
-    python -m drapenet.lie data=DATASET [rig=NAME]
+    python -m drapenet.placement data=DATASET [rig=NAME]
 """
 
 import json
@@ -17,32 +17,34 @@ from pathlib import Path
 import numpy as np
 
 from common.command import command
+from common.errors import InputError
 from common.files import replace_file
 from data.cameras import CameraRig
 from data.manifest import finished_manifest
 from data.setups import Setups
 from data.shards import Shard
 from drapenet.canonical import AZIMUTHS, DrapeMap, drape_map
-from drapenet.maps import located_camera
+from drapenet.config import FromOne, FromZero
+from drapenet.registration import locate_camera
 from sim.scene import Rig
 
-FILE = Path(__file__).parent / "weights" / "lie.json"
+FILE = Path(__file__).parent / "weights" / "placement.json"
 _BAND = 4  # rows of a map
 _REACH = 0.15  # of the logarithm of the scale
 _RIDGE = 0.1  # of standardised features
 
 
 @dataclass
-class LieConfig:
-    """``configs/lie.yaml``."""
+class PlacementConfig:
+    """``configs/placement.yaml``."""
 
     data: str
     rig: str
-    captures: int
-    seed: int
+    captures: FromOne
+    seed: FromZero
 
 
-def specimen_lie(found: DrapeMap, rig: Rig) -> tuple[float, float]:
+def specimen_placement(found: DrapeMap, rig: Rig) -> tuple[float, float]:
     """Logarithm of the size of the drape that ``found`` shows over what it can be, and offset, m,
     of the specimen's centre from the plate's axis; NaN for a rig without coefficients.
     """
@@ -92,9 +94,11 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constan
             "deviation": float(np.std(unseen - values))}
 
 
-@command("lie", LieConfig)
-def main(config: LieConfig) -> None:
+@command("placement", PlacementConfig)
+def main(config: PlacementConfig) -> None:
     """Fit the coefficients of one rig, and write them beside those of others."""
+    if not config.data:
+        raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     rig, setups = Rig.from_name(config.rig), Setups.load()
     manifest, root = finished_manifest(config.data), Path(config.data)
     nominal = CameraRig.load(rig.name).intrinsics
@@ -109,7 +113,7 @@ def main(config: LieConfig) -> None:
             seen = setups.capture(positions, faces, rng, nominal=nominal)
             for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                 views = seen.views * np.float32(math.exp(scale))
-                camera = located_camera(views, seen.intrinsics, rig)
+                camera = locate_camera(views, seen.intrinsics, rig)
                 found = drape_map(views, camera, rig, turns=seen.turns)
                 scales.append((_scale_features(found), scale, int(fabric[row])))
                 if scale == 0.0 and len(seen.views) > 1:

@@ -1,0 +1,200 @@
+"""What an estimate says of a fabric, as other tools take it: alpha and beta, or one modulus a
+direction; on the meshes of tools made of hinges, the hinges' modulus.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from common.documents import Excerpt, parse_json, read_bytes, shown
+from common.errors import InputError
+from drapenet.content import SCHEMA, SCHEMA_VERSION
+from drapenet.convention import STIFF_SOFT, WARP_WEFT
+from drapenet.output import ESTIMATE, result_name
+from sim.cantilever.equivalent import equivalent_modulus
+from sim.hinge_laws import mean_modulus
+from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
+from sim.mesh import strip
+from sim.scene import GRAVITY
+
+LARGEST_ESTIMATE = 8 << 20  # bytes
+LONGEST_NAME = 80  # characters
+MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
+          "equal": ("equal", 0.0), "random": ("random", 0.0)}
+"""Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
+FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
+SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
+GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
+
+_Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _Quantity(Excerpt):
+    median: float
+    interval_68: _Interval
+    interval_90: _Interval
+
+
+class _Positive(_Quantity):
+    median: float = Field(gt=0)
+
+
+class _Direction(Excerpt):
+    alpha_uN_m: _Positive  # noqa: N815 (the file's own name)
+    beta_nN_m2: _Quantity  # noqa: N815
+
+
+class _Capture(Excerpt):
+    density_g_m2: float = Field(gt=0)
+
+
+class EstimateFile(Excerpt):
+    """What is read of an ``estimate.json``."""
+
+    remedy = "give the estimate.json that infer.py writes"
+    convention: Literal["warp/weft", "stiff/soft"]
+    capture: _Capture
+    moduli: dict[str, _Direction]
+    warnings: list[str]
+
+    @model_validator(mode="after")
+    def _named(self) -> "EstimateFile":
+        if tuple(self.moduli) not in (WARP_WEFT, STIFF_SOFT):
+            raise ValueError(f"moduli: the directions {shown(list(self.moduli))} are unknown")
+        return self
+
+
+@dataclass(frozen=True)
+class Material:
+    """What an estimate says of a fabric, as a tool takes it.
+
+    Attributes:
+        alpha: (3,) N·m, median linear moduli of the first yarns (warp), bias, second yarns (weft).
+        beta: (3,) N·m², quadratic.
+        density: kg/m².
+        curvature: 1/m, at which one modulus stands for the law.
+        mesh: name of :data:`MESHES`; edge: m.
+        name: of the fabric, for people.
+        content: of ``estimate.json``.
+        identity: SHA-256 of that file.
+        written: when it was, in ISO 8601.
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    density: float
+    curvature: float
+    mesh: str
+    edge: float
+    name: str
+    content: dict[str, Any]
+    identity: str
+    written: str
+
+    @property
+    def modulus(self) -> np.ndarray:
+        """(3,) N·m: alpha, or the secant of the torque at :attr:`curvature`."""
+        if not self.curvature:
+            return self.alpha
+        return torque(np.array(self.curvature), self.alpha, self.beta) / self.curvature
+
+    @property
+    def ratio(self) -> float:
+        """Modulus of hinges on the mesh over the plate's that they hang like."""
+        natural = np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
+        cells = round(natural / self.edge)
+        if cells < FEWEST_CELLS:
+            raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
+                             f"folds are about {1e3 * natural:.0f} mm long; at most "
+                             f"{1e3 * natural / FEWEST_CELLS:.1f}")
+        return _ratio(self.mesh, min(cells, MOST_CELLS))
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Identity, intervals and circumstances, for files that have room, in JSON's types."""
+        capture = self.content["capture"]
+        first = self.content["convention"].partition("/")[0]
+        notes = [] if first == WARP_WEFT[0] else [
+            "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
+            "the warp"]
+        if np.any(-self.beta * self.curvature > SOFTENING_LIMIT * self.alpha):
+            notes.append(f"curvature_1_m={self.curvature:g} is outside the law: the "
+                         "torque is continued as a straight line there")
+        return {
+            "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
+            "source": capture.get("source") or capture.get("sources"),
+            "density_g_m2": capture["density_g_m2"], "directions": self.content["convention"],
+            "moduli": self.content["moduli"], "modulus_at_curvature_1_m": self.curvature,
+            "warnings": [*self.content["warnings"], *notes],
+        }
+
+    @property
+    def about_hinges(self) -> dict[str, Any]:
+        """:attr:`about`, with the mesh that the figures belong to."""
+        return self.about | {"mesh": self.mesh, "edge_mm": round(1e3 * self.edge, 6),
+                             "hinge_over_plate_modulus": round(self.ratio, 4)}
+
+
+def read_material(
+    path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3,
+    name: str = "",
+) -> Material:
+    """The fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes of
+    :class:`Material`, ``name`` if empty that of the captures.
+
+    Raises:
+        InputError: no such file, another one, or an argument out of range.
+    """
+    if mesh not in MESHES:
+        raise InputError(f"mesh={mesh} is unknown; choose from {', '.join(MESHES)}")
+    if not 1e-4 <= edge <= 0.1:
+        raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
+    if not 0 <= curvature <= 1000:
+        raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise InputError(f"name= must be at most {LONGEST_NAME} printable characters")
+    path = path / ESTIMATE if path.is_dir() else path
+    data = read_bytes(path, LARGEST_ESTIMATE, "file estimate.json")
+    written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
+    content = parse_json(data, path, EstimateFile.remedy)
+    if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
+                                         ] != [SCHEMA, SCHEMA_VERSION]:
+        raise InputError(f"{path} is not an estimate of version {SCHEMA_VERSION}; estimate the "
+                         "capture again")
+    found = EstimateFile.of(content, path)
+    alpha, beta = ([getattr(direction, key).median for direction in found.moduli.values()]
+                   for key in ("alpha_uN_m", "beta_nN_m2"))
+    return Material(MICRO * np.array(alpha), NANO * np.array(beta),
+                    1e-3 * found.capture.density_g_m2, curvature, mesh, edge,
+                    name or _captured_name(content["capture"]), content,
+                    hashlib.sha256(data).hexdigest(), f"{written:%Y-%m-%dT%H:%M:%SZ}")
+
+
+def _captured_name(capture: dict[str, Any]) -> str:
+    sources = capture.get("sources") or [capture.get("source")]
+    if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
+        return "fabric"
+    return result_name([Path(source) for source in sources])[-LONGEST_NAME:]
+
+
+@cache
+def _ratio(mesh: str, cells: int) -> float:
+    diagonals, jitter = MESHES[mesh]
+    length = 0.09
+    edge = length / cells
+    ratios = []
+    for seed in range(SAMPLES if jitter or diagonals == "random" else 1):
+        found = equivalent_modulus(*strip(
+            length=length, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
+            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA)
+        if not found.found:
+            raise InputError(f"no strip on the mesh '{mesh}' came to rest ({found.message}); "
+                             "choose another mesh or edge_mm")
+        ratios.append(found.ratio)
+    return float(np.mean(ratios))
