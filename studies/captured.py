@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import known
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases
+from benchmarks.common import ESTIMATOR_SOURCES, REPORTS, run_cases
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
@@ -76,7 +76,7 @@ def bound() -> float:
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
     """Fabric ``number`` of the prior, and a specimen of it."""
-    return known.planned(number, rig=RIG, nuisances=nuisances, seed=seed)
+    return known.plan_specimen(number, rig=RIG, nuisances=nuisances, seed=seed)
 
 
 def draped(
@@ -89,7 +89,7 @@ def draped(
     Raises:
         InputError: it does not converge.
     """
-    return known.draped(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
+    return known.drape_plan(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
                         offset=offset, nuisances=nuisances, laws=laws)
 
 
@@ -137,7 +137,8 @@ def over_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, d
                          "or leave it empty")
     return run_cases(
         case, {file.stem: {"path": str(file), "seed": config["seed"]} for file in files},
-        folder=Path(config["cases"]) / "scans", workers=config["workers"], sources=ESTIMATOR)
+        folder=Path(config["cases"]) / "scans", workers=config["workers"],
+        sources=ESTIMATOR_SOURCES)
 
 
 def fabric_and_sample(name: str) -> tuple[int, int]:

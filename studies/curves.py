@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import tick_short_scales
+from benchmarks.common import label_log_axes
 from benchmarks.comparison import compare
-from benchmarks.physics.testers import LENGTHS, shake
+from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from sim.cantilever.elastica import strip_shape, tabulated_law
@@ -90,7 +90,7 @@ def case(
         result[kind] = {}
         for noise in noise_mm:
             rng = np.random.default_rng([seed, number])
-            strips = shake(clean, 1e-3 * noise, rng)["strips"]
+            strips = add_noise(clean, 1e-3 * noise, rng)["strips"]
             for name in FITS:
                 fit = fitted(name, strips, weight=weight, knots=knots)
                 result[kind][f"{name}, {noise:g} mm"] = None
@@ -190,7 +190,7 @@ def draw(report: Report) -> Figure:
     axes.set_ylim(bottom=1e-3)  # those of the exact law lie below
     axes.set_xticks(range(len(KINDS)), KINDS)
     axes.legend(fontsize=7, loc="lower right")
-    tick_short_scales(axes.yaxis)
+    label_log_axes(axes.yaxis)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes
 from data.fabrics import fabric_from_theta, from_theta
 from data.nuisances import NuisanceConfig
 from drapenet.refine.objective import value
@@ -187,7 +187,7 @@ def case(
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
     return {"spread": prior()[1].tolist(),
-            "fabrics": over_fabrics(case, config, sources=ESTIMATOR)}
+            "fabrics": over_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
 
 
 def _fitting(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
@@ -254,7 +254,7 @@ def draw(report: Report) -> Figure:
         axes.plot(limits, limits, color="0.6", lw=0.8)
         if k < 3:
             axes.set(xscale="log", yscale="log")
-            tick_short_scales(axes.xaxis, axes.yaxis)
+            label_log_axes(axes.xaxis, axes.yaxis)
             axes.tick_params(axis="x", labelrotation=60)
         unit = " [N/m]" if k < 3 else ""
         axes.set(title=unknown, xlabel=f"true{unit}", ylabel=f"found{unit}")

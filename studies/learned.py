@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from benchmarks.common import ESTIMATOR, load_arrays, run_cases
+from benchmarks.common import ESTIMATOR_SOURCES, load_arrays, run_cases
 from common.command import compose_config
 from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
@@ -121,7 +121,7 @@ def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[st
         case = {"training": asdict(one), "settings": settings, "dataset": digests[one.drapes]}
         cases[name] = (f"training_{json_digest(case)[:12]}", case)
     found = run_cases(learn, dict(cases.values()), folder=Path(config["work"]),
-                      workers=config["workers"], sources=ESTIMATOR)
+                      workers=config["workers"], sources=ESTIMATOR_SOURCES)
     return {name: found[key] | {"key": key} for name, (key, _) in cases.items()}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from benchmarks.common import ESTIMATOR
+from benchmarks.common import ESTIMATOR_SOURCES
 from data.setups import SyntheticCapture
 from drapenet.convention import LINEAR
 from studies.captured import draped, ideal, read, rms, seen, specimen, spread
@@ -93,7 +93,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    found = over_fabrics(case, config, sources=ESTIMATOR)
+    found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     first = next(iter(found.values()))
     return {"faults": {name: {value: {
         "error": rms(np.array([one[name][value][0] for one in found.values()])),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import run_cases, table, tick_short_scales
+from benchmarks.common import label_log_axes, run_cases, table
 from benchmarks.comparison import compare
 from data.fabrics import fabric_from_theta
 from sim.drape import DrapeResult, drape
@@ -153,7 +153,7 @@ def draw(report: Report) -> Figure:
         right.plot(range(1, len(values) + 1), values, "o-", ms=4, label=label)
     right.set(xlabel="fabrics, sorted", ylabel="displacement [mm]", yscale="log",
               title="best linear law")
-    tick_short_scales(right.yaxis)
+    label_log_axes(right.yaxis)
     right.legend(fontsize=8)
     return figure
 

@@ -32,7 +32,7 @@ over the specimen including its part on the plate.
 Report = dict[str, Any]
 
 
-_OF_THE_RUN = ("fabrics", "workers", "cases", "out", "scans", "learned")
+_EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "scans", "learned")
 
 
 def over_fabrics(
@@ -45,7 +45,7 @@ def over_fabrics(
         sources: that the results depend on, :func:`benchmarks.common.run_cases`.
         inside: folder for them in that of the config.
     """
-    settings = {key: value for key, value in config.items() if key not in _OF_THE_RUN}
+    settings = {key: value for key, value in config.items() if key not in _EXECUTION_KEYS}
     return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
                             for k in range(config["fabrics"])},
                      folder=Path(config["cases"]) / inside, workers=config["workers"],

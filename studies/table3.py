@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes, run_cases
 from benchmarks.comparison import Draped, compare
 from benchmarks.estimation.real_captures import Specimen
-from benchmarks.physics.testers import LENGTHS, shake
+from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
@@ -52,7 +52,7 @@ def strips_of(
         strips = simulate_strips(fabric, lengths, cells=cells, seed=seed, laws=laws)
     except InputError:
         return found
-    shaken = shake(strips, noise, np.random.default_rng(seed))
+    shaken = add_noise(strips, noise, np.random.default_rng(seed))
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
@@ -198,7 +198,7 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
     """
     chosen: dict[int, dict[int, Path]] = {}
     for path in sorted(Path(config["scans"]).glob("*.npz")) if config["scans"] else ():
-        one = Specimen.of(path.stem)
+        one = Specimen.from_scan_name(path.stem)
         samples = chosen.setdefault(one.fabric, {})
         if one.capture == 1 and len(samples) < config["samples"]:
             samples[one.sample] = path
@@ -208,7 +208,7 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
         print(f"no scans of two samples of a fabric in '{config['scans']}': the columns of real "
               "fabrics are left out", file=sys.stderr)
         return {}
-    work = {"workers": config["workers"], "sources": ESTIMATOR}
+    work = {"workers": config["workers"], "sources": ESTIMATOR_SOURCES}
     folder = Path(config["cases"])
     estimates = run_cases(estimated, {
         path.stem: {"path": str(path), "refine": config["refined"]} for path, _ in pairs},
@@ -235,7 +235,7 @@ def run(config: dict[str, Any]) -> Report:
     """All fabrics, and scans where there are some."""
     simulated = {{"refined": "refine"}.get(key, key): value for key, value in config.items()
                  if key not in ("scanned", "samples")}
-    return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR, inside="simulated"),
+    return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR_SOURCES, inside="simulated"),
             "scans": _let_go(config)}
 
 
@@ -345,7 +345,7 @@ def draw(report: Report) -> Figure:
                 panel.plot([np.median(values)] * 2, [k - 0.4, k + 0.4], "k", lw=1.5)
         panel.set(xscale="log", title=title)
         panel.set_yticks(range(len(WAYS)), WAYS)
-        tick_short_scales(panel.xaxis)
+        label_log_axes(panel.xaxis)
         panel.tick_params(axis="x", labelsize=8)
     for panel in axes[-1]:
         panel.set_xlabel("mean displacement [mm]; bars: medians")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR
+from benchmarks.common import ESTIMATOR_SOURCES
 from data.setups import Setups
 from drapenet.calibration import inside, ranks
 from drapenet.convention import LINEAR, RATIO
@@ -36,7 +36,7 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics."""
-    found = over_fabrics(case, config, sources=ESTIMATOR)
+    found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
