@@ -125,13 +125,13 @@ def fake_search(coefficients: dict[float, float]) -> Search:
 
 def test_search_halves_the_interval_that_encloses_the_scan():
     search = fake_search({1.0: 10.0, 4.0: 30.0, 16.0: 60.0})
-    assert search.between(40.0) == pytest.approx(8.0)
-    assert search.between(20.0) == pytest.approx(2.0)
-    assert search.between(70.0) is None
+    assert search.next_modulus(40.0) == pytest.approx(8.0)
+    assert search.next_modulus(20.0) == pytest.approx(2.0)
+    assert search.next_modulus(70.0) is None
     assert search.nearest(40.0)["alpha_uN_m"] == 4.0
     search.drapes[8.0] = {"alpha_uN_m": 8.0, "coefficient": 90.0, "status": "line_search"}
     assert search.nearest(90.0)["alpha_uN_m"] == 16.0  # not a drape that failed
-    assert search.between(40.0) is None  # nor tried again
+    assert search.next_modulus(40.0) is None  # nor tried again
 
 
 def test_search_closes_in_on_any_coefficient():
@@ -140,7 +140,7 @@ def test_search_closes_in_on_any_coefficient():
 
     search = fake_search({a: coefficient(a) for a in (1.0, 10.0, 100.0)})
     for _ in range(8):
-        alpha = search.between(55.0)
+        alpha = search.next_modulus(55.0)
         search.drapes[alpha] = {"alpha_uN_m": alpha, "coefficient": coefficient(alpha),
                                 "status": "converged"}
     assert search.nearest(55.0)["coefficient"] == pytest.approx(55.0, abs=0.5)

@@ -61,7 +61,7 @@ class Specimen:
     capture: int
 
     @classmethod
-    def of(cls, scan: str) -> "Specimen":
+    def from_scan_name(cls, scan: str) -> "Specimen":
         """Parse the name of a scan; InputError if it has another form."""
         found = NAME.fullmatch(scan)
         if not found:
@@ -229,7 +229,7 @@ def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
                      for pair in combinations(parts, 2)],
         "single": [ratio(log_alpha[one], log_alpha[other])
                    for one, other in combinations(log_alpha, 2)
-                   if one.fabric == other.fabric and one.of_sample != other.of_sample],
+                   if one.fabric == other.fabric and one.sample_key != other.sample_key],
         "samples": [ratio(*pair) for parts in samples.values() for pair in combinations(parts, 2)],
         "fabrics": [ratio(*pair) for pair in combinations(
             [np.mean(parts, axis=0) for parts in samples.values()], 2)],
@@ -347,7 +347,7 @@ def print_prediction(found: dict) -> None:
 
 
 def draw(estimates: dict[Specimen, Estimate]) -> Figure:
-    """Plot alpha of every scan with its interval, group_by by fabric."""
+    """Plot alpha of every scan with its interval, grouped by fabric."""
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     fabrics = list(group_by(estimates, "fabric"))
     alpha = {key: e.moduli(REFERENCE_DENSITY)[0] / MICRO for key, e in estimates.items()}

@@ -16,11 +16,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from data.plot import shade
 from matplotlib.figure import Figure
 
 from benchmarks.common import Config, Result, equilibrium_near, load_arrays, run_cases, table
 from benchmarks.comparison import compare, same_folds
+from data.picture import shade
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric

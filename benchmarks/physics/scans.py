@@ -21,7 +21,7 @@ from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline
 from sim.scene import DISC_RIG, Rig
 
-MAX_DIFFERENCE = 2.0  # points of drape coefficient next_modulus a scan and its drape
+MAX_DIFFERENCE = 2.0  # points of drape coefficient between a scan and its drape
 TOLERANCE = 0.3  # points, tolerance of the bisection
 _STEM_RADIUS = 0.3  # radius of the stem below the support in figures, relative to the support's
 
