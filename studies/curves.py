@@ -1,4 +1,4 @@
-"""A free curve of torque against the parabola, both from cantilever strips (004, section 5)."""
+"""Torque spline compared with the parabola, both fitted to cantilever strips (004, section 5)."""
 
 from collections.abc import Callable
 from itertools import product
@@ -39,7 +39,7 @@ Torque = Callable[[np.ndarray], np.ndarray]
 
 
 def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
-    """Torque, N per width, by curvature, 1/m, of a cloth with about this alpha and beta/alpha."""
+    """Torque, N, as a function of curvature, 1/m, for a cloth of about this alpha, beta/alpha."""
     if kind == "yielding":
         return lambda k: alpha * (0.6 * k + 0.6 * _SLIP * np.tanh(k / _STICK))
     if kind == "stiffening":
@@ -50,9 +50,7 @@ def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
 def fitted(
     name: str, strips: list[np.ndarray], *, weight: float, knots: int
 ) -> tuple[Torque, float] | None:
-    """Torque by curvature as a fit has it, and the largest curvature that it has read; None where
-    it fails.
-    """
+    """Fitted torque as a function of curvature, and the largest curvature; None if it fails."""
     try:
         if name == "parabola":
             found = match(strips, weight=weight)
@@ -66,9 +64,7 @@ def fitted(
 def case(
     *, number: int, edge_mm: float, noise_mm: list[float], knots: int, seed: int
 ) -> dict[str, Any]:
-    """Errors of both fits of one fabric, by kind of torque and noise; None for a fit that failed,
-    and for a drape that did not converge.
-    """
+    """Errors of both fits of one fabric, by kind of torque and noise; None for failures."""
     plan = specimen(number, seed=seed)
     plate = fabric_from_theta(plan.theta)
     alpha, ratio = float(np.exp(plan.theta[:3].mean())), float(plan.theta[3:].mean())
@@ -115,7 +111,7 @@ def _relative(values: np.ndarray, true: np.ndarray) -> float:
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     return {"fabrics": over_fabrics(case, config, sources=("sim", "drapenet"))}
 
 
@@ -134,7 +130,7 @@ def _figures(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found, noises = _figures(report), report["settings"]["noise_mm"]
 
     def better(noise: float) -> int:
@@ -161,7 +157,7 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Fitted over true torque by curvature at the largest noise, one line a fabric; drapes."""
+    """Plot fitted / true torque at the largest noise, one line per fabric, and displacements."""
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     panels = figure.subplots(1, len(KINDS) + 1, width_ratios=[1] * len(KINDS) + [1.3])
     colours = dict(zip(FITS, ("#b5403a", "#2f6da8"), strict=True))

@@ -1,4 +1,4 @@
-"""What friction does to an estimate, and whether repeats identify it (002, section 7.7)."""
+"""Effect of friction on estimates, and its identification from repeats (002, section 7.7)."""
 
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,7 @@ def measured(
 
 
 def raised(above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: float) -> DrapeResult:
-    """The fabric let go where it hangs under ``overshoot`` times its weight, in the same folds."""
+    """Equilibrium after release from the drape under ``overshoot`` times the weight."""
     heavy = follow(above, Fabric(fabric.alpha / overshoot, fabric.beta / overshoot), laws=Laws())
     bending = MidEdgeBending(heavy.mesh, heavy.scene.active, fabric=fabric)
     origin = bending.curvatures(heavy.state.q)
@@ -172,7 +172,7 @@ def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
     last = torque.index(100.0) if 100.0 in torque else len(torque) - 1
     ratio = {name: np.exp(np.nanmedian(values[:, last]))

@@ -1,4 +1,4 @@
-"""An anisotropic membrane from a square that hangs by two corners (004, section 5)."""
+"""Estimation of an anisotropic membrane from a square hung by two corners (004, section 5)."""
 
 import math
 from functools import cache
@@ -36,7 +36,7 @@ _POISSON = (0.0, 0.4)
 
 @cache
 def specimens() -> NuisanceConfig:
-    """How they differ."""
+    """Distribution of the nuisances of specimens."""
     return specimen_spread()
 
 
@@ -68,7 +68,7 @@ def drawn(rng: np.random.Generator) -> np.ndarray:
 
 
 def is_stable(own: np.ndarray) -> bool:
-    """Whether a membrane has these unknowns."""
+    """Whether a membrane with these unknowns is stable."""
     return bool(own[3] ** 2 * np.exp(own[1] - own[0]) < 1)
 
 
@@ -185,7 +185,7 @@ def case(
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     return {"spread": prior()[1].tolist(),
             "fabrics": over_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
 
@@ -204,7 +204,7 @@ def _errors(report: Report, name: str) -> np.ndarray:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     def errors(name: str) -> tuple[list[float], str]:
         found = _errors(report, name)
         return ([rms(column) for column in found.T],

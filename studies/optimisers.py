@@ -1,4 +1,4 @@
-"""Moduli of a drape that another simulator made, by several searches (001, section 6; 000)."""
+"""Estimation of moduli from drapes of other simulators by several searches (001, sec. 6; 000)."""
 
 import time
 from dataclasses import replace
@@ -103,7 +103,7 @@ def case(
     *, number: int, target: str, edge_mm: float, seconds: float, simulations: int,
     simulations_free: int, seed: int,
 ) -> dict[str, Any]:
-    """All ways to the moduli of one drape; "failed": why there is none."""
+    """Results of all searches for one drape; "failed" has the reason if there is no drape."""
     plan = specimen(number, seed=seed)
     truth = isotropic(plan.theta)
     if target.startswith("style3d"):
@@ -231,7 +231,7 @@ def draw(report: Report) -> Figure:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = _figures(report)
 
     def of(target: str, way: str = "lm") -> str:

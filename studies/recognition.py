@@ -1,4 +1,4 @@
-"""Which descriptions of a drape identify its fabric (000, descriptors; 002, Figure 20)."""
+"""Identification of fabrics by descriptors of drapes (000, descriptors; 002, Figure 20)."""
 
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,8 @@ def scanned(*, path: str, seed: int) -> dict[str, Any]:
     capture = Setups.load("real").capture(
         scan.positions, scan.faces, np.random.default_rng([seed, *map(ord, Path(path).stem)]),
         nominal=CameraRig.load(DISC_RIG.name).intrinsics)
-    estimate = estimate_views(capture.views, capture.intrinsics, read_header(bundled(DISC_RIG.name)))
+    header = read_header(bundled(DISC_RIG.name))
+    estimate = estimate_views(capture.views, capture.intrinsics, header)
     one = described(scan.positions, Mesh(scan.rest, scan.faces), DISC_RIG)
     return one | {"network": estimate.samples[:, LINEAR].mean(axis=0).tolist()}
 
@@ -104,7 +105,7 @@ def nearest(found: list[dict], fabric: np.ndarray, sample: np.ndarray) -> dict[s
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     parts = []
     for name, one in report["sets"].items():
         shares = one["shares"]

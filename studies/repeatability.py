@@ -1,4 +1,4 @@
-"""Does the same fabric give the same moduli, whichever way it drapes? (002, Figures 22 and 23)."""
+"""Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -115,7 +115,7 @@ def _of_networks(report: Report) -> dict[str, dict[str, float]]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = {way: np.median(values) for way, values in variations(report).items()}
     small = _of_networks(report)
     return (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "

@@ -1,4 +1,4 @@
-"""Which fabrics to sample, and whether the law must soften (002, section 7.5, Fig. 27, Table 3)."""
+"""Distributions of training fabrics, and the linear law (002, section 7.5, Fig. 27, Table 3)."""
 
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,7 @@ def _linear(report: Report) -> dict[str, float]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = _linear(report)
     errors = ", ".join(f"{one['unseen']['fabrics']['log_alpha']['rmse']:.2f} ({SPACES[name]})"
                        for name, one in report["spaces"].items())

@@ -1,7 +1,7 @@
-"""What a study is, and the page that all of them make.
+"""Definition of a study, and the page docs/studies.md.
 
-A study of your own: a module of this folder with a ``STUDY``, its keys in ``configs/study``, its
-name in ``studies.__main__.ORDER``.
+To add a study, write a module in this folder with a ``STUDY``, its keys in ``configs/study``, and
+add its name to ``studies.__main__.ORDER``.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +38,7 @@ _EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "scans", "learned")
 def over_fabrics(
     case: Callable[..., dict], config: dict[str, Any], *, sources: Sequence[str], inside: str = ""
 ) -> dict[str, dict]:
-    """Results of ``case(number=k, ...)`` for every fabric, those that are finished from before.
+    """Results of ``case(number=k, ...)`` for every fabric; finished ones are not repeated.
 
     Args:
         config: of the study; all keys but those of the run itself go to ``case``.
@@ -90,7 +90,7 @@ class Study:
         return REPORTS / f"{self.name}.json"
 
     def section(self, report: Report) -> str:
-        """Its part of the page."""
+        """Section of the page."""
         return "\n\n".join(filter(None, [
             f"## {self.title}", f"*After* {self.after}. {self.question} "
             f"*Command*: `python -m studies {self.name}`.", self.answer(report),

@@ -1,4 +1,4 @@
-"""Four ways to a fabric's moduli, and the drapes that these give (002, Table 3)."""
+"""Comparison of four estimation methods by the drapes of their estimates (002, Table 3)."""
 
 import sys
 from dataclasses import replace
@@ -167,7 +167,7 @@ def estimated(*, path: str, refine: bool) -> dict[str, Any]:
 
 
 def _disc() -> Header:
-    """Of the bundled network of the scans' rig."""
+    """Header of the bundled network for the rig of the scans."""
     return read_header(bundled(DISC_RIG.name))
 
 
@@ -193,9 +193,7 @@ def released(*, path: str, cloths: dict[str, dict[str, Any]], other: str) -> dic
 
 
 def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
-    """By scan: how far cloth moves that is let go there, with the estimate of another sample of the
-    fabric and with that of the scan itself.
-    """
+    """Displacements of cloth released at each scan, with estimates of another and of its sample."""
     chosen: dict[int, dict[int, Path]] = {}
     for path in sorted(Path(config["scans"]).glob("*.npz")) if config["scans"] else ():
         one = Specimen.from_scan_name(path.stem)
@@ -270,7 +268,7 @@ def _median(report: Report, where: str, way: str) -> str:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     parts = ["Displacements are medians with 95 % intervals."]
     friction = f"{report['settings']['friction_un']:g} µN·m per metre"
     for group, name in zip(GROUPS, ("Without bending friction", f"With {friction}"), strict=True):
@@ -296,7 +294,7 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Ways, and how good they are, medians."""
+    """Table of methods with median errors and displacements."""
     friction = f"{report['settings']['friction_un']:g} µN·m/m"
     groups = dict(zip(GROUPS, ("no friction", friction), strict=True))
     head = ["moduli from"]

@@ -1,4 +1,4 @@
-"""An estimated fabric in simulators made of hinges (002, Figure 24 and section 7.4)."""
+"""Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
 from dataclasses import replace
 from functools import cache
@@ -67,8 +67,8 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 def style3d_case(
     *, number: int, edge_mm: float, style3d_seconds: float, seed: int
 ) -> dict[str, Any]:
-    """The same of drapes in Style3D, each begun where the one before ended, the first at the
-    plate's; "motion": in their last quarter, mm.
+    """Differences of drapes in Style3D, each started from the previous one, the first from the
+    plate's; "motion" has the displacements in the last quarter of the simulation, mm.
     """
     plate = draped(specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, Specimen(plate.mesh, plate.held)
@@ -97,7 +97,7 @@ def _apart(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[fl
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
     own = {key: value for key, value in config.items() if key not in other}
     report = {"ratio": ratio(), "fabrics": over_fabrics(case, own, sources=("sim",))}
@@ -125,7 +125,7 @@ def _median(report: Report, way: str) -> float:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     plain, equal = (_median(report, f"hinges along the edge, {way}")
                     for way in ("α as estimated", "equivalent α"))
     text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "

@@ -1,4 +1,4 @@
-"""How many views does an estimate need? (002, Figure 19)."""
+"""Error of estimates as a function of the number of views (002, Figure 19)."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
@@ -55,7 +55,7 @@ def run(config: dict[str, Any]) -> Report:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
     return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
             f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
