@@ -103,7 +103,7 @@ def case(
     *, number: int, target: str, edge_mm: float, seconds: float, simulations: int,
     simulations_free: int, seed: int,
 ) -> dict[str, Any]:
-    """Results of all searches for one drape; "failed" has the reason if there is no drape."""
+    """Results of all searches for one drape; "failed" has the reason without a drape."""
     plan = specimen(number, seed=seed)
     truth = isotropic(plan.theta)
     if target.startswith("style3d"):
