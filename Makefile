@@ -35,27 +35,27 @@ test: $(STAMP)  ## fast tests
 test-slow: $(STAMP)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
-test-slurm: $(STAMP)  ## datasets made by a Slurm of one node, which root gets installed and started
+test-slurm: $(STAMP)  ## tests of datasets on a one-node Slurm, installed and started if run as root
 	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
 
-test-browser: $(STAMP)  ## the page in Chromium, which root gets installed; screenshots in outputs/browser
+test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as root; screenshots in outputs/browser
 	@test -n "$$(command -v chromium)" || test "$$(id -u)" != 0 || { apt-get update -qq && apt-get install -qqy chromium; }
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
 
-campaign: $(STAMP)  ## damaged input, kills, full disks and other accidents, an hour, resumes: docs/validation/campaign.json
+campaign: $(STAMP)  ## robustness tests: damaged input, kills, full disks; an hour, resumes; writes docs/validation/campaign.json
 	$(BIN)/python tests/campaign
 
-serve: $(STAMP)  ## the page and the HTTP interface on http://localhost:8000
+serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
-perturbed: $(STAMP)  ## fast tests of the simulator, 20 times with starts 1e-9 m aside: does an outcome change?
+perturbed: $(STAMP)  ## fast tests of the simulator, repeated 20 times with starts perturbed by 1e-9 m
 	$(BIN)/python tests/perturbed.py
 
-matrix: $(STAMP)  ## the installed wheel on each Python of this machine from 3.10 to 3.13, 9 GB and minutes each
+matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python tools/matrix.py
 
-lint: $(STAMP)  ## style, which module imports which, units in docstrings, unused code, spelling, words
+lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, spelling, words
 	$(BIN)/ruff check .
 	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
 	$(BIN)/python tools/check_layers.py
@@ -64,7 +64,7 @@ lint: $(STAMP)  ## style, which module imports which, units in docstrings, unuse
 	$(BIN)/python -m vulture
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
-sim: $(STAMP)  ## drape one fabric, pictures in outputs/drape
+sim: $(STAMP)  ## simulate one drape, results in outputs/drape
 	$(BIN)/python -m apps.drape
 
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
@@ -81,7 +81,7 @@ train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes
 	$(BIN)/python train.py data=$(DATASET)/disc300_support180 out=outputs/train/disc300_support180 \
 	  epochs=10
 
-evaluate: $(STAMP)  ## errors and coverage of the bundled networks on fabrics they have never seen
+evaluate: $(STAMP)  ## errors and coverage of the bundled networks on unseen fabrics
 	$(BIN)/python -m drapenet.evaluate rig=square300_cylinder100
 	$(BIN)/python -m drapenet.evaluate rig=disc300_support180
 
@@ -91,14 +91,14 @@ bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
 	for name in speed render throughput; do $(BIN)/python -m benchmarks $$name || exit 1; done
 
-bench-gpu: $(STAMP)  ## views rendered on the GPU against the CPU
+bench-gpu: $(STAMP)  ## compare rendering on the GPU and on the CPU
 	$(BIN)/python -m benchmarks render device=cuda out=docs/validation/render_gpu.json
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
 	  $(BIN)/python -m benchmarks $$name || exit 1; done
 
-docs: $(STAMP)  ## figures of README.md and docs/*.md, from the demo and the reports
+docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
 	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
@@ -110,5 +110,5 @@ studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interr
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
 
-clean:  ## remove what runs have made (not .venv)
+clean:  ## remove outputs and build (not .venv)
 	rm -rf outputs build

@@ -1,1 +1,1 @@
-"""Commands around the simulator."""
+"""Command-line programs of the simulator."""

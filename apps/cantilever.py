@@ -1,6 +1,6 @@
-"""Cantilever strips on the command line.
+"""Simulate cantilever strips and estimate moduli from measured ones, on the command line.
 
-Simulate strips of the default law, a JSON list of gamma = rho g L³/alpha and aspect ratio:
+Simulate strips of the default law; gives a JSON list of gamma = rho g L³/alpha and aspect ratio:
 
     python -m apps.cantilever hang gamma=0.1,1,10,100 out=FILE
 
@@ -33,9 +33,9 @@ from sim.material import DIRECTIONS, MICRO, NANO, check_density
 from sim.newton import Status
 from sim.scene import GRAVITY
 
-LENGTH = 0.09  # m; only gamma matters
-LARGEST_SIMULATED_GAMMA = 2000.0
-CELLS = 14.0  # along the bending length; H/W is then right to 0.4 % up to gamma = 1000
+LENGTH = 0.09  # m; results depend only on gamma
+MAX_SIMULATED_GAMMA = 2000.0
+CELLS = 14.0  # per bending length, for an error of H/W below 0.4 % up to gamma = 1000
 
 
 @dataclass
@@ -69,9 +69,9 @@ def print_strips(config: HangConfig) -> None:
     if not config.gamma:
         raise InputError("gamma= needs a number, such as gamma=10")
     for gamma in config.gamma:
-        if not 0 < gamma <= LARGEST_SIMULATED_GAMMA:
+        if not 0 < gamma <= MAX_SIMULATED_GAMMA:
             raise InputError(
-                f"gamma={gamma:g} must lie above 0 and not above {LARGEST_SIMULATED_GAMMA:g}"
+                f"gamma={gamma:g} must lie above 0 and not above {MAX_SIMULATED_GAMMA:g}"
             )
     out = Path(config.out) if config.out else None
     if out:
@@ -84,7 +84,7 @@ def print_strips(config: HangConfig) -> None:
 
 
 def simulate(gamma: float) -> dict:
-    """Figures of an isotropic strip of the default law, on a mesh that resolves its bends."""
+    """Simulate an isotropic strip of the default law; entry of the JSON list."""
     cells = np.ceil(max(30.0, CELLS * gamma ** (1 / 3)))
     edge = LENGTH / cells
     hung = hang(fabric_of_gamma(gamma, LENGTH), length=LENGTH, width=6 * edge, edge=edge)
@@ -101,7 +101,7 @@ def simulate(gamma: float) -> dict:
 
 @command("cantilever_estimate", EstimateConfig)
 def print_estimate(config: EstimateConfig) -> None:
-    """Estimate, print a table in people's units, and write JSON where asked."""
+    """Estimate, print a table, and write JSON to the file ``out`` if given."""
     files = {d: named.split(",") for d in DIRECTIONS if (named := getattr(config, d))}
     if not files:
         raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
@@ -128,7 +128,7 @@ def print_estimate(config: EstimateConfig) -> None:
 
 
 def moduli(strips: Strips, config: EstimateConfig) -> dict:
-    """Estimate and correct alpha and beta of each direction, print them; the report's part."""
+    """Estimate, correct and print alpha and beta of each direction; entries of the report."""
     options = {
         "density": 1e-3 * config.density,
         "method": config.method,
@@ -164,7 +164,7 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
 
 
 def torque_curves(strips: Strips, config: EstimateConfig) -> dict:
-    """Fit a torque curve to the strips of each direction, print its knots; the report's part."""
+    """Fit a torque curve to the strips of each direction and print it; entries of the report."""
     if config.slope or config.rounds:
         raise InputError("method=spline needs a level clamp and rounds=0")
     rows = {}

@@ -38,7 +38,7 @@ class DrapeConfig:
 
 @command("drape", DrapeConfig)
 def main(config: DrapeConfig) -> None:
-    """Simulate, print what came out, and write the files."""
+    """Simulate the drape, print a summary and write the files."""
     folder = folder_named(config.out)
     if len(config.offset) != 2:
         raise InputError(f"offset={config.offset} has {len(config.offset)} values; give two in mm, "
@@ -71,9 +71,9 @@ def main(config: DrapeConfig) -> None:
 
 
 def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
-    """What drape.json says: parameters in people's units, outcome, measures.
+    """Contents of drape.json: parameters, status and measures; units are in the keys.
 
-    Measures that refer to a plate are null on a rig without one.
+    Measures that refer to a plate are None on a rig without one.
     """
     from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 
@@ -106,11 +106,11 @@ def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
 
 
 def write(folder: Path, result: DrapeResult, summary: dict) -> None:
-    """Write drape.ply, drape.png, drape.json and drape.npz, each whole or not at all.
+    """Write drape.ply, drape.png, drape.json and drape.npz, each atomically.
 
-    Figures that are no finite numbers are null.
+    Values that are not finite are null in JSON.
     """
-    # Pictures and mesh formats are the command line's business, not the simulator's.
+    # Imported here, because they are slow to load.
     import cv2
     import trimesh
 
@@ -118,7 +118,7 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
 
     mesh = trimesh.Trimesh(result.positions, result.faces, process=False)
     size, radius = result.rig.specimen_size, result.rig.plate_radius
-    # Pictures show what is around the plate's height; hung cloth is raised to there.
+    # Images are centred at the height of the plate, to which hung cloth is raised.
     raised = np.array([0.0, 0.0, 0.0 if result.rig.has_plate else 0.4 * size])
     views = [shade(result.positions + raised, result.faces, plate_radius=radius, elevation=angle,
                    field=4 / 3 * size)

@@ -1,4 +1,4 @@
-"""Drapes on disk: ``drape.npz``, from which another drape can start.
+"""Format of ``drape.npz``, from which another drape can start.
 
 A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metres, float64;
 ``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.DrapeResult`.
@@ -16,7 +16,7 @@ from sim.drape import DrapeResult
 
 
 def write_drape(path: Path, result: DrapeResult) -> None:
-    """Write ``result`` to ``path`` whole or not at all; InputError where that is refused."""
+    """Write ``result`` to ``path`` atomically; InputError if the file cannot be written."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, rest=result.rest, positions=result.positions, faces=result.faces,
                         held=result.held)
@@ -24,10 +24,10 @@ def write_drape(path: Path, result: DrapeResult) -> None:
 
 
 def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Rest points (V, 2) and positions (V, 3), m, of a drape to start another one from.
+    """Rest points (V, 2) and positions (V, 3), m, of the drape in a file.
 
     Raises:
-        InputError: the file cannot be read or is not of the form described above.
+        InputError: the file cannot be read or has another format.
     """
     expected = "a drape.npz with rest and positions"
     arrays = read_arrays(path, ("rest", "positions"), what="the drape", expected=expected)

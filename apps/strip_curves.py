@@ -1,4 +1,4 @@
-"""Measured deflection curves of cantilever strips: CSV files, checked and turned upright."""
+"""Reader of measured deflection curves of cantilever strips, in CSV files."""
 
 from pathlib import Path
 
@@ -8,19 +8,19 @@ from common.documents import read_table
 from common.errors import InputError
 
 COLUMNS = ("x_mm", "y_mm")
-FEWEST_POINTS = 12
-LARGEST_FILE = 1 << 20  # bytes
-SHORTEST, LONGEST = 5e-3, 2.0  # m
-BENT_UP = 0.05
-"""Quadratic coefficient of a parabola through a curve, in units of the chord of its ends, that no
-error of reading a nearly straight strip makes."""
+MIN_POINTS = 12
+MAX_FILE_SIZE = 1 << 20  # bytes
+MIN_SPAN, MAX_SPAN = 5e-3, 2.0  # m
+MIN_UPWARD_BEND = 0.05
+"""Quadratic coefficient of a parabola fitted to a curve, in units of the chord; reading errors
+of a nearly straight strip are smaller."""
 
 
 def read_curve(path: str | Path) -> np.ndarray:
     """Read a curve (N, 2), m, from a CSV file whose header names the columns x_mm and y_mm.
 
-    The first row is the clamp's edge, the last the free end. The axes may point either way:
-    a strip reaches away from its clamp and hangs below it.
+    The first row is the clamp's edge, the last the free end. The signs of both axes are arbitrary,
+    because a strip extends away from its clamp and hangs below it.
 
     Raises:
         InputError: no such file, no such columns, a cell that is not a number, too few points,
@@ -28,7 +28,7 @@ def read_curve(path: str | Path) -> np.ndarray:
             hanging strip.
     """
     path = Path(path)
-    header, rows = read_table(path, "deflection curve", LARGEST_FILE)
+    header, rows = read_table(path, "deflection curve", MAX_FILE_SIZE)
     if not set(COLUMNS) <= set(header):
         raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "
                          "separated by commas")
@@ -46,27 +46,27 @@ def read_curve(path: str | Path) -> np.ndarray:
 
 
 def oriented_curve(points: np.ndarray) -> np.ndarray:
-    """A curve (N, 2), m, moved to start at 0 with reach and drop positive.
+    """Translate a curve (N, 2), m, to start at 0, and reflect it for positive reach and drop.
 
     Raises:
         InputError: as for :func:`read_curve`.
     """
-    if (places := len(np.unique(points, axis=0))) < FEWEST_POINTS:
+    if (places := len(np.unique(points, axis=0))) < MIN_POINTS:
         raise InputError(f"the curve has {places} different points; give at least "
-                         f"{FEWEST_POINTS}")
+                         f"{MIN_POINTS}")
     if not np.isfinite(points).all():
         raise InputError("all coordinates must be finite numbers")
     curve = points - points[0]
     length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     span = np.linalg.norm(np.ptp(curve, axis=0))
-    if not SHORTEST <= span <= LONGEST:
+    if not MIN_SPAN <= span <= MAX_SPAN:
         raise InputError(f"the curve spans {1e3 * span:.6g} mm but strips have "
-                         f"{1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm; give its columns in mm")
+                         f"{1e3 * MIN_SPAN:g} to {1e3 * MAX_SPAN:g} mm; give its columns in mm")
     reach, drop = curve[-1]
     if abs(reach) < 1e-3 * span or drop == 0:
         raise InputError(f"the free end is at ({1e3 * reach:.3g}, {1e3 * drop:.3g}) mm from the "
                          "clamp's edge; it must lie beside and below it: check the columns")
-    # A smooth hanging strip is at most reach + drop long; more is disorder.
+    # A smooth hanging strip is at most as long as reach + drop.
     if length > 3 * (abs(reach) + abs(drop)):
         raise InputError("the points are out of order; list them from the clamp to the free end")
     curve = curve * np.sign([reach, drop])
@@ -77,11 +77,11 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
 
 
 def _bends_up(curve: np.ndarray) -> bool:
-    """Whether a curve (N, 2) of positive reach and drop surely bends up from its first point on.
+    """Whether a curve (N, 2) of positive reach and drop significantly bends up.
 
-    A strip's weight bends it down all along; listed from the free end to the clamp it bends up.
+    The weight bends a strip down; a curve listed from the free end to the clamp bends up.
     """
     x, y = curve[-1] / np.linalg.norm(curve[-1]) ** 2
     along, below = curve @ [x, y], curve @ [-y, x]
     (bend, _, _), covariance = np.polyfit(along, below, 2, cov=True)
-    return bool(-bend > max(BENT_UP, 4 * np.sqrt(covariance[0, 0])))
+    return bool(-bend > max(MIN_UPWARD_BEND, 4 * np.sqrt(covariance[0, 0])))

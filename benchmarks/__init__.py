@@ -1,1 +1,1 @@
-"""Claims of docs/validation.md, each measured by a command; figures are written by figures.py."""
+"""Benchmarks behind docs/validation.md, one command each; figures.py writes the documentation."""

@@ -3,8 +3,8 @@
     python -m benchmarks                       # lists them
     python -m benchmarks NAME [key=value ...]  # NAME --help lists the keys
 
-Each prints its tables and writes a report, docs/validation/NAME.json unless out= names another
-file, and most of them a picture beside it. An interrupted one resumes from its folder cases=."""
+A benchmark prints tables and writes a report, docs/validation/NAME.json unless out= names another
+file; most also write a figure beside it. An interrupted run resumes from its folder cases=."""
 
 import ast
 import sys
@@ -21,12 +21,12 @@ from common.files import require_file, require_folder
 FOLDERS = ("physics", "speed", "estimation")
 FILES = {name: file for folder in FOLDERS for name in group_options("benchmark")
          if (file := Path(__file__).parent / folder / f"{name}.py").is_file()}
-"""The benchmarks' modules, by folder and name."""
-_OF_THE_RUN = ("workers", "cases", "work", "out")
+"""Modules of the benchmarks by name, ordered by folder."""
+_EXECUTION_KEYS = ("workers", "cases", "work", "out")
 
 
 def usage() -> str:
-    """This module's text, and a line for each benchmark."""
+    """Module docstring followed by one line per benchmark."""
     lines = [__doc__]
     for name, file in FILES.items():
         if name == next(one for one in FILES if FILES[one].parent == file.parent):
@@ -37,11 +37,11 @@ def usage() -> str:
 
 
 def run_benchmark(name: str, words: list[str]) -> None:
-    """Run the benchmark ``name`` under the overrides ``words``; write its report and picture."""
+    """Run the benchmark ``name`` with the overrides ``words``; write its report and figure."""
     module = import_module(f"benchmarks.{FILES[name].parent.name}.{name}")
 
     @command(f"benchmark/{name}", schema_of(f"benchmark/{name}"))
-    @wraps(module.run)  # whose module's text is the help
+    @wraps(module.run)  # the help is the docstring of its module
     def run(settings: Any) -> None:
         from benchmarks.common import REPORTS, write_figure, write_report
 
@@ -51,7 +51,7 @@ def run_benchmark(name: str, words: list[str]) -> None:
         for folder in {"cases", "work"} & set(config):
             require_folder(Path(config[folder]))
         found = module.run(config)
-        kept = {key: value for key, value in config.items() if key not in _OF_THE_RUN}
+        kept = {key: value for key, value in config.items() if key not in _EXECUTION_KEYS}
         write_report(out, {"settings": kept, **found.report})
         if found.figure:
             write_figure(out.with_suffix(".png"), found.figure)

@@ -1,4 +1,4 @@
-"""What benchmarks share: the machine's description, reports, and work that can be resumed."""
+"""Shared by the benchmarks: machine description, reports, figures and resumable cases."""
 
 import hashlib
 import inspect
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-ESTIMATOR = ("sim", "data", "drapenet")
-"""Sources of figures that an estimate or a refinement gives, see :func:`run_cases`."""
+ESTIMATOR_SOURCES = ("sim", "data", "drapenet")
+"""Sources that results of estimates and refinements depend on, see :func:`run_cases`."""
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
 
 Config = dict[str, Any]
-"""Settings of a benchmark, those of ``configs/benchmark/NAME.yaml`` and the command line."""
+"""Settings of a benchmark from ``configs/benchmark/NAME.yaml`` and the command line."""
 
 
 class Result(NamedTuple):
-    """What a benchmark finds: its report, in JSON's types, and its picture."""
+    """Result of a benchmark: its report, of JSON types, and its figure."""
 
     report: dict[str, Any]
     figure: "Figure | None" = None
 
 
 def machine() -> dict:
-    """Hardware and versions."""
+    """Processor, number of cores and versions of packages."""
     return {
         "processor": processor(),
         "cores": os.cpu_count(),
@@ -55,7 +55,7 @@ def machine() -> dict:
 
 
 def write_report(path: Path, content: dict) -> None:
-    """Write ``content`` and the machine's description as JSON."""
+    """Write ``content`` and the machine description as JSON."""
     replace_json(path, {"machine": machine(), **content})
 
 
@@ -65,8 +65,8 @@ def write_figure(path: Path, figure: "Figure") -> None:
         figure.savefig(file, format="png", dpi=110)
 
 
-def tick_short_scales(*scales: "Axis") -> None:
-    """Label logarithmic scales little longer than a power of ten with plain numbers."""
+def label_log_axes(*scales: "Axis") -> None:
+    """Label logarithmic axes that span about one decade at 1, 2 and 5, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for scale in scales:
@@ -83,34 +83,33 @@ def run_cases(
     workers: int = 1,
     sources: Sequence[str] = ("sim",),
 ) -> dict[str, dict]:
-    """Results of ``work(**settings)`` for every case, from ``folder`` where it is finished.
+    """Run ``work(**settings)`` for every case that has no valid result in ``folder``.
 
-    Each case becomes ``folder/NAME.json`` as soon as it is done, with its settings and a digest
-    of the sources that it depends on. A file of other settings or sources is made again; so an
-    interrupted run goes on where it stopped, and old figures never mix with new ones.
+    Each finished case is stored as ``folder/NAME.json`` with its settings and a digest of the
+    sources that it depends on. A result of other settings or sources is recomputed, so that an
+    interrupted run resumes and results of different versions are never mixed.
 
     Args:
-        work: a function at the top of a module; what it returns must be fit for JSON, but for
-            an entry "arrays" of arrays by name, which become ``folder/NAME.npz``
-            (:func:`load_arrays`).
-        cases: keyword arguments of ``work`` by name of the case, fit for JSON.
-        workers: processes, one thread each.
-        sources: folders and files of sources that the figures depend on, beside ``work`` itself;
-            with "drapenet", on the bundled weights as well.
+        work: module-level function; returns a dictionary of JSON types, with an optional entry
+            "arrays" of arrays by name, stored as ``folder/NAME.npz`` (:func:`load_arrays`).
+        cases: keyword arguments of ``work``, of JSON types, by name of the case.
+        workers: number of processes, one thread each.
+        sources: folders and files of sources that the results depend on, in addition to ``work``;
+            "drapenet" includes the bundled weights.
 
     Returns:
         Results by name, in the order of ``cases``.
 
     Raises:
-        InputError: a worker was ended from outside, or the folder cannot be written.
+        InputError: a worker was killed, or the folder cannot be written.
     """
     digest = sources_digest(sources, work)
-    # Through JSON, so that tuples and numbers compare as they are read back.
+    # Converted by JSON, so that tuples and numbers compare equal to those read from a file.
     stamps = {
         name: json.loads(json.dumps({"settings": settings, "sources": digest}))
         for name, settings in cases.items()
     }
-    results = {name: _finished(folder / f"{name}.json", stamps[name]) for name in cases}
+    results = {name: _stored(folder / f"{name}.json", stamps[name]) for name in cases}
     missing = [name for name in cases if results[name] is None]
     if not missing:
         return results
@@ -123,13 +122,13 @@ def run_cases(
         for future in as_completed(futures):
             name = futures[future]
             results[name] = future.result()
-            _keep(folder / f"{name}.json", stamps[name], results[name])
+            _store(folder / f"{name}.json", stamps[name], results[name])
             print(f"  {name}", flush=True)
     return results
 
 
-def _keep(path: Path, stamp: dict, result: dict) -> None:
-    """Write a finished case, its arrays first, so that no JSON stands without them."""
+def _store(path: Path, stamp: dict, result: dict) -> None:
+    """Write a finished case, its arrays first, so that a JSON file always has its arrays."""
     if arrays := result.pop("arrays", None):
         with replacing(path.with_suffix(".npz")) as file:
             np.savez_compressed(file, **arrays)
@@ -138,13 +137,13 @@ def _keep(path: Path, stamp: dict, result: dict) -> None:
 
 
 def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
-    """The arrays of a finished case of :func:`run_cases`."""
+    """Arrays by name of a finished case of :func:`run_cases`."""
     with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
         return dict(file)
 
 
-def _finished(path: Path, stamp: dict) -> dict | None:
-    """The result in ``path``, None if there is none for these settings and sources."""
+def _stored(path: Path, stamp: dict) -> dict | None:
+    """Result stored in ``path``, None if missing or of other settings or sources."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         return content["result"] if all(content[k] == v for k, v in stamp.items()) else None
@@ -153,10 +152,9 @@ def _finished(path: Path, stamp: dict) -> dict | None:
 
 
 def sources_digest(folders: Sequence[str], work: Callable) -> str:
-    """A short digest of the sources in ``folders``, files too, and of ``work``: figures of other
-    sources are others."""
+    """Digest, 16 hexadecimal digits, of the sources in ``folders`` (or files) and of ``work``."""
     digest = hashlib.sha256(inspect.getsource(work).encode())
-    # A JSON stands beside the weights and has their digest.
+    # JSON files: that of the bundled weights contains the digest of the weights.
     files = {ROOT / name for name in folders if (ROOT / name).is_file()}
     files |= {file for folder in folders for kind in ("py", "json")
               for file in (ROOT / folder).rglob(f"*.{kind}")}
@@ -165,7 +163,7 @@ def sources_digest(folders: Sequence[str], work: Callable) -> str:
     return digest.hexdigest()[:16]
 
 
-def next_to(
+def equilibrium_near(
     rest: np.ndarray,
     positions: np.ndarray,
     specimen: Specimen,
@@ -175,10 +173,10 @@ def next_to(
     *,
     self_contact: bool = False,
 ) -> Equilibrium:
-    """The equilibrium of ``fabric`` on the mesh of ``specimen`` next to a drape on another one.
+    """Equilibrium of ``fabric`` on the mesh of ``specimen``, started from a drape on another mesh.
 
     Args:
-        rest, positions: (W, 2) and (W, 3), m, of that drape.
+        rest, positions: (W, 2) and (W, 3), m, of the drape to start from.
         fabric, laws, self_contact: as for :func:`sim.equilibrium.find_equilibrium`.
     """
     scene = scene_on(specimen, rig)
@@ -190,7 +188,7 @@ def next_to(
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Lines of a Markdown table; floats with three significant digits."""
+    """Markdown table with aligned columns; floats have three significant digits."""
     def cell(value: object) -> str:
         return f"{value:.3g}" if isinstance(value, float) else str(value)
 

@@ -1,4 +1,4 @@
-"""How far two drapes of one specimen lie apart: vertices, mean curvature, folds."""
+"""Differences between two drapes of one specimen: displacement, mean curvature and folds."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,15 +11,15 @@ from sim.measures import fold_angles
 from sim.mesh import Mesh
 
 ALIGNMENTS = ("none", "turn", "rigid")
-_FOLD_SHIFT = 0.25
-"""How far a fold may lie from its partner, as a fraction of the mean distance between folds."""
-_SAME_AREA = 0.03  # relative; the border of a coarse disc is a polygon
+_MAX_FOLD_SHIFT = 0.25
+"""Largest shift of a fold, as a fraction of the mean angle between folds."""
+_AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse disc is a polygon
 
 
 class Draped(Protocol):
-    """A specimen's shape; :class:`sim.drape.DrapeResult` is one.
+    """Shape of a specimen, for example a :class:`sim.drape.DrapeResult`.
 
-    ``positions`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
+    ``positions`` (V, 3), m, ``rest`` (V, 2), m, and ``faces`` (F, 3).
     """
 
     positions: np.ndarray
@@ -29,15 +29,15 @@ class Draped(Protocol):
 
 @dataclass(frozen=True)
 class Difference:
-    """What lies between two drapes: the two metrics of the paper's Table 3, and the worst vertex.
+    """Difference of two drapes: both metrics of the paper's Table 3, and the largest displacement.
 
     Attributes:
         displacement: mean distance between the two positions of a material point, m.
         largest: the largest such distance, m.
-        curvature: relative difference of the mean curvature, 0.05 for 5 %: the area's mean of
-            |H_other - H_reference| over that of |H_reference|. The paper does not say what its
-            figures are relative to. A quotient at each point would be large wherever the cloth
-            is flat. Infinite if the whole reference is.
+        curvature: relative difference of the mean curvature, 0.05 for 5 %: the area average of
+            |H_other - H_reference| divided by that of |H_reference|. The paper does not state
+            the reference of its percentages. A quotient at each point would be large wherever
+            the cloth is flat. Infinite if the reference is flat.
     """
 
     displacement: float
@@ -46,15 +46,15 @@ class Difference:
 
 
 def compare(reference: Draped, other: Draped, *, align: str = "none") -> Difference:
-    """Compare two drapes of one specimen, after the best rigid motion if asked for.
+    """Compare two drapes of one specimen, with optional rigid alignment.
 
-    Compared are the points of the cloth at the vertices of the coarser mesh, each with the rest
-    area around it as its weight, held ones included. The finer drape is interpolated to them
-    unless the meshes are the same, and both curvatures are taken on the coarser triangles: a
-    coarse mesh does not know how the cloth bends between its vertices.
+    The material points at the vertices of the coarser mesh are compared, held ones included,
+    weighted by their rest areas. The finer drape is interpolated to them unless the meshes are
+    equal. Both curvatures are computed on the coarser triangles, because a coarse mesh does not
+    resolve bending between its vertices.
 
     Args:
-        align: "none"; "turn", the best rotation about the vertical axis; "rigid", the best
+        align: "none"; "turn" for the best rotation about the vertical axis; "rigid" for the best
             rotation and translation.
 
     Raises:
@@ -64,9 +64,9 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     mesh = Mesh(rest=coarse.rest, faces=coarse.faces)
     weight = mesh.vertex_areas
     ratio = Mesh(rest=fine.rest, faces=fine.faces).areas.sum() / weight.sum()
-    if abs(ratio - 1) > _SAME_AREA:
+    if abs(ratio - 1) > _AREA_TOLERANCE:
         raise InputError(f"not drapes of one specimen: rest areas differ by {ratio - 1:+.0%}")
-    moved = align_positions(_at_rest_points(fine, mesh.rest), coarse.positions, weight, align=align)
+    moved = align_positions(_interpolated(fine, mesh.rest), coarse.positions, weight, align=align)
     distance = np.linalg.norm(moved - coarse.positions, axis=1)
     curvatures = mean_curvature(coarse.positions, mesh), mean_curvature(moved, mesh)
     expected, found = curvatures if coarse is reference else curvatures[::-1]
@@ -80,26 +80,26 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     )
 
 
-def _at_rest_points(drape: Draped, rest: np.ndarray) -> np.ndarray:
-    """Positions (V, 3) of the drape where ``rest`` (V, 2) lies on its specimen."""
+def _interpolated(drape: Draped, rest: np.ndarray) -> np.ndarray:
+    """Positions (V, 3) of the drape at the material points ``rest`` (V, 2)."""
     if np.array_equal(drape.rest, rest):
         return drape.positions
-    # The origin of rest coordinates is the plate's axis, which need not be the centre.
-    centre, own = ((r.min(axis=0) + r.max(axis=0)) / 2 for r in (rest, drape.rest))
-    return interpolate_positions(drape.rest - own, drape.positions, rest - centre)
+    # The origin of rest coordinates is the plate's axis, not the centre of the specimen.
+    centre, middle = ((r.min(axis=0) + r.max(axis=0)) / 2 for r in (rest, drape.rest))
+    return interpolate_positions(drape.rest - middle, drape.positions, rest - centre)
 
 
 def align_positions(
     positions: np.ndarray, target: np.ndarray, weight: np.ndarray, *, align: str
 ) -> np.ndarray:
-    """Positions (V, 3) moved as close as possible to ``target`` (V, 3), see :func:`compare`.
+    """Align positions (V, 3) with ``target`` (V, 3), see :func:`compare` for ``align``.
 
-    Minimises the sum of squared distances, weighted by ``weight`` (V,).
+    Minimises the sum of squared distances with the weights ``weight`` (V,).
     """
     if align == "none":
         return positions
     if align == "turn":
-        # Seen from above as complex numbers, the best turn is the phase of their product.
+        # With horizontal positions as complex numbers, the best angle is the phase of the product.
         flat, goal = (p[:, 0] + 1j * p[:, 1] for p in (positions, target))
         product = weight @ (flat.conj() * goal)
         turned = flat * product / abs(product)
@@ -116,10 +116,10 @@ def align_positions(
 def mean_curvature(positions: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Mean curvature (V,), 1/m, of the surface through positions (V, 3), m.
 
-    Half the sum of the principal curvatures, positive where the surface bulges to the side from
-    which its faces run counter-clockwise: 1/R on a sphere seen from outside. Cotangent formula
-    with mixed areas (Meyer et al. 2003, the operator of the paper's section 4.2.2), along the
-    vertex normal. NaN on the border, where the formula says nothing.
+    Half the sum of the principal curvatures, positive where the surface is convex on the side
+    from which its faces are counter-clockwise: 1/R on a sphere seen from outside. Cotangent
+    formula with mixed areas (Meyer et al. 2003, the operator of the paper's section 4.2.2), along
+    the vertex normal. NaN on the boundary, where the formula is not defined.
     """
     corners = positions[mesh.faces]
     to_next, to_last = (np.roll(corners, -k, axis=1) - corners for k in (1, 2))
@@ -142,34 +142,34 @@ def mean_curvature(positions: np.ndarray, mesh: Mesh) -> np.ndarray:
 
 
 def _gather(mesh: Mesh, values: np.ndarray) -> np.ndarray:
-    """Sums (V, ...) over the corners at each vertex of values (F, 3, ...)."""
+    """Sums (V, ...) of corner values (F, 3, ...) at each vertex."""
     total = np.zeros((len(mesh.rest), *values.shape[2:]))
     np.add.at(total, mesh.faces, values)
     return total
 
 
 def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two drapes hang in the same fold configuration.
+    """Whether two drapes have the same fold configuration.
 
-    As many folds, each within a quarter of the mean fold distance of its partner in the other
-    drape. ``outline`` and ``other`` (720, 2) as :func:`sim.measures.fold_outline` gives them.
+    They have as many folds, and each is within a quarter of the mean fold spacing of its
+    counterpart. ``outline`` and ``other`` (720, 2) are from :func:`sim.measures.fold_outline`.
     """
     folds, others = fold_angles(outline), fold_angles(other)
     if len(folds) != len(others):
         return False
     if not len(folds):
         return True
-    # A fold near the seam may have its partner beyond it: try the pairings next to the plain one.
+    # Angles wrap around: a fold near 0 may correspond to the last or the next one of the other.
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
-    return bool(gap < _FOLD_SHIFT * 2 * np.pi / len(folds))
+    return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
 
 
 def best_turn(outline: np.ndarray, other: np.ndarray) -> float:
-    """By what angle, radians, ``other`` must turn to match ``outline``, both (720, 2) m.
+    """Angle, radians, by which ``other`` must be rotated to match ``outline``, both (720, 2) m.
 
-    The specimen turns with its drape, as it may when neither its shape nor its cloth has a
-    direction: a disc of an isotropic fabric. Least squares, to half a degree.
+    The material rotates with the drape, so that this applies to discs of isotropic fabrics. Least
+    squares over steps of half a degree.
     """
     spin = np.exp(-2j * np.pi * np.arange(len(outline)) / len(outline))
     one, two = ((o[:, 0] + 1j * o[:, 1]) * spin for o in (outline, other))

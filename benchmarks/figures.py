@@ -1,8 +1,8 @@
-"""Figures in the documentation, filled in from the reports: ``python -m benchmarks.figures``.
+"""Write the figures of the documentation from the reports: ``python -m benchmarks.figures``.
 
-In README.md and docs/*.md, what stands between ``<!-- figures: NAME -->`` and ``<!-- end -->`` is
-the block NAME of :data:`BLOCKS`, made from docs/validation/*.json and docs/studies/*.json. A test
-compares pages and reports; ``make docs`` brings the pages up to date.
+In README.md and docs/*.md, the text between ``<!-- figures: NAME -->`` and ``<!-- end -->`` is
+replaced by the block NAME of :data:`BLOCKS`, made from docs/validation/*.json. A test compares
+pages and reports; ``make docs`` updates the pages.
 """
 
 import json
@@ -21,17 +21,17 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
 MISSED = "**missed**"
-"""Beside a target that the figure does not reach."""
+"""Mark of a target that is not reached."""
 
 
 @cache
 def report(name: str) -> dict:
-    """A report of docs/validation."""
+    """Report docs/validation/NAME.json."""
     return json.loads((REPORTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def cell(kind: str, name: str = "as trained") -> dict:
-    """A cell of the evaluation of the network of ``kind`` of specimens."""
+    """Evaluation of the network for ``kind`` of specimens under the condition ``name``."""
     return report(f"evaluation_{RIGS[kind]}")["cells"].get(name)
 
 
@@ -42,29 +42,30 @@ def spread(kind: str) -> float:
 
 
 def percent(value: float, digits: int = 0) -> str:
+    """A share as a percentage with ``digits`` decimals."""
     return f"{100 * value:.{digits}f} %"
 
 
-def inside(found: dict) -> str:
-    """Shares inside the intervals of 50, 68 and 90 %."""
+def coverage(found: dict) -> str:
+    """Coverage of the 50, 68 and 90 % intervals, for a table."""
     shares = [one["mean"] if isinstance(one, dict) else one for one in found["inside"].values()]
     return "{:.0f}, {:.0f}, {:.0f} %".format(*(100 * share for share in shares))
 
 
 def slug(title: str) -> str:
-    """GitHub's anchor of a heading."""
+    """Anchor that GitHub gives a heading."""
     return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
 
 
 def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Lines of a Markdown table whose columns are not aligned."""
+    """Markdown table without aligned columns."""
     lines = [list(head), *rows]
     lines.insert(1, ["---"] * len(lines[0]))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def claims() -> str:
-    """The table of claims; a target that the report does not reach is marked."""
+    """Table of claims; missed targets are marked."""
     rows: list[list[str]] = []
 
     def add(claim: str, section: str, figure: str, target: str, command: str, *,
@@ -174,7 +175,7 @@ def claims() -> str:
         off = max(abs(100 * one["mean"] - float(level.strip("%")))
                   for level, one in found["inside"].items())
         add(f"… and the coverage of its 50, 68 and 90 % intervals ({kind})", "The estimator",
-            inside(found), "3 points", f"drapenet.evaluate rig={RIGS[kind]}", met=off <= 3)
+            coverage(found), "3 points", f"drapenet.evaluate rig={RIGS[kind]}", met=off <= 3)
 
     found = report("real_captures")
     ratios = [found["agreement"][name]["median"] for name in ("captures", "samples")]
@@ -236,7 +237,7 @@ def claims() -> str:
         "error of log α {:.3f}, {:.3f}, {:.3f} with 1, 2, 5 captures (bound {:.3f}, {:.3f}, "
         "{:.3f}); inside with 5: {}".format(
             *(found[n][key] for key in ("log_alpha", "bound") for n in "125"),
-            inside(found["5"])),
+            coverage(found["5"])),
         "0.081 with 5", "repeats", met=found["5"]["log_alpha"] <= 1.2 * 0.081)
 
     found = report("service")
@@ -256,7 +257,7 @@ def claims() -> str:
 
 
 def demo() -> str:
-    """What ``make demo`` prints, and the true moduli beside the estimate."""
+    """Output of ``make demo``, and a table of the true and the estimated moduli."""
     printed = (REPORTS / "demo.txt").read_text(encoding="utf-8").rstrip()
     truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
     rows = []
@@ -277,7 +278,7 @@ def demo() -> str:
 
 
 def views() -> str:
-    """Errors of log α by number of views and of drapes."""
+    """Error of log α by number of views and by number of drapes."""
     found = {count: cell("squares", f"views {count}")["log_alpha"]["rmse"] * spread("squares")
              for count in (1, 2, 4, 8)}
     joined = report("repeats")["summary"]
@@ -303,7 +304,7 @@ def testers() -> str:
 
 
 def default_mesh() -> str:
-    """Distances of drapes on the default and other meshes from a fine one."""
+    """Displacements of drapes on the default and other meshes from a fine mesh."""
     kinds = report("default_mesh")["meshes"]
     rows = []
     for kind, rig in RIGS.items():
@@ -320,7 +321,7 @@ def default_mesh() -> str:
 
 
 def cutouts() -> str:
-    """Cut-outs by sensor, medians and worst."""
+    """Errors of cut-outs by sensor, medians and worst cases."""
     rows = [[name, f"{found['iou'][1]:.3f}",
              *("{:.2f}, {:.2f}".format(*found[key]) for key in ("across_mm", "tilt_deg",
                                                                 "turn_deg", "shift"))]
@@ -333,7 +334,7 @@ def cutouts() -> str:
 
 
 def information() -> str:
-    """Posterior bounds by what is unknown."""
+    """Posterior bounds by unknown nuisances."""
     rows = [[name.replace("_", " along "), f"{found['log_alpha']:.3f}",
              f"{1e3 * found['beta_over_alpha']:.2f}",
              f"{found['standardised_log_alpha']:.3f}",
@@ -345,14 +346,14 @@ def information() -> str:
 
 
 def cells() -> str:
-    """The networks' errors and coverage, one condition changed at a time."""
+    """Errors and coverage of the networks, with one condition changed at a time."""
     def columns(kind: str, name: str) -> list[str]:
         found = cell(kind, name)
         if not found:
             return ["–"] * 3
         low, high = found["log_alpha"]["interval_95"]
         return [f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
-                f"{found['beta_over_alpha']['rmse']:.2f}", inside(found)]
+                f"{found['beta_over_alpha']['rmse']:.2f}", coverage(found)]
 
     rows = [[name, *columns("squares", name), *columns("discs", name)]
             for name in report(f"evaluation_{RIGS['discs']}")["cells"]
@@ -374,21 +375,21 @@ def soft_fabrics() -> str:
 
 
 def refinement() -> str:
-    """Errors of network and refinement on simulated captures and scans."""
+    """Errors of the network and of the refinement on simulated captures and scans."""
     sets = {"views, no nuisances": report("refine_views")["summary"]["all"],
             "views, other folds": report("refine_views")["summary"]["other folds"],
             "views, all nuisances": report("refine_views_real")["summary"]["all"],
             "scans, all nuisances": report("refine_scans_simulated")["summary"]}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
-             f"{found[who]['beta_over_alpha_mm']:.2f}", inside(found[who])]
+             f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
             for name, found in sets.items() for who in ("network", "refined")]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
 
 
 def scans() -> str:
-    """Network and refinement on the real scans."""
+    """Agreement of the network's and of the refined estimates of real scans."""
     found = report("refine_scans")["summary"]
     network = report("real_captures")
     def factors(agreement: dict) -> list[str]:
@@ -404,7 +405,7 @@ def scans() -> str:
 
 
 def prior() -> str:
-    """Priors on fitted and unseen fabrics."""
+    """Likelihoods and distances of the priors on fitted and unseen fabrics."""
     found = report("prior")
     names = {**{f"gmm{k}": f"mixture of {k} normal distributions" for k in (3, 7)},
              **{f"vae{k}": f"VAE-{k}" for k in range(1, 5)}, "gaussian": "one normal distribution"}
@@ -417,14 +418,14 @@ def prior() -> str:
 
 
 def accuracy() -> str:
-    """What to expect, in three lines."""
+    """List of three items: errors, agreement of repeats, limits."""
     squares, discs = cell("squares"), cell("discs")
     error = {kind: exp(cell(kind)["log_alpha"]["rmse"] * spread(kind)) - 1 for kind in RIGS}
     four = {kind: exp(cell(kind, "views 4")["log_alpha"]["rmse"] * spread(kind)) - 1
             for kind in RIGS}
     real = report("real_captures")["agreement"]
     return "\n".join([
-        f"- **Simulated fabrics** that the network has never seen, with the variation of real "
+        f"- **Simulated fabrics** outside the training set, with the variation of real "
         f"specimens and cameras: the typical error of α is {percent(error['squares'])} for "
         f"squares and {percent(error['discs'])} for discs ({percent(four['squares'])} and "
         f"{percent(four['discs'])} with four views). The 68 % intervals contain "
@@ -448,8 +449,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
-def filled(text: str) -> str:
-    """``text`` with all its blocks filled in again.
+def fill_blocks(text: str) -> str:
+    """Replace all blocks of ``text``.
 
     Raises:
         InputError: an unknown block.
@@ -463,12 +464,12 @@ def filled(text: str) -> str:
 
 
 def main(argv: list[str]) -> None:
-    """The command line."""
+    """Update all pages; print the names of those that changed."""
     if argv:
         raise InputError(f"{' '.join(argv)}: this command takes no settings")
     for page in PAGES:
         old = page.read_text(encoding="utf-8")
-        if (new := filled(old)) != old:
+        if (new := fill_blocks(old)) != old:
             replace_file(page, new.encode())
             print(page.relative_to(ROOT))
 

@@ -1,4 +1,4 @@
-"""Known fabrics: planned from the prior, draped, captured without faults, and estimated."""
+"""Fabrics with known moduli: drawn from the prior, draped, captured and estimated."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,36 +24,34 @@ if TYPE_CHECKING:
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
-"""Of :class:`data.setups.Setups`: four exact quarter turns, a smooth sensor, a clean cut-out."""
+"""Fields of :class:`data.setups.Setups`: exact quarter turns, a smooth sensor, an exact cut-out."""
 
 
-def planned(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
-    """A fabric of the prior, without the training's share of very soft ones, and a specimen of it.
-    """
+def plan_specimen(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
+    """Draw a fabric from the prior, without the extra soft fabrics of training, and a specimen."""
     words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     return plan_drape(number, config=config.sampling, prior=config.prior)
 
 
-def draped(
+def drape_plan(
     plan: DrapePlan, *, rig: str, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] | None = None, nuisances: Nuisances | None = None,
     laws: Laws | None = None,
 ) -> DrapeResult:
-    """The drape of a planned specimen, with another start, seed, offset, nuisances or laws where
-    given.
+    """Simulate the drape of a plan; start, seed, offset, nuisances and laws may be overridden.
 
     Args:
-        edge: m, at the rim of the mesh.
+        edge: m, mesh edges at the rim.
 
     Raises:
-        InputError: it does not converge.
+        InputError: the drape does not converge.
     """
-    own = nuisances or plan.nuisances
-    result = drape(fabric_from_theta(plan.theta), rig=own.rig(Rig.from_name(rig)), edge=edge,
+    used = nuisances or plan.nuisances
+    result = drape(fabric_from_theta(plan.theta), rig=used.rig(Rig.from_name(rig)), edge=edge,
                    start=start or plan.start, seed=plan.seed if seed is None else seed,
                    offset=tuple(plan.offset) if offset is None else offset,
-                   laws=laws or own.laws)
+                   laws=laws or used.laws)
     if not result.converged:
         raise InputError(f"a drape of fabric {plan.fabric} did not converge ({result.message}); "
                          "choose another seed=")
@@ -63,20 +61,20 @@ def draped(
 def known_drape(
     number: int, *, rig: str, nuisances: str, edge_mm: float, seed: int
 ) -> tuple[DrapePlan, DrapeResult]:
-    """A fabric of the prior and specimen of it, and its drape."""
-    plan = planned(number, rig=rig, nuisances=nuisances, seed=seed)
-    return plan, draped(plan, rig=rig, edge=1e-3 * edge_mm)
+    """Draw a fabric and a specimen from the prior, and simulate the drape."""
+    plan = plan_specimen(number, rig=rig, nuisances=nuisances, seed=seed)
+    return plan, drape_plan(plan, rig=rig, edge=1e-3 * edge_mm)
 
 
-def estimated(
+def estimate_views(
     views: np.ndarray, intrinsics: Intrinsics, header: Header, *, friction: float | None = None
 ) -> "Estimate":
-    """What the network of ``header`` says of a capture, as ``infer.py`` does, of 300 g/m².
+    """Estimate of the network of ``header`` from a capture, as by ``infer.py``, at 300 g/m².
 
     Args:
-        views: (K, H, W) z-depth, m, background 0; the table turned by whole K-ths of a turn.
-        intrinsics: of these pictures.
-        friction: N·m per metre, where the network is given it.
+        views: (K, H, W) z-depth, m, background 0; the table turns by 360°/K between views.
+        intrinsics: of the views.
+        friction: N·m per metre, if known.
     """
     from drapenet.inference import infer_capture
 

@@ -1,4 +1,4 @@
-"""Import this before everything else to time one core: libraries read it as they are loaded."""
+"""Limit numerical libraries to one thread; import it first, libraries read the limit on loading."""
 
 import os
 

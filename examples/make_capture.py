@@ -1,13 +1,12 @@
-"""Makes a capture of a fabric whose moduli are known, such as the one in ``captures/twill``.
+"""Make a synthetic capture of a fabric with known moduli, such as ``captures/twill``.
 
     python examples/make_capture.py out=examples/captures/twill
-    python examples/make_capture.py raw=true out=outputs/raw  # whole scenes, to practise with
+    python examples/make_capture.py raw=true out=outputs/raw  # uncropped scenes
 
-Drapes the fabric on a finer mesh than training does, renders it with a camera that stands a
-little off its nominal place, adds sensor noise, and writes the four views with ``capture.yaml``.
-With ``raw=true`` the views show tester, table and wall as well, ``background.png`` the same without
-cloth, and the direction of the warp is drawn at random.
-The moduli go to ``truth.json`` beside them, to be compared with what ``infer.py`` estimates.
+Simulates the drape on a finer mesh than in training, renders it with a random deviation of the
+camera from its nominal pose, adds sensor noise, and writes four views with ``capture.yaml``. With
+``raw=true`` the views also show tester, table and wall, ``background.png`` shows the scene without
+cloth, and the warp direction is random. ``truth.json`` contains the moduli.
 """
 
 import json
@@ -51,18 +50,18 @@ class MakeCaptureConfig:
 
 @command("make_capture", MakeCaptureConfig)
 def main(config: MakeCaptureConfig) -> None:
-    """Drape, render, and write the capture and its truth."""
+    """Simulate and render the drape; write the capture and the true moduli."""
     out = folder_named(config.out)
     old = list(out.iterdir()) if out.is_dir() else []
     if out.is_file() or not {file.name for file in old} <= FILES:
-        raise InputError(f"{out} holds something else than a capture made here; choose another "
-                         "out=")
+        raise InputError(f"{out} contains other files than a capture made by this program; choose "
+                         "another out=")
     require_folder(out)
     density = checked_density(config.density)
     rig = CameraRig.load()
     noise = load_sensor(config.sensor)
     if isinstance(noise, StructuredLight):
-        # A 16-bit capture has no 8-bit steps; they belong to the published format.
+        # 8-bit quantisation belongs to the published format, not to 16-bit captures.
         noise = noise.model_copy(update={"eight_bit_probability": 0.0})
     fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(config.beta) * NANO,
                     density=density)
@@ -86,7 +85,7 @@ def main(config: MakeCaptureConfig) -> None:
         views = noise(views, intrinsics[0], generator).numpy()
     for file in old:
         file.unlink()
-    # Who captures a drape knows the nominal intrinsics only, so these are written.
+    # Users know only the nominal intrinsics, so these are written.
     write_capture(out, views=views, intrinsics=rig.intrinsics, density=density,
                   warp_direction=direction, rig=rig.name, background=background)
     truth = {

@@ -1,1 +1,1 @@
-"""Experiments of the papers, repeated: ``python -m studies NAME``; see docs/studies.md."""
+"""Replication of experiments of the papers: ``python -m studies NAME``; see docs/studies.md."""

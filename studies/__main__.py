@@ -2,7 +2,7 @@
 
     python -m studies NAME [key=value ...]  # configs/study/NAME.yaml; NAME --help lists the keys
     python -m studies all [key=value ...]
-    python -m studies page                  # only write the page and the pictures from the reports
+    python -m studies page                  # only write the page and the figures from the reports
 """
 
 import benchmarks.one_thread  # noqa: F401
@@ -33,13 +33,13 @@ def study_named(name: str) -> Study:
 
 
 def reports() -> dict[str, Report]:
-    """All reports that are there."""
+    """Existing reports by name."""
     return {name: json.loads(study_named(name).report.read_text(encoding="utf-8"))
             for name in ORDER if study_named(name).report.exists()}
 
 
 def write_page(*, pictures: bool = False) -> None:
-    """Write the page, and the pictures if wanted, from the reports that are there."""
+    """Write the page, and optionally the figures, from the existing reports."""
     known = reports()
     for name in known if pictures else ():
         study = study_named(name)
@@ -72,7 +72,7 @@ def run_all(words: list[str]) -> None:
 
 
 def draw_page(words: list[str]) -> None:
-    """Write the page and all pictures; there are no ``words`` to it."""
+    """Write the page and all figures; takes no ``words``."""
     if words:
         raise InputError(f"'{words[0]}': page takes no other words")
     write_page(pictures=True)

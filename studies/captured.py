@@ -1,4 +1,4 @@
-"""Known fabrics, draped and captured, and what the bundled network estimates of them."""
+"""Drapes and captures of known fabrics, and the estimates of the bundled network."""
 
 import json
 import re
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import known
-from benchmarks.common import ESTIMATOR, REPORTS, run_cases
+from benchmarks.common import ESTIMATOR_SOURCES, REPORTS, run_cases
 from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
@@ -29,17 +29,17 @@ from sim.material import REFERENCE_DENSITY
 RIG = "square300_cylinder100"
 IDEAL = known.CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
                  "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
-"""A set-up without faults: a smooth sensor where the rig's camera stands, exact quarter turns."""
+"""Set-up without faults: smooth sensor, nominal camera pose, exact quarter turns."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What the network estimates from a capture.
+    """Estimate of the network from a capture.
 
     Attributes:
-        theta: (6,) the posterior's mean, along the true warp (:mod:`data.fabrics`).
-        samples: (S, 6) of the posterior, likewise.
-        inferred: all of it; capture: what was seen.
+        theta: (6,) posterior mean, along the true warp (:mod:`data.fabrics`).
+        samples: (S, 6) posterior samples, along the true warp.
+        inferred: complete result; capture: its input.
     """
 
     theta: np.ndarray
@@ -57,7 +57,7 @@ class Reading:
 
 @cache
 def header() -> Header:
-    """Of the bundled network."""
+    """Header of the bundled network."""
     return read_header(bundled(RIG))
 
 
@@ -75,8 +75,8 @@ def bound() -> float:
 
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
-    """Fabric ``number`` of the prior, and a specimen of it."""
-    return known.planned(number, rig=RIG, nuisances=nuisances, seed=seed)
+    """Plan of fabric ``number`` from the prior and a specimen."""
+    return known.plan_specimen(number, rig=RIG, nuisances=nuisances, seed=seed)
 
 
 def draped(
@@ -89,28 +89,28 @@ def draped(
     Raises:
         InputError: it does not converge.
     """
-    return known.draped(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
+    return known.drape_plan(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
                         offset=offset, nuisances=nuisances, laws=laws)
 
 
 def ideal(**changes: object) -> Setups:
-    """The set-up without faults, but for ``changes``."""
+    """The set-up without faults, with ``changes``."""
     return replace(Setups.load("real"), **IDEAL | changes)
 
 
 def seen(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
-    """A capture of a drape."""
+    """Capture a drape."""
     return setups.capture(shape.positions, shape.faces, rng,
                           nominal=CameraRig.load(RIG).intrinsics)
 
 
 def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
          friction: float | None = None) -> Reading:
-    """The network's answer.
+    """Estimate a capture with the network.
 
     Args:
-        density: kg/m², as the user states it.
-        friction: N·m per metre, where the user knows it.
+        density: kg/m², as stated by the user.
+        friction: N·m per metre, if known to the user.
     """
     capture = Capture(found.views, found.intrinsics, found.turns, density, None, RIG, Path(), ())
     inferred = infer_capture(capture, header(), friction=friction)
@@ -119,7 +119,7 @@ def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
 
 
 def along_warp(estimate: Estimate, orientation: float) -> np.ndarray:
-    """(S, 6) samples of theta along the true warp, which lies at ``orientation``, rad."""
+    """Samples (S, 6) of theta along the true warp, whose direction is ``orientation``, rad."""
     along = np.cos(2 * (estimate.axis - orientation)) >= 0
     return estimate.samples if along else estimate.samples[:, SWAPPED]
 
@@ -137,7 +137,8 @@ def over_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, d
                          "or leave it empty")
     return run_cases(
         case, {file.stem: {"path": str(file), "seed": config["seed"]} for file in files},
-        folder=Path(config["cases"]) / "scans", workers=config["workers"], sources=ESTIMATOR)
+        folder=Path(config["cases"]) / "scans", workers=config["workers"],
+        sources=ESTIMATOR_SOURCES)
 
 
 def fabric_and_sample(name: str) -> tuple[int, int]:

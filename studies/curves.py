@@ -1,4 +1,4 @@
-"""A free curve of torque against the parabola, both from cantilever strips (004, section 5)."""
+"""Torque spline compared with the parabola, both fitted to cantilever strips (004, section 5)."""
 
 from collections.abc import Callable
 from itertools import product
@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import tick_short_scales
+from benchmarks.common import label_log_axes
 from benchmarks.comparison import compare
-from benchmarks.physics.testers import LENGTHS, shake
+from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from sim.cantilever.elastica import strip_shape, tabulated_law
@@ -39,7 +39,7 @@ Torque = Callable[[np.ndarray], np.ndarray]
 
 
 def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
-    """Torque, N per width, by curvature, 1/m, of a cloth with about this alpha and beta/alpha."""
+    """Torque, N, as a function of curvature, 1/m, for a cloth of about this alpha, beta/alpha."""
     if kind == "yielding":
         return lambda k: alpha * (0.6 * k + 0.6 * _SLIP * np.tanh(k / _STICK))
     if kind == "stiffening":
@@ -50,9 +50,7 @@ def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
 def fitted(
     name: str, strips: list[np.ndarray], *, weight: float, knots: int
 ) -> tuple[Torque, float] | None:
-    """Torque by curvature as a fit has it, and the largest curvature that it has read; None where
-    it fails.
-    """
+    """Fitted torque as a function of curvature, and the largest curvature; None if it fails."""
     try:
         if name == "parabola":
             found = match(strips, weight=weight)
@@ -66,9 +64,7 @@ def fitted(
 def case(
     *, number: int, edge_mm: float, noise_mm: list[float], knots: int, seed: int
 ) -> dict[str, Any]:
-    """Errors of both fits of one fabric, by kind of torque and noise; None for a fit that failed,
-    and for a drape that did not converge.
-    """
+    """Errors of both fits of one fabric, by kind of torque and noise; None for failures."""
     plan = specimen(number, seed=seed)
     plate = fabric_from_theta(plan.theta)
     alpha, ratio = float(np.exp(plan.theta[:3].mean())), float(plan.theta[3:].mean())
@@ -90,7 +86,7 @@ def case(
         result[kind] = {}
         for noise in noise_mm:
             rng = np.random.default_rng([seed, number])
-            strips = shake(clean, 1e-3 * noise, rng)["strips"]
+            strips = add_noise(clean, 1e-3 * noise, rng)["strips"]
             for name in FITS:
                 fit = fitted(name, strips, weight=weight, knots=knots)
                 result[kind][f"{name}, {noise:g} mm"] = None
@@ -115,7 +111,7 @@ def _relative(values: np.ndarray, true: np.ndarray) -> float:
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     return {"fabrics": over_fabrics(case, config, sources=("sim", "drapenet"))}
 
 
@@ -134,7 +130,7 @@ def _figures(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found, noises = _figures(report), report["settings"]["noise_mm"]
 
     def better(noise: float) -> int:
@@ -161,7 +157,7 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Fitted over true torque by curvature at the largest noise, one line a fabric; drapes."""
+    """Plot fitted / true torque at the largest noise, one line per fabric, and displacements."""
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     panels = figure.subplots(1, len(KINDS) + 1, width_ratios=[1] * len(KINDS) + [1.3])
     colours = dict(zip(FITS, ("#b5403a", "#2f6da8"), strict=True))
@@ -190,7 +186,7 @@ def draw(report: Report) -> Figure:
     axes.set_ylim(bottom=1e-3)  # those of the exact law lie below
     axes.set_xticks(range(len(KINDS)), KINDS)
     axes.legend(fontsize=7, loc="lower right")
-    tick_short_scales(axes.yaxis)
+    label_log_axes(axes.yaxis)
     return figure
 
 

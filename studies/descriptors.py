@@ -1,14 +1,14 @@
-"""Descriptions of a drape in which the phase of its folds does not matter.
+"""Descriptors of drapes that are invariant to the phase of the folds.
 
-One fabric drapes in many fold configurations: vertex by vertex two of them are far apart, though
-the cloth is the same. Larionov et al. (Eq. 9) take the amplitudes of the Fourier transform of the
-vertices, so that a pattern of folds may be shifted. :class:`GridSpectrum` is theirs, on a square
-grid of material points. Around a plate folds run outwards, and a shifted pattern is a turned one;
-:class:`RingSpectrum` transforms along circles around the plate instead. A drape with one fold more
-than another has its amplitude at the next harmonic; powers are therefore blurred over a few.
+Drapes of one fabric have many fold configurations with large displacements between them. Larionov
+et al. (Eq. 9) use the amplitudes of the Fourier transform of the vertices, which are invariant to a
+shift of the folds. :class:`GridSpectrum` is their descriptor, on a square grid of material points.
+Around a plate the folds are radial and a shift is a rotation; therefore :class:`RingSpectrum`
+transforms along circles around the plate. An additional fold moves the amplitude to the next
+harmonic; powers are therefore smoothed over harmonics.
 
-Both describe in metres, so that the norm of a difference of two descriptions is comparable to a
-root mean square displacement.
+Descriptors are in metres, so that the norm of their difference is comparable to a root mean square
+displacement.
 """
 
 from typing import Protocol
@@ -26,7 +26,7 @@ _SMALLEST = 1e-9  # m²: powers below have no root to speak of (0.03 mm), and a 
 
 
 class Descriptor(Protocol):
-    """A description (D,), m, of vertices at positions (V, 3) m, and its derivatives."""
+    """Descriptor (D,), m, of vertices at positions (V, 3), m, and its derivatives."""
 
     def describe(self, positions: np.ndarray) -> np.ndarray: ...
 
@@ -37,7 +37,7 @@ class Descriptor(Protocol):
 class RingSpectrum:
     """Amplitudes of distance from the axis and of height along material circles.
 
-    The same for a drape that is turned about the axis with its specimen, and for its mirror image.
+    Invariant to a rotation of drape and specimen about the axis, and to reflection.
 
     Args:
         rest: (V, 2) m, origin on the plate's axis.
@@ -135,7 +135,7 @@ class GridSpectrum:
 
 
 class PhaseFree:
-    """Objective: a drape's description against that of another fold configuration.
+    """Objective: difference between the descriptors of a drape and of a captured one.
 
     Args:
         descriptor: of the simulated mesh.

@@ -1,4 +1,4 @@
-"""What friction does to an estimate, and whether repeats identify it (002, section 7.7)."""
+"""Effect of friction on estimates, and its identification from repeats (002, section 7.7)."""
 
 from pathlib import Path
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes
 from benchmarks.comparison import compare
-from benchmarks.known import estimated, planned
+from benchmarks.known import estimate_views, plan_specimen
 from benchmarks.physics.guides import guided
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -45,14 +45,14 @@ def measured(
     nominal, header = CameraRig.load(rig).intrinsics, read_header(bundled(rig))
     seen = ideal().capture(positions, faces, np.random.default_rng(seed), nominal=nominal)
     found, given = (
-        float(estimated(seen.views, seen.intrinsics, header, friction=friction)
+        float(estimate_views(seen.views, seen.intrinsics, header, friction=friction)
               .samples[:, LINEAR].mean()) for friction in (None, torque))
     return {"coefficient": 100 * drape_coefficient(positions, faces, Rig.from_name(rig)),
             "log_alpha": found, "given": given}
 
 
 def raised(above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: float) -> DrapeResult:
-    """The fabric let go where it hangs under ``overshoot`` times its weight, in the same folds."""
+    """Equilibrium after release from the drape under ``overshoot`` times the weight."""
     heavy = follow(above, Fabric(fabric.alpha / overshoot, fabric.beta / overshoot), laws=Laws())
     bending = MidEdgeBending(heavy.mesh, heavy.scene.active, fabric=fabric)
     origin = bending.curvatures(heavy.state.q)
@@ -65,7 +65,7 @@ def case(
     """Drapes of one fabric by torque and start, from above and from below; None where one of both
     did not converge. And log alpha by the cantilever tester; None where no law's strip hangs so.
     """
-    plan = planned(number, rig=rig, nuisances="none", seed=seed)
+    plan = plan_specimen(number, rig=rig, nuisances="none", seed=seed)
     fabric, result = fabric_from_theta(plan.theta), {"drapes": [], "tester": []}
     for torque in (MICRO * one for one in friction):
         laws, repeats = Laws(bending=BendingFriction(torque)), []
@@ -106,8 +106,9 @@ def run(config: dict[str, Any]) -> Report:
     """All rigs, and scans where there are some."""
     settings = {key: value for key, value in config.items() if key != "rigs"}
     report: Report = {"rigs": {
-        rig: over_fabrics(case, settings | {"rig": rig, "fabrics": count}, sources=ESTIMATOR,
-                          inside=rig) for rig, count in config["rigs"].items()}}
+        rig: over_fabrics(case, settings | {"rig": rig, "fabrics": count},
+                          sources=ESTIMATOR_SOURCES, inside=rig)
+        for rig, count in config["rigs"].items()}}
     if config["scans"]:
         report["scans"] = over_scans(scanned, config)
     return report
@@ -171,7 +172,7 @@ def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
     last = torque.index(100.0) if 100.0 in torque else len(torque) - 1
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
@@ -261,7 +262,7 @@ def draw(report: Report) -> Figure:
                       label="captures of a scanned sample")
     for axes in (first, *others):
         axes.set(yscale="log", xlabel="friction [µN·m/m]")
-        tick_short_scales(axes.yaxis)
+        label_log_axes(axes.yaxis)
         axes.legend(fontsize=8, frameon=False, loc="upper left")
     return figure
 

@@ -1,4 +1,4 @@
-"""What a network should answer: classes, numbers, or a posterior (002, Fig. 18, Eq. 10)."""
+"""Comparison of network outputs: classes, regression or posterior (002, Fig. 18, Eq. 10)."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from studies.study import Report, Study, error_cell, error_picture
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All answers, by the same trunk from the same captures."""
+    """Train networks with all outputs, with the same trunk and captures."""
     names = ["posterior", "regression", *(f"classes {count}" for count in config["classes"])]
     return {"heads": train_all({name: Training(steps=config["steps"], answer=name)
                                 for name in names}, config)}
@@ -21,7 +21,7 @@ def _shown(name: str) -> str:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = {name: one["unseen"]["fabrics"]["log_alpha"]["rmse"]
              for name, one in report["heads"].items()}
     classes = {name: value for name, value in found.items() if name.startswith("classes")}

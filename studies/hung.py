@@ -1,4 +1,4 @@
-"""An anisotropic membrane from a square that hangs by two corners (004, section 5)."""
+"""Estimation of an anisotropic membrane from a square hung by two corners (004, section 5)."""
 
 import math
 from functools import cache
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes
 from data.fabrics import fabric_from_theta, from_theta
 from data.nuisances import NuisanceConfig
 from drapenet.refine.objective import value
@@ -36,7 +36,7 @@ _POISSON = (0.0, 0.4)
 
 @cache
 def specimens() -> NuisanceConfig:
-    """How they differ."""
+    """Distribution of the nuisances of specimens."""
     return specimen_spread()
 
 
@@ -68,7 +68,7 @@ def drawn(rng: np.random.Generator) -> np.ndarray:
 
 
 def is_stable(own: np.ndarray) -> bool:
-    """Whether a membrane has these unknowns."""
+    """Whether a membrane with these unknowns is stable."""
     return bool(own[3] ** 2 * np.exp(own[1] - own[0]) < 1)
 
 
@@ -185,9 +185,9 @@ def case(
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     return {"spread": prior()[1].tolist(),
-            "fabrics": over_fabrics(case, config, sources=ESTIMATOR)}
+            "fabrics": over_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
 
 
 def _fitting(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
@@ -204,7 +204,7 @@ def _errors(report: Report, name: str) -> np.ndarray:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     def errors(name: str) -> tuple[list[float], str]:
         found = _errors(report, name)
         return ([rms(column) for column in found.T],
@@ -254,7 +254,7 @@ def draw(report: Report) -> Figure:
         axes.plot(limits, limits, color="0.6", lw=0.8)
         if k < 3:
             axes.set(xscale="log", yscale="log")
-            tick_short_scales(axes.xaxis, axes.yaxis)
+            label_log_axes(axes.xaxis, axes.yaxis)
             axes.tick_params(axis="x", labelrotation=60)
         unit = " [N/m]" if k < 3 else ""
         axes.set(title=unknown, xlabel=f"true{unit}", ylabel=f"found{unit}")

@@ -1,5 +1,4 @@
-"""What a network should see of a capture, and which network should see it (002, Fig. 20, Table 2).
-"""
+"""Comparison of network inputs and backbones (002, Fig. 20, Table 2)."""
 
 from typing import Any
 
@@ -20,7 +19,7 @@ SEEN: dict[str, tuple[str, str, str]] = {
     "EfficientNet-B0": ("four depth views", "views", "efficientnet_b0"),
     "VGG-16": ("four depth views", "views", "vgg16"),
 }
-"""Name, what it sees, and the settings of :class:`Training`."""
+"""By name: label of the input, and the fields ``sees`` and ``network`` of :class:`Training`."""
 BASE = "map, width 16"
 
 
@@ -37,7 +36,7 @@ def run(config: dict[str, Any]) -> Report:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     by_clock = {name: one["unseen"]["fabrics"]["log_alpha"]["rmse"]
                 for name, one in report["clock"].items()}
     views = {name: by_clock[name] for name, (_, sees, _) in SEEN.items() if sees == "views"}

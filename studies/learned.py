@@ -1,9 +1,8 @@
-"""Networks trained for a few minutes on small sets of captures, for studies that compare them.
+"""Short trainings of networks on small sets of captures, for comparisons in studies.
 
-All learn from drapes that are made as those of the bundled network are (:mod:`data.generate`), on
-coarser meshes, seen from four sides, and all are judged on the same captures of fabrics that none
-has learned from. Drapes, maps and finished trainings stay in ``work`` and are shared by the
-studies: a training that two of them need is made once.
+The training drapes are simulated like those of the bundled network (:mod:`data.generate`), on
+coarser meshes, with four views. All networks are evaluated on the same captures of held-out
+fabrics. Drapes, maps and finished trainings are stored in ``work`` and shared by the studies.
 """
 
 import time
@@ -16,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from benchmarks.common import ESTIMATOR, load_arrays, run_cases
+from benchmarks.common import ESTIMATOR_SOURCES, load_arrays, run_cases
 from common.command import compose_config
 from data.fabrics import read_fabric_table
 from data.generate import generate_dataset
@@ -55,7 +54,7 @@ _AT_ONCE = 64  # captures
 
 @dataclass(frozen=True)
 class Training:
-    """What a network learns, from what, and for how long.
+    """Settings of a training: data, network and duration.
 
     Attributes:
         drapes: a key of :data:`DATASETS`.
@@ -88,9 +87,7 @@ class Training:
 
 @dataclass(frozen=True)
 class UniformPrior(Stored):
-    """A uniform distribution of theta within the limits ``low`` and ``high``, (6,) each: a network
-    learns without a prior.
-    """
+    """Uniform distribution of theta between ``low`` (6,) and ``high`` (6,)."""
 
     low: np.ndarray
     high: np.ndarray
@@ -121,7 +118,7 @@ def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[st
         case = {"training": asdict(one), "settings": settings, "dataset": digests[one.drapes]}
         cases[name] = (f"training_{json_digest(case)[:12]}", case)
     found = run_cases(learn, dict(cases.values()), folder=Path(config["work"]),
-                      workers=config["workers"], sources=ESTIMATOR)
+                      workers=config["workers"], sources=ESTIMATOR_SOURCES)
     return {name: found[key] | {"key": key} for name, (key, _) in cases.items()}
 
 
@@ -169,7 +166,7 @@ def seen(config: dict[str, Any], *, fixed: bool) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Learner:
-    """A training's captures, and the network that learns from them."""
+    """Training and test captures, target scale and network of a training."""
 
     training: CaptureSet
     unseen: dict[str, CaptureSet]
@@ -207,7 +204,7 @@ def learner(one: Training, config: dict[str, Any]) -> Learner:
 
 
 def _wanted(maps: Maps, one: Training, config: dict[str, Any]) -> np.ndarray:
-    """(N,) bool: the captures that a training learns from."""
+    """Mask (N,) of the captures used by a training."""
     sampling = finished_manifest(folder(one.drapes, config))["config"]["sampling"]
     number = maps.index % sampling["starts_per_fabric"]  # of the drape among its fabric's
     names = np.array(sampling["starts"])[(maps.fabric + number) % len(sampling["starts"])]
@@ -313,7 +310,7 @@ def judged(
 
 
 def kept(one: Training, result: dict, config: dict[str, Any]) -> Learner:
-    """The trained network of a result of :func:`train_all`, whose weights were kept."""
+    """Load the trained network of a result of :func:`train_all` with stored weights."""
     made = learner(one, config)
     weights = load_arrays(Path(config["work"]), result["key"])
     made.network.load_state_dict({name: torch.from_numpy(value)

@@ -1,4 +1,4 @@
-"""Optimisers that Levenberg-Marquardt is compared with, for :mod:`drapenet.refine.optimisers`.
+"""Optimisers for comparison with Levenberg-Marquardt in :mod:`drapenet.refine.optimisers`.
 
 L-BFGS-B uses the gradient only, CMA-ES values only.
 """
@@ -24,7 +24,7 @@ def lbfgs(run: Run) -> tuple[Status, str]:
         value = first.value if np.array_equal(x, first.x) else run.value(x)
         linearised = problem.linearised(x) if math.isfinite(value) else None
         if linearised is None:
-            # A wall: the line search turns back, and no slope leads it astray.
+            # Larger than any feasible value and without slope, so that the line search backtracks.
             return 10.0, np.zeros_like(x)
         residuals, jacobian = linearised
         return value / first.value, jacobian.T @ residuals / first.value

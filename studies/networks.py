@@ -1,4 +1,4 @@
-"""What a network may see of a capture, and what it may answer: for studies that compare them.
+"""Networks with different inputs and outputs, for comparisons in studies.
 
 Every answer has ``log_likelihood(targets)``, whose mean is maximised, and ``mean``, standardised
 like the targets.
@@ -87,8 +87,7 @@ def head(name: str, targets: int) -> tuple[int, Callable[[torch.Tensor], Answer]
 
 
 class OnMaps(MapNet):
-    """The project's network with another answer; arguments are those of ``MapNet``, and ``head``'s.
-    """
+    """``MapNet`` with another output, see :func:`head`."""
 
     def __init__(self, *, answer: str, **shape: float) -> None:
         super().__init__(**shape)
@@ -97,7 +96,7 @@ class OnMaps(MapNet):
 
 
 class OnOutlines(OnMaps):
-    """The same network, shown only where the hem is: its radius and its height by azimuth."""
+    """The same network with radius and height of the hem by azimuth as input."""
 
     def __init__(self, *, rig: Rig, **shape: float) -> None:
         super().__init__(**shape)
@@ -160,7 +159,7 @@ class OnNumbers(nn.Module):
 
 
 class OnViews(nn.Module):
-    """A network of torchvision, shown pictures (N, channels, H, W) of all views."""
+    """Network of torchvision with images (N, channels, H, W) of all views as input."""
 
     def __init__(self, name: str, *, channels: int, answer: str, targets: int) -> None:
         super().__init__()

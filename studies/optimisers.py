@@ -1,4 +1,4 @@
-"""Moduli of a drape that another simulator made, by several searches (001, section 6; 000)."""
+"""Estimation of moduli from drapes of other simulators by several searches (001, sec. 6; 000)."""
 
 import time
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import tick_short_scales
+from benchmarks.common import label_log_axes
 from benchmarks.physics import style3d
 from common.errors import InputError
 from data.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
@@ -83,7 +83,7 @@ def made(
         found = draped(hinges, **other, laws=Laws(bending="hinge"))
         return found, found.positions, 0.0
     above = draped(replace(plan, theta=scaled(plan.theta, _ABOVE)), **other)
-    settled = style3d.draped(
+    settled = style3d.simulate_drape(
         Specimen(above.mesh, above.held), above.positions, above.rig, density=REFERENCE_DENSITY,
         modulus=from_theta(hinges.theta)[0], seconds=seconds)
     return above, settled.positions, settled.motion
@@ -103,7 +103,7 @@ def case(
     *, number: int, target: str, edge_mm: float, seconds: float, simulations: int,
     simulations_free: int, seed: int,
 ) -> dict[str, Any]:
-    """All ways to the moduli of one drape; "failed": why there is none."""
+    """Results of all searches for one drape; "failed" has the reason without a drape."""
     plan = specimen(number, seed=seed)
     truth = isotropic(plan.theta)
     if target.startswith("style3d"):
@@ -155,7 +155,7 @@ def case(
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics by target."""
-    missing = style3d.left_out("drapes of Style3D are")
+    missing = style3d.missing("drapes of Style3D are")
     return {"ratio": ratio(), "targets": {
         target: over_fabrics(case, config | {"target": target}, sources=_SOURCES, inside=target)
         for target in TARGETS if not (missing and target == "style3d")}}
@@ -225,13 +225,13 @@ def draw(report: Report) -> Figure:
                     [TARGETS[target].replace(", ", ",\n") for target in report["targets"]])
     right.set(xscale="log", yscale="log", xlabel="simulations")
     right.set_title(TARGETS["plate"], fontsize="medium")
-    tick_short_scales(left.yaxis, right.xaxis, right.yaxis)
+    label_log_axes(left.yaxis, right.xaxis, right.yaxis)
     figure.legend(loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     return figure
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = _figures(report)
 
     def of(target: str, way: str = "lm") -> str:

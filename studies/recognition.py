@@ -1,4 +1,4 @@
-"""Which descriptions of a drape identify its fabric (000, descriptors; 002, Figure 20)."""
+"""Identification of fabrics by descriptors of drapes (000, descriptors; 002, Figure 20)."""
 
 from pathlib import Path
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR
+from benchmarks.common import ESTIMATOR_SOURCES
 from benchmarks.comparison import mean_curvature
-from benchmarks.known import estimated
+from benchmarks.known import estimate_views
 from data.cameras import CameraRig
 from data.sampling import STARTS
 from data.scans import read_scan
@@ -65,14 +65,15 @@ def scanned(*, path: str, seed: int) -> dict[str, Any]:
     capture = Setups.load("real").capture(
         scan.positions, scan.faces, np.random.default_rng([seed, *map(ord, Path(path).stem)]),
         nominal=CameraRig.load(DISC_RIG.name).intrinsics)
-    estimate = estimated(capture.views, capture.intrinsics, read_header(bundled(DISC_RIG.name)))
+    header = read_header(bundled(DISC_RIG.name))
+    estimate = estimate_views(capture.views, capture.intrinsics, header)
     one = described(scan.positions, Mesh(scan.rest, scan.faces), DISC_RIG)
     return one | {"network": estimate.samples[:, LINEAR].mean(axis=0).tolist()}
 
 
 def run(config: dict[str, Any]) -> Report:
     """Simulated drapes, and scans where there are some."""
-    found = over_fabrics(simulated, config, sources=ESTIMATOR, inside="simulated")
+    found = over_fabrics(simulated, config, sources=ESTIMATOR_SOURCES, inside="simulated")
     drapes = [one for result in found.values() for one in result["drapes"]]
     fabric = np.repeat(np.arange(len(found)), config["starts"])
     sets = {"simulated": nearest(drapes, fabric, np.arange(len(drapes)))}
@@ -104,7 +105,7 @@ def nearest(found: list[dict], fabric: np.ndarray, sample: np.ndarray) -> dict[s
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     parts = []
     for name, one in report["sets"].items():
         shares = one["shares"]

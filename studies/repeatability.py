@@ -1,4 +1,4 @@
-"""Does the same fabric give the same moduli, whichever way it drapes? (002, Figures 22 and 23)."""
+"""Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, load_arrays, table, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes, load_arrays, table
 from data.cameras import CameraRig
 from data.sampling import STARTS
 from data.setups import Setups, SyntheticCapture
@@ -73,7 +73,7 @@ def _seen_of(
 
 def run(config: dict[str, Any]) -> Report:
     """All fabrics, by the bundled network and by those of :data:`NETWORKS`."""
-    fabrics = over_fabrics(case, config, sources=ESTIMATOR)
+    fabrics = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     learned = config["learned"] | {"workers": config["workers"]}
     trainings = {name: replace(one, steps=learned["steps"]) for name, (_, one) in NETWORKS.items()}
     results = train_all(trainings, learned)
@@ -115,7 +115,7 @@ def _of_networks(report: Report) -> dict[str, dict[str, float]]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = {way: np.median(values) for way, values in variations(report).items()}
     small = _of_networks(report)
     return (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
@@ -163,7 +163,7 @@ def draw(report: Report) -> Figure:
         axes.axhline(1.0, color="0.6", lw=0.8)
         axes.set(yscale="log", xlabel="fabric", ylim=(0.5, 2))
         axes.set_title(WAYS[way].replace(", ", ",\n", 1), fontsize=9)
-        tick_short_scales(axes.yaxis)
+        label_log_axes(axes.yaxis)
     figure.axes[0].set_ylabel("α estimated / true")
     figure.axes[0].legend(fontsize=8)
     return figure

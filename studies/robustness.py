@@ -1,4 +1,4 @@
-"""How each fault of a set-up changes an estimate, and whether the checks report it (002, 7.3.2)."""
+"""Effect of faults of the set-up on estimates, and their detection (002, section 7.3.2)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from benchmarks.common import ESTIMATOR
+from benchmarks.common import ESTIMATOR_SOURCES
 from data.setups import SyntheticCapture
 from drapenet.convention import LINEAR
 from studies.captured import draped, ideal, read, rms, seen, specimen, spread
@@ -92,8 +92,8 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
-    found = over_fabrics(case, config, sources=ESTIMATOR)
+    """Run all fabrics."""
+    found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     first = next(iter(found.values()))
     return {"faults": {name: {value: {
         "error": rms(np.array([one[name][value][0] for one in found.values()])),
@@ -109,7 +109,7 @@ def _unit(name: str) -> str:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     plain = report["faults"]["none"]["0"]["error"]
     hard = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
             for value, one in values.items() if one["error"] > 1.5 * plain]

@@ -1,4 +1,4 @@
-"""What more fabrics, more drapes of each and longer training are worth (002, section 5.2)."""
+"""Effect of the numbers of fabrics, drapes and training steps on the error (002, section 5.2)."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def _errors(report: Report, group: str) -> dict[int, float]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     def change(group: str) -> tuple[int, float, int, float]:
         found = _errors(report, group)
         low, high = min(found), max(found)

@@ -1,4 +1,4 @@
-"""Which fabrics to sample, and whether the law must soften (002, section 7.5, Fig. 27, Table 3)."""
+"""Distributions of training fabrics, and the linear law (002, section 7.5, Fig. 27, Table 3)."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import run_cases, table, tick_short_scales
+from benchmarks.common import label_log_axes, run_cases, table
 from benchmarks.comparison import compare
 from data.fabrics import fabric_from_theta
 from sim.drape import DrapeResult, drape
@@ -95,7 +95,7 @@ def _linear(report: Report) -> dict[str, float]:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     found = _linear(report)
     errors = ", ".join(f"{one['unseen']['fabrics']['log_alpha']['rmse']:.2f} ({SPACES[name]})"
                        for name, one in report["spaces"].items())
@@ -153,7 +153,7 @@ def draw(report: Report) -> Figure:
         right.plot(range(1, len(values) + 1), values, "o-", ms=4, label=label)
     right.set(xlabel="fabrics, sorted", ylabel="displacement [mm]", yscale="log",
               title="best linear law")
-    tick_short_scales(right.yaxis)
+    label_log_axes(right.yaxis)
     right.legend(fontsize=8)
     return figure
 

@@ -1,4 +1,4 @@
-"""The pictures of captures in place of their maps, for a network that sees them as channels."""
+"""Captures as stacked depth views, for networks whose input channels are the views."""
 
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,7 @@
-"""What a study is, and the page that all of them make.
+"""Definition of a study, and the page docs/studies.md.
 
-A study of your own: a module of this folder with a ``STUDY``, its keys in ``configs/study``, its
-name in ``studies.__main__.ORDER``.
+To add a study, write a module in this folder with a ``STUDY``, its keys in ``configs/study``, and
+add its name to ``studies.__main__.ORDER``.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,20 +32,20 @@ over the specimen including its part on the plate.
 Report = dict[str, Any]
 
 
-_OF_THE_RUN = ("fabrics", "workers", "cases", "out", "scans", "learned")
+_EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "scans", "learned")
 
 
 def over_fabrics(
     case: Callable[..., dict], config: dict[str, Any], *, sources: Sequence[str], inside: str = ""
 ) -> dict[str, dict]:
-    """Results of ``case(number=k, ...)`` for every fabric, those that are finished from before.
+    """Results of ``case(number=k, ...)`` for every fabric; finished ones are not repeated.
 
     Args:
         config: of the study; all keys but those of the run itself go to ``case``.
         sources: that the results depend on, :func:`benchmarks.common.run_cases`.
         inside: folder for them in that of the config.
     """
-    settings = {key: value for key, value in config.items() if key not in _OF_THE_RUN}
+    settings = {key: value for key, value in config.items() if key not in _EXECUTION_KEYS}
     return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
                             for k in range(config["fabrics"])},
                      folder=Path(config["cases"]) / inside, workers=config["workers"],
@@ -90,7 +90,7 @@ class Study:
         return REPORTS / f"{self.name}.json"
 
     def section(self, report: Report) -> str:
-        """Its part of the page."""
+        """Section of the page."""
         return "\n\n".join(filter(None, [
             f"## {self.title}", f"*After* {self.after}. {self.question} "
             f"*Command*: `python -m studies {self.name}`.", self.answer(report),

@@ -1,4 +1,4 @@
-"""Four ways to a fabric's moduli, and the drapes that these give (002, Table 3)."""
+"""Comparison of four estimation methods by the drapes of their estimates (002, Table 3)."""
 
 import sys
 from dataclasses import replace
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, run_cases, tick_short_scales
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes, run_cases
 from benchmarks.comparison import Draped, compare
 from benchmarks.estimation.real_captures import Specimen
-from benchmarks.physics.testers import LENGTHS, shake
+from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
@@ -52,7 +52,7 @@ def strips_of(
         strips = simulate_strips(fabric, lengths, cells=cells, seed=seed, laws=laws)
     except InputError:
         return found
-    shaken = shake(strips, noise, np.random.default_rng(seed))
+    shaken = add_noise(strips, noise, np.random.default_rng(seed))
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
@@ -167,7 +167,7 @@ def estimated(*, path: str, refine: bool) -> dict[str, Any]:
 
 
 def _disc() -> Header:
-    """Of the bundled network of the scans' rig."""
+    """Header of the bundled network for the rig of the scans."""
     return read_header(bundled(DISC_RIG.name))
 
 
@@ -193,12 +193,10 @@ def released(*, path: str, cloths: dict[str, dict[str, Any]], other: str) -> dic
 
 
 def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
-    """By scan: how far cloth moves that is let go there, with the estimate of another sample of the
-    fabric and with that of the scan itself.
-    """
+    """Displacements of cloth released at each scan, with estimates of another and of its sample."""
     chosen: dict[int, dict[int, Path]] = {}
     for path in sorted(Path(config["scans"]).glob("*.npz")) if config["scans"] else ():
-        one = Specimen.of(path.stem)
+        one = Specimen.from_scan_name(path.stem)
         samples = chosen.setdefault(one.fabric, {})
         if one.capture == 1 and len(samples) < config["samples"]:
             samples[one.sample] = path
@@ -208,7 +206,7 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
         print(f"no scans of two samples of a fabric in '{config['scans']}': the columns of real "
               "fabrics are left out", file=sys.stderr)
         return {}
-    work = {"workers": config["workers"], "sources": ESTIMATOR}
+    work = {"workers": config["workers"], "sources": ESTIMATOR_SOURCES}
     folder = Path(config["cases"])
     estimates = run_cases(estimated, {
         path.stem: {"path": str(path), "refine": config["refined"]} for path, _ in pairs},
@@ -235,7 +233,7 @@ def run(config: dict[str, Any]) -> Report:
     """All fabrics, and scans where there are some."""
     simulated = {{"refined": "refine"}.get(key, key): value for key, value in config.items()
                  if key not in ("scanned", "samples")}
-    return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR, inside="simulated"),
+    return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR_SOURCES, inside="simulated"),
             "scans": _let_go(config)}
 
 
@@ -270,7 +268,7 @@ def _median(report: Report, where: str, way: str) -> str:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     parts = ["Displacements are medians with 95 % intervals."]
     friction = f"{report['settings']['friction_un']:g} µN·m per metre"
     for group, name in zip(GROUPS, ("Without bending friction", f"With {friction}"), strict=True):
@@ -296,7 +294,7 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Ways, and how good they are, medians."""
+    """Table of methods with median errors and displacements."""
     friction = f"{report['settings']['friction_un']:g} µN·m/m"
     groups = dict(zip(GROUPS, ("no friction", friction), strict=True))
     head = ["moduli from"]
@@ -345,7 +343,7 @@ def draw(report: Report) -> Figure:
                 panel.plot([np.median(values)] * 2, [k - 0.4, k + 0.4], "k", lw=1.5)
         panel.set(xscale="log", title=title)
         panel.set_yticks(range(len(WAYS)), WAYS)
-        tick_short_scales(panel.xaxis)
+        label_log_axes(panel.xaxis)
         panel.tick_params(axis="x", labelsize=8)
     for panel in axes[-1]:
         panel.set_xlabel("mean displacement [mm]; bars: medians")

@@ -1,4 +1,4 @@
-"""An estimated fabric in simulators made of hinges (002, Figure 24 and section 7.4)."""
+"""Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import next_to, tick_short_scales
+from benchmarks.common import equilibrium_near, label_log_axes
 from benchmarks.comparison import compare
 from benchmarks.physics import style3d
 from data.fabrics import fabric_from_theta
@@ -55,7 +55,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
                          fabric, Laws())
     result: dict[str, Any] = {}
     for name, (mesh, one, laws) in cases.items():
-        near = next_to(plate.rest, plate.positions, mesh, rig, one, laws)
+        near = equilibrium_near(plate.rest, plate.positions, mesh, rig, one, laws)
         result[name] = None
         if near.status is Status.CONVERGED:
             found = compare(plate, SimpleNamespace(positions=near.state.positions,
@@ -67,22 +67,22 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 def style3d_case(
     *, number: int, edge_mm: float, style3d_seconds: float, seed: int
 ) -> dict[str, Any]:
-    """The same of drapes in Style3D, each begun where the one before ended, the first at the
-    plate's; "motion": in their last quarter, mm.
+    """Differences of drapes in Style3D, each started from the previous one, the first from the
+    plate's; "motion" has the displacements in the last quarter of the simulation, mm.
     """
     plate = draped(specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, Specimen(plate.mesh, plate.held)
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
-    linear = next_to(plate.rest, plate.positions, mesh, plate.rig, Fabric(fabric.alpha))
+    linear = equilibrium_near(plate.rest, plate.positions, mesh, plate.rig, Fabric(fabric.alpha))
     result: dict[str, Any] = {
         "motion": [], LINEAR: (_apart(plate, linear.state.positions, mesh)
                                if linear.status is Status.CONVERGED else None)}
     positions = plate.positions
     for way, modulus in moduli.items():
-        found = style3d.draped(mesh, positions, plate.rig, density=fabric.density,
-                               modulus=modulus, seconds=style3d_seconds)
+        found = style3d.simulate_drape(mesh, positions, plate.rig, density=fabric.density,
+                                       modulus=modulus, seconds=style3d_seconds)
         positions = found.positions
         result[f"Style3D, {way}"] = _apart(plate, found.positions, mesh)
         result["motion"].append(found.motion)
@@ -97,11 +97,11 @@ def _apart(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[fl
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
+    """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
     own = {key: value for key, value in config.items() if key not in other}
     report = {"ratio": ratio(), "fabrics": over_fabrics(case, own, sources=("sim",))}
-    if not style3d.left_out("rows of Style3D are"):
+    if not style3d.missing("rows of Style3D are"):
         report["style3d"] = over_fabrics(
             style3d_case, own | {"fabrics": other.pop("style3d_fabrics")} | other,
             sources=("sim", "benchmarks/physics/style3d.py"), inside="style3d")
@@ -125,7 +125,7 @@ def _median(report: Report, way: str) -> float:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     plain, equal = (_median(report, f"hinges along the edge, {way}")
                     for way in ("α as estimated", "equivalent α"))
     text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "
@@ -167,7 +167,7 @@ def draw(report: Report) -> Figure:
     axes.set(xscale="log", xlabel="mean displacement from the plate's drape [mm]",
              ylim=(len(found) - 0.5, -0.5))
     axes.set_yticks(range(len(found)), list(found))
-    tick_short_scales(axes.xaxis)
+    label_log_axes(axes.xaxis)
     return figure
 
 

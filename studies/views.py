@@ -1,11 +1,11 @@
-"""How many views does an estimate need? (002, Figure 19)."""
+"""Error of estimates as a function of the number of views (002, Figure 19)."""
 
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR
+from benchmarks.common import ESTIMATOR_SOURCES
 from data.setups import Setups
 from drapenet.calibration import inside, ranks
 from drapenet.convention import LINEAR, RATIO
@@ -35,8 +35,8 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics."""
-    found = over_fabrics(case, config, sources=ESTIMATOR)
+    """Run all fabrics."""
+    found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
@@ -55,7 +55,7 @@ def run(config: dict[str, Any]) -> Report:
 
 
 def answer(report: Report) -> str:
-    """In sentences."""
+    """Summary in sentences."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
     return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
             f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "

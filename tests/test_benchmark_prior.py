@@ -28,19 +28,19 @@ def test_a_split_takes_every_row_once(theta):
     assert (len(split.fitted), len(split.unseen)) == (48, 12)
     both = np.vstack([split.fitted, split.unseen])
     np.testing.assert_array_equal(np.sort(both, axis=0), np.sort(theta, axis=0))
-    assert (split_rows(theta, 4, split.yardstick).unseen != split.unseen).any()
+    assert (split_rows(theta, 4, split.coordinates).unseen != split.unseen).any()
 
 
 def test_distance_and_coverage_of_a_shifted_copy(theta):
-    yardstick = Coordinates.fit(theta)[0]
-    split = Split(theta, theta, yardstick)
-    inside = split.drawn_in()[1]
+    coordinates = Coordinates.fit(theta)[0]
+    split = Split(theta, theta, coordinates)
+    inside = split.clipped()[1]
     assert distance(inside, split) == pytest.approx(0, abs=1e-6)
     assert coverage(inside, split) == [1, 1, 1]
     # Every fabric moves by 0.9; no other pairing is shorter than moving them all alike.
-    shifted = yardstick.decode(yardstick.encode(inside) + 0.9 * np.eye(6)[0])
+    shifted = coordinates.decode(coordinates.encode(inside) + 0.9 * np.eye(6)[0])
     assert distance(shifted, split) == pytest.approx(0.9, rel=1e-6)
-    far = yardstick.decode(yardstick.encode(inside) + 20)
+    far = coordinates.decode(coordinates.encode(inside) + 20)
     assert coverage(far, split) == [0, 0, 0]
 
 

@@ -125,13 +125,13 @@ def fake_search(coefficients: dict[float, float]) -> Search:
 
 def test_search_halves_the_interval_that_encloses_the_scan():
     search = fake_search({1.0: 10.0, 4.0: 30.0, 16.0: 60.0})
-    assert search.between(40.0) == pytest.approx(8.0)
-    assert search.between(20.0) == pytest.approx(2.0)
-    assert search.between(70.0) is None
+    assert search.next_modulus(40.0) == pytest.approx(8.0)
+    assert search.next_modulus(20.0) == pytest.approx(2.0)
+    assert search.next_modulus(70.0) is None
     assert search.nearest(40.0)["alpha_uN_m"] == 4.0
     search.drapes[8.0] = {"alpha_uN_m": 8.0, "coefficient": 90.0, "status": "line_search"}
     assert search.nearest(90.0)["alpha_uN_m"] == 16.0  # not a drape that failed
-    assert search.between(40.0) is None  # nor tried again
+    assert search.next_modulus(40.0) is None  # nor tried again
 
 
 def test_search_closes_in_on_any_coefficient():
@@ -140,7 +140,7 @@ def test_search_closes_in_on_any_coefficient():
 
     search = fake_search({a: coefficient(a) for a in (1.0, 10.0, 100.0)})
     for _ in range(8):
-        alpha = search.between(55.0)
+        alpha = search.next_modulus(55.0)
         search.drapes[alpha] = {"alpha_uN_m": alpha, "coefficient": coefficient(alpha),
                                 "status": "converged"}
     assert search.nearest(55.0)["coefficient"] == pytest.approx(55.0, abs=0.5)
@@ -165,7 +165,8 @@ def draped():
 def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
     for edge, low, high in ((8e-3, 0.0, 1e-6), (6e-3, 1e-4, 5e-3)):
         specimen = make_specimen(Rig(), edge=edge, topology=2)
-        found = common.next_to(draped.rest, draped.positions, specimen, Rig(), draped.fabric)
+        found = common.equilibrium_near(draped.rest, draped.positions, specimen, Rig(),
+                                        draped.fabric)
         shape = default_mesh.Shape(specimen, found.state.positions)
         assert found.converged
         assert low <= compare(draped, shape).displacement < high
@@ -213,7 +214,7 @@ def test_posteriors_are_judged_by_errors_and_coverage():
     middle = rng.standard_normal((400, 6)) * scale
     truth = middle + rng.standard_normal((400, 6)) * scale
     samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
-    found = refine_views.judge(truth, samples)
+    found = refine_views.posterior_errors(truth, samples)
     assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
     assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
     assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
@@ -264,7 +265,7 @@ def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_
 
 
 def seen(scan: str) -> real_captures.Specimen:
-    return real_captures.Specimen.of(scan)
+    return real_captures.Specimen.from_scan_name(scan)
 
 
 def test_scans_are_known_by_their_names():
@@ -323,7 +324,7 @@ def test_drapes_of_an_estimate_are_compared_with_other_samples():
         {"off": 4.0, "mean_off": 4.0, "bias": 1.0, "scans": 3.0, "deviation": 0.5})
     assert found["folds"]["off"] == pytest.approx((2 + 0.5) / 2)
     assert found["count"] == {"pairs": 2, "drapes": 4, "converged": 3}
-    with pytest.raises(InputError, match="nothing is predicted"):
+    with pytest.raises(InputError, match="no prediction"):
         real_captures.prediction(scanned, {"1_1": [], "1_2": [], "2_1": []})
 
 
@@ -353,12 +354,12 @@ def test_scans_are_estimated_and_their_estimates_draped(
     out = tmp_path / "real.json"
     words = ["real_captures", f"scans={tmp_path / 'scans'}", f"cases={tmp_path / 'cases'}",
              f"out={out}", "captures=2", "drapes=1", "edge_mm=10", "variation=real"]
-    with pytest.raises(InputError, match="knows drapes on square"):
+    with pytest.raises(InputError, match="was trained on square"):
         main([*words, f"checkpoint={untrained_checkpoint}"])
     main([*words, f"checkpoint={disc_checkpoint}"])
     text, found = capsys.readouterr().out, json.loads(out.read_text())
     for line in ("median ratio of alpha between samples of a fabric: ", "nearest neighbour right: ",
-                 "drape coefficient of other samples off by: ", "fold count of other samples off"):
+                 "median error of the drape coefficient: ", "median error of the number of folds:"):
         assert f"\n{line}" in text
     assert "between captures of a sample" not in text  # of which there is one each
     assert len(found["scans"]) == 4

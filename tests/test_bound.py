@@ -177,7 +177,7 @@ def test_captures_of_one_fabric_share_what_is_unknown_of_its_cloth(specimen):
     prior = np.linalg.inv(load_prior("gaussian").covariance)
     pose = dict.fromkeys((*SPECIMEN, *CAMERA), np.inf)
     known = {name: SPREAD.deviations[name] for name in NAMES}
-    one, two = (joint_covariance([found] * n, prior, own=pose, shared=known) for n in (1, 2))
+    one, two = (joint_covariance([found] * n, prior, separate=pose, shared=known) for n in (1, 2))
     assert np.allclose(one[:6, :6], found.posterior(load_prior("gaussian").covariance,
                                                     pose | known))
     # The same views twice are views with twice the information, less what is known beforehand.
@@ -186,5 +186,5 @@ def test_captures_of_one_fabric_share_what_is_unknown_of_its_cloth(specimen):
     beforehand[6:, 6:] = np.diag([d**-2 for d in known.values()])
     assert np.allclose(np.linalg.inv(two), 2 * np.linalg.inv(one) - beforehand, rtol=1e-6,
                        atol=1e-6 * np.abs(beforehand).max())
-    alone = joint_covariance([found] * 2, prior, own=pose | known)
+    alone = joint_covariance([found] * 2, prior, separate=pose | known)
     assert (np.diag(alone)[:6] < np.diag(two)[:6]).all()

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.figures import BLOCKS, MARK, PAGES, ROOT, filled, slug
+from benchmarks.figures import BLOCKS, MARK, PAGES, ROOT, fill_blocks, slug
 from common.errors import InputError
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_have_the_figures_of_the_reports(page):
     text = page.read_text(encoding="utf-8")
-    assert text == filled(text), "run `make docs`"
+    assert text == fill_blocks(text), "run `make docs`"
     assert text.count("<!-- figures:") == text.count("<!-- end -->") == len(MARK.findall(text))
 
 
@@ -38,4 +38,4 @@ def test_links_between_pages_lead_somewhere():
 
 def test_an_unknown_block_is_refused():
     with pytest.raises(InputError, match="figures: nothing is not a block"):
-        filled("<!-- figures: nothing -->\n<!-- end -->\n")
+        fill_blocks("<!-- figures: nothing -->\n<!-- end -->\n")

@@ -1,4 +1,4 @@
-"""Docstrings of public functions give units and shapes: ``make lint``.
+"""Check that docstrings of public functions give units and shapes: ``make lint``.
 
 A parameter named for a quantity needs one of its units (:data:`UNITS`), an array in a signature
 needs a shape such as ``(V, 3)``, in the docstring of the function, its class or its module. A

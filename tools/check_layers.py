@@ -1,7 +1,7 @@
-"""Imports and sizes of the project's modules: ``python tools/check_layers.py`` (``make lint``).
+"""Check imports and sizes of modules: ``python tools/check_layers.py`` (``make lint``).
 
-No modules import each other in a circle, be it within functions or for type checkers only; what
-lies below knows nothing of what lies above; modules of the simulator stay short.
+There are no import cycles, including imports in functions and for type checkers; lower packages do
+not import higher ones; modules of the simulator have a maximum length.
 """
 
 import ast
@@ -11,16 +11,16 @@ from pathlib import Path
 
 PACKAGES = ("apps", "common", "data", "drapenet", "sim")
 SCRIPTS = ("train", "infer", "serve")
-ABOVE = {
+FORBIDDEN = {
     "common": ("apps", "data", "drapenet", "sim", *SCRIPTS),
     "sim": ("apps", "data", "drapenet", *SCRIPTS),
 }
 """What a package must not import."""
-LONGEST = 350  # lines of a module of sim/
+MAX_LINES = 350  # lines of a module of sim/
 
 
 def modules(root: Path) -> dict[str, Path]:
-    """The files of all modules by their dotted names; of a package its ``__init__.py``."""
+    """Files of all modules by dotted name; packages have their ``__init__.py``."""
     files = [file for package in PACKAGES for file in (root / package).rglob("*.py")]
     files += [file for script in SCRIPTS if (file := root / f"{script}.py").exists()]
     parts = {file: file.relative_to(root).with_suffix("").parts for file in files}
@@ -28,7 +28,7 @@ def modules(root: Path) -> dict[str, Path]:
 
 
 def imports(name: str, file: Path, known: set[str]) -> set[str]:
-    """Names of the modules among ``known`` that the module ``name`` imports, at any place."""
+    """Modules among ``known`` that the module ``name`` imports, also within functions."""
     found = set()
     package = name.split(".")[: None if file.name == "__init__.py" else -1]
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -37,24 +37,24 @@ def imports(name: str, file: Path, known: set[str]) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             above = package[: len(package) + 1 - node.level] if node.level else []
             base = ".".join([*above, *filter(None, [node.module])])
-            # What is imported is a module itself, or stands in the module named.
+            # The imported name is a module, or is defined in the named module.
             found |= {inner if (inner := f"{base}.{alias.name}") in known else base
                       for alias in node.names}
     return found & known
 
 
 def complaints(root: Path) -> list[str]:
-    """One line for everything that is wrong in the project in the folder ``root``."""
+    """One line for each violation in the project in the folder ``root``."""
     files = modules(root)
     graph = {name: imports(name, file, set(files)) for name, file in sorted(files.items())}
     lines = []
     for name, others in graph.items():
         package = name.partition(".")[0]
         lines += [f"{name} imports {other}: {package} must not" for other in sorted(others)
-                  if other.partition(".")[0] in ABOVE.get(package, ())]
+                  if other.partition(".")[0] in FORBIDDEN.get(package, ())]
         length = len(files[name].read_text(encoding="utf-8").splitlines())
-        if package == "sim" and length > LONGEST:
-            lines.append(f"{name} has {length} lines, more than {LONGEST}")
+        if package == "sim" and length > MAX_LINES:
+            lines.append(f"{name} has {length} lines, more than {MAX_LINES}")
     while True:
         try:
             TopologicalSorter(graph).prepare()
@@ -62,7 +62,7 @@ def complaints(root: Path) -> list[str]:
         except CycleError as error:
             circle = error.args[1][::-1]  # each imports the next
             lines.append("import circle: " + " -> ".join(circle))
-            graph[circle[0]] = graph[circle[0]] - {circle[1]}  # and look for others
+            graph[circle[0]] = graph[circle[0]] - {circle[1]}  # removed to find other cycles
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Words that this project avoids, in its documentation, messages and docstrings: ``make lint``.
+"""Check documentation, messages and docstrings for words to avoid: ``make lint``.
 
-They are short and easily misread; :data:`WORDS` gives a usual one for each.
+:data:`WORDS` gives a usual word for each.
 """
 
 import re
@@ -19,11 +19,11 @@ WORDS = {
 }
 KINDS = ("*.py", "*.md", "*.yaml", "*.html", "*.ipynb", "Makefile")
 ELSEWHERE = ("docs/studies.md", "tests/common/test_words.py", "tools/check_words.py")
-"""Not looked at: a generated page, this list and its test."""
+"""Excluded: a generated page, this list and its test."""
 
 
 def complaints(root: Path) -> list[str]:
-    """One line for each avoided word in the files that git knows in ``root``."""
+    """One line for each word to avoid in the files tracked by git in ``root``."""
     command = ["git", "-C", str(root), "ls-files", "--", *KINDS]
     names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split("\n")
     lines = []

@@ -2,10 +2,10 @@
 
     python tools/matrix.py [PYTHON ...]  # names or paths of interpreters, else python3.10 to 3.13
 
-Each interpreter gets an environment of its own with the wheel and its pinned dependencies, imports
-every module, asks every command for help, estimates the bundled capture, and runs fast tests, all
-outside the tree. An environment takes 9 GB and is removed before the next is made. Interpreters
-that the machine lacks are listed as absent. The wheel is made from git's index.
+For each interpreter, an environment is created with the wheel and its pinned dependencies; then
+every module is imported, every command is run with --help, the bundled capture is estimated, and
+fast tests are run, all outside the source tree. An environment takes 9 GB and is deleted before the
+next is created. Missing interpreters are listed as absent. The wheel is built from git's index.
 """
 
 import os
@@ -30,13 +30,13 @@ for name in sys.argv[1:]:
 
 
 def run(*words: str | Path, cwd: Path) -> str:
-    """Run a command and return what it prints; CalledProcessError where it fails."""
+    """Run a command; its output, or CalledProcessError if it fails."""
     return subprocess.run(words, cwd=cwd, check=True, text=True, stdout=subprocess.PIPE,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL).stdout
 
 
 def steps(python: Path, wheel: Path, source: Path, place: Path) -> Iterator[tuple[str, str]]:
-    """Names of the steps, each once it is done, with the last line that it has printed."""
+    """Run the steps; yield the name and the last line of output of each."""
     environment, elsewhere = place / "environment", place / "elsewhere"
     elsewhere.mkdir(parents=True)
     own, scripts = environment / "bin" / "python", environment / "bin"
@@ -63,7 +63,7 @@ def steps(python: Path, wheel: Path, source: Path, place: Path) -> Iterator[tupl
 
 
 def interpreter(name: str) -> Path | None:
-    """An interpreter on the path, or one of pyenv's, whose shims may stand for none."""
+    """Path of an interpreter, also of pyenv, whose shims may refer to missing versions."""
     pyenv = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
     for path in filter(None, [shutil.which(name), *pyenv.glob(f"versions/*/bin/{name}")]):
         if subprocess.run([path, "--version"], capture_output=True).returncode == 0:
@@ -72,7 +72,7 @@ def interpreter(name: str) -> Path | None:
 
 
 def outcome(name: str, wheel: Path, source: Path, place: Path) -> str:
-    """"passed", "FAILED" or "absent"; prints the steps."""
+    """Run and print the steps of an interpreter; "passed", "FAILED" or "absent"."""
     if not (python := interpreter(name)):
         return "absent"
     start = time.monotonic()
@@ -90,7 +90,7 @@ def outcome(name: str, wheel: Path, source: Path, place: Path) -> str:
 
 
 def main(pythons: Sequence[str]) -> int:
-    """Print the outcome on each of ``pythons``; 1 where one has failed or none is there."""
+    """Print the outcome for each of ``pythons``; 1 if one failed or all are absent."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "source"
         run("git", "checkout-index", "--all", f"--prefix={source}/", cwd=ROOT)

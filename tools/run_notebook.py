@@ -1,7 +1,7 @@
 """Run a notebook's code cells as one script, store their output: ``tools/run_notebook.py FILE``.
 
-Kept for each cell: what it prints, and its matplotlib figures as PNG. Nothing else of Jupyter is
-needed, and the same results give the same file.
+The printed text and the matplotlib figures (PNG) of each cell are stored. Jupyter is not needed,
+and equal results give equal files.
 """
 
 import base64
@@ -20,7 +20,7 @@ DPI = 60
 
 
 def run(path: Path) -> dict:
-    """The notebook in ``path`` with the outputs of its cells; an exception of a cell passes on."""
+    """Notebook in ``path`` with the outputs of its cells; exceptions of cells are raised."""
     notebook = json.loads(path.read_text(encoding="utf-8"))
     names: dict = {"__name__": "__main__"}
     number = 0

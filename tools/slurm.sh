@@ -1,11 +1,11 @@
 #!/bin/sh
-# A Slurm of one node for tests: everything of it lies in FOLDER, and it listens on this machine only.
+# Slurm with one node for tests: all files are in FOLDER, and it listens only on this machine.
 #
 #     sh tools/slurm.sh start FOLDER    installs Slurm and munge where they are missing
 #     SLURM_CONF=FOLDER/slurm.conf squeue
 #     sh tools/slurm.sh stop FOLDER
 #
-# Ends with code 3 and one line where it cannot run: it needs root on Debian or Ubuntu.
+# Exits with code 3 and one line if it cannot run: it needs root on Debian or Ubuntu.
 set -eu
 action=$1
 folder=$2
@@ -89,4 +89,4 @@ for _ in $(seq 40); do
 done
 tail -n 5 "$folder/slurmctld.log" "$folder/slurmd.log" >&2
 stop
-skip "Slurm does not start here; its last words are above"
+skip "Slurm does not start here; the end of its logs is above"

@@ -1,1 +1,1 @@
-"""What a drape determines, and how well network and refinement estimate it."""
+"""Lower bounds of estimation errors, and errors of the network and of the refinement."""

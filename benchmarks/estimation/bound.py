@@ -1,15 +1,14 @@
-"""How well depth views of a drape determine its fabric at best: the Cramér-Rao bound.
+"""Cramér-Rao bound of a fabric's moduli estimated from depth views of its drape.
 
-A depth is measured with the standard deviation s, and one pixel in m independently of the others.
-With the derivatives J of the depths by the parameters, Fisher's information is JᵀJ/(s² m), and no
-unbiased estimate has a smaller covariance than its inverse. What is unknown beside the moduli
-(nuisances of the specimen, how it is turned and where it lies on the plate, where the camera
-stands) has separate columns in J. What is known of a parameter before the drape, with the
-covariance C, adds C⁻¹ to the information. The inverse of the sum is the posterior bound: in linear
-approximation, the covariance of the best estimate that uses this knowledge. Silhouettes are
-left out: their pixels are few.
+A depth has the standard deviation s, and one pixel in m is an independent measurement. With the
+Jacobian J of the depths with respect to the parameters, the Fisher information is JᵀJ/(s² m), and
+no unbiased estimate has a smaller covariance than its inverse. Other unknowns than the moduli
+(nuisances of the specimen, its rotation and offset on the plate, the camera pose) have separate
+columns in J. A prior with the covariance C adds C⁻¹ to the information. The inverse of the sum is
+the posterior bound: in linear approximation, the covariance of the best estimate that uses the
+prior. Silhouettes are omitted, because they have few pixels.
 
-The bound is that of the drape's own fold configuration and of a law that is true.
+The bound assumes that the fold configuration of the drape and the bending law are known.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,23 +35,23 @@ from sim.sensitivity.rest_shape import (
 )
 
 SPECIMEN = ("turn", "offset_warp", "offset_weft")
-"""How the specimen lies: rad about the vertical, and m of its centre from the plate's axis."""
+"""Placement of the specimen: rotation about the vertical, rad, and offset from the axis, m."""
 CAMERA = tuple(name for name in POSE if name != "turn")
-"""How the camera stands: rad and m."""
+"""Camera pose: rad and m."""
 SETUP = (*table_names(len(QUARTERS)), FOCAL)
-"""What the table turned beyond quarter turns, rad, and the logarithm of the focal length."""
+"""Errors of the turns of the table, rad, and logarithm of the focal length."""
 
 
 @dataclass(frozen=True)
 class Information:
-    """What a capture shows of theta (:mod:`data.fabrics`) and of what else is unknown.
+    """Fisher information of a capture about theta (:mod:`data.fabrics`) and other unknowns.
 
     Attributes:
         names: (P,) parameters: theta, :data:`SPECIMEN`, :data:`CAMERA`, :data:`SETUP` and
             :data:`data.nuisances.NAMES`, in SI units or logarithms.
-        fisher: (P, P) information; NaN where the drape has no derivatives.
-        pixels: how many see cloth and were used.
-        ok, message: whether there are derivatives, and why not.
+        fisher: (P, P) information; NaN if the drape has no derivatives.
+        pixels: number of pixels used.
+        ok, message: whether there are derivatives, and the reason if not.
     """
 
     names: tuple[str, ...]
@@ -62,56 +61,58 @@ class Information:
     message: str
 
     def covariance(self, unknown: Iterable[str] = SPECIMEN) -> np.ndarray:
-        """(6, 6) least covariance of theta with the parameters ``unknown`` free, others known."""
-        return joint_covariance([self], np.zeros((6, 6)), own=dict.fromkeys(unknown, np.inf))
+        """Smallest covariance (6, 6) of theta; ``unknown`` parameters are free, others known."""
+        return joint_covariance([self], np.zeros((6, 6)), separate=dict.fromkeys(unknown, np.inf))
 
     def posterior(self, prior: np.ndarray, unknown: Mapping[str, float]) -> np.ndarray:
-        """(6, 6) the same for an estimate that knows how fabrics and nuisances spread.
+        """Smallest covariance (6, 6) of theta for an estimate that uses priors.
 
         Args:
             prior: (6, 6) covariance of theta over fabrics.
-            unknown: standard deviations, above 0, of the parameters that are not known, in the
-                units of :attr:`names`; infinity where nothing is known of one.
+            unknown: prior standard deviations, above 0, of the unknown parameters, in the units
+                of :attr:`names`; infinity for none.
         """
-        return joint_covariance([self], np.linalg.inv(prior), own=unknown)
+        return joint_covariance([self], np.linalg.inv(prior), separate=unknown)
 
 
 def joint_covariance(
-    captures: Sequence[Information], precision: np.ndarray, *, own: Mapping[str, float],
+    captures: Sequence[Information], precision: np.ndarray, *, separate: Mapping[str, float],
     shared: Mapping[str, float] | None = None,
 ) -> np.ndarray:
-    """(6 + S, 6 + S) least covariance of theta and of what else captures of one fabric share.
+    """Smallest covariance (6 + S, 6 + S) of theta and of S parameters shared by all captures.
 
-    NaN where a drape has no derivatives.
+    NaN if a drape has no derivatives.
 
     Args:
-        precision: (6, 6) of theta beforehand.
-        own: standard deviations of what differs from capture to capture; shared: of the S
-            parameters that belong to the fabric; infinity where nothing is known of one.
+        captures: of one fabric.
+        precision: (6, 6) prior precision of theta.
+        separate: prior standard deviations of the parameters that differ between captures.
+        shared: those of the S shared parameters; infinity for no prior.
     """
     shared = shared or {}
     total = np.zeros((6 + len(shared),) * 2)
     total[:6, :6] = precision
     total[6:, 6:] = np.diag([deviation**-2.0 for deviation in shared.values()])
     for one in captures:
-        kept, left = ([one.names.index(name) for name in names]
-                      for names in ((*THETA_NAMES, *shared), own))
+        kept, marginal = ([one.names.index(name) for name in names]
+                          for names in ((*THETA_NAMES, *shared), separate))
         if not np.isfinite(one.fisher).all():
             return np.full(total.shape, np.nan)
-        between = one.fisher[np.ix_(kept, left)]
-        within = one.fisher[np.ix_(left, left)] + np.diag([d**-2.0 for d in own.values()])
-        total += one.fisher[np.ix_(kept, kept)] - between @ _inverse(within) @ between.T
+        cross = one.fisher[np.ix_(kept, marginal)]
+        block = one.fisher[np.ix_(marginal, marginal)] + np.diag(
+            [d**-2.0 for d in separate.values()])
+        total += one.fisher[np.ix_(kept, kept)] - cross @ _inverse(block) @ cross.T
     return _inverse(total)
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric positive definite matrix whose rows have different units."""
+    """Inverse of a symmetric positive definite matrix whose rows have different units."""
     scale = 1 / np.sqrt(np.diag(matrix))
     return scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
 
 
 def bounds(covariance: np.ndarray) -> np.ndarray:
-    """(6,) standard deviations of log alpha and beta/alpha (m) of a covariance (6, 6)."""
+    """Standard deviations (6,) of log alpha and beta/alpha (m) from a covariance (6, 6)."""
     return np.sqrt(np.diag(covariance))
 
 
@@ -124,14 +125,14 @@ def depth_information(
     noise: float = 1e-3,
     pixels_per_measurement: float = 100.0,
 ) -> Information:
-    """Information in the four views of a drape.
+    """Fisher information of four views of a drape.
 
     Args:
-        result: on a rig with a plate.
-        camera: that sees the specimen, turned by ``orientation`` (rad) in the first view.
-        nuisances: whose laws and rig the drape was made with; None for none.
+        result: drape on a rig with a plate.
+        camera: its pose; the specimen is rotated by ``orientation`` (rad) in the first view.
+        nuisances: of the simulated specimen; None for none.
         noise: m, standard deviation of a depth.
-        pixels_per_measurement: m above.
+        pixels_per_measurement: number of pixels per independent measurement.
     """
     names = (*THETA_NAMES, *SPECIMEN, *CAMERA, *SETUP, *NAMES)
     tangent = Tangent.of(result)
@@ -158,7 +159,7 @@ def depth_information(
     columns |= zip(objective.nuisances, found.by_nuisance.T, strict=True)
     jacobian = np.stack([columns[name] for name in names], axis=1)
     used = np.any(jacobian != 0, axis=1)
-    # The residuals are scaled to the number of independent measurements.
+    # DepthViews scales the residuals to the number of independent measurements.
     return Information(names, jacobian.T @ jacobian, int(used.sum()), True, "")
 
 

@@ -1,22 +1,22 @@
-"""Cloth, plate and turns found in whole scenes.
+"""Accuracy of the cloth mask, the plate and the turns found in uncropped scenes.
 
-Drapes of the prior stand in synthetic scenes (:mod:`data.scenes`): table, column, wall,
-clutter of three densities. Every pose of the camera is seen by three sensors. The table turns by up
-to 5 degrees more or less than a quarter. Targets: :data:`ASKED`. The shift of log alpha is that
-between raw frames and a perfect cut-out, in its standard deviations; a perfect cut-out has the true
-mask and none of the pixels in which a time-of-flight sensor mixes cloth with background, "true
-mask" has those.
+Drapes of fabrics from the prior are rendered in synthetic scenes (:mod:`data.scenes`) with table,
+column, wall and clutter of three densities, with three sensors per camera pose. The turns of the
+table deviate from 90 degrees by up to 5 degrees. Targets: :data:`TARGETS`. The shift of log alpha
+compares raw frames with a perfect cut-out, in posterior standard deviations. A perfect cut-out has
+the true mask without the pixels in which a time-of-flight sensor mixes cloth and background; the
+"true mask" includes these pixels.
 
-A sensor's own errors move and tilt the plate that it shows. So the centre is judged across the line
-of sight, and along it after the sensor's mean error of depth; the tilt beside that of the plane
-through the pixels that truly show the plate.
+Depth errors of the sensor shift and tilt the measured plate. Therefore errors of the centre are
+given across the line of sight, and along it after subtraction of the mean depth error; the tilt is
+also compared with that of the plane through the pixels that show the plate.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ESTIMATOR, Config, Result, run_cases, table
+from benchmarks.common import ESTIMATOR_SOURCES, Config, Result, run_cases, table
 from benchmarks.known import known_drape
 from common.errors import InputError
 from data.captures import Capture
@@ -31,18 +31,19 @@ from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 SENSORS = ("smooth", "paper", "tof")
-BLENDED = 8e-3  # m
-WRONG = 5.0  # degrees, largest error of the table
-ASKED = {"iou": (0.985, 0.96), "across_mm": 1.5, "tilt_deg": 0.3, "turn_deg": 0.7, "shift": 1 / 3}
+MIN_BLENDED_ERROR = 8e-3  # m, smallest depth error of a pixel that mixes cloth and background
+MAX_TURN_ERROR = 5.0  # degrees, largest deviation of a turn
+TARGETS = {"iou": (0.985, 0.96), "across_mm": 1.5, "tilt_deg": 0.3, "turn_deg": 0.7, "shift": 1 / 3}
 
 
 def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, seed: int,
          estimated: bool) -> dict:
-    """Figures of one capture; ``failed`` with the message where it is not cut out."""
+    """Errors of one capture; ``failed`` has the message if no cloth was found."""
     tester = Rig.from_name(rig)
     _, shape = known_drape(number, rig=rig, nuisances="none", edge_mm=edge_mm, seed=seed)
     rng = np.random.default_rng([seed, number, SENSORS.index(sensor)])
-    turns = np.array(QUARTERS) + np.radians(rng.uniform(-WRONG, WRONG, len(QUARTERS)))
+    errors = rng.uniform(-MAX_TURN_ERROR, MAX_TURN_ERROR, len(QUARTERS))
+    turns = np.array(QUARTERS) + np.radians(errors)
     turns -= turns[0]
     scene = raw_scene(shape.positions, shape.faces, rng, rig=tester, turns=turns, sensor=sensor,
                       clutter=clutter)
@@ -63,52 +64,54 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
         measured = drape_map(views, camera, tester, turns=np.array(QUARTERS)).turns
         found[name] = float(np.degrees(np.abs(measured - turns)).max())
     if estimated:
-        found["shift"] = shifts(cut.views, perfect, scene, rig)
+        found["shift"] = posterior_shifts(cut.views, perfect, scene, rig)
         masked = np.where(scene.cloth, scene.frames, np.float32(0.0))
-        found["shift_true_mask"] = shifts(masked, perfect, scene, rig)
+        found["shift_true_mask"] = posterior_shifts(masked, perfect, scene, rig)
     return found
 
 
 def blended(scene: RawScene, sensor: str) -> np.ndarray:
-    """(K, H, W) bool, pixels of the cloth's edge whose depth lies between cloth and background."""
+    """Mask (K, H, W) of pixels at the edge of the cloth whose depth mixes cloth and background."""
     error = scene.frames - scene.clean
     seen = scene.cloth & (scene.frames > 0)
-    return seen & (np.abs(error - np.median(error[seen])) > BLENDED) & (sensor == "tof")
+    return seen & (np.abs(error - np.median(error[seen])) > MIN_BLENDED_ERROR) & (sensor == "tof")
 
 
 def overlap(masks: np.ndarray, truth: np.ndarray) -> list[float]:
-    """Intersection over union of masks (K, H, W) with the truth, frame by frame."""
+    """Intersection over union of masks (K, H, W) and true masks, for each frame."""
     both, either = (part.sum(axis=(1, 2)) for part in (masks & truth, masks | truth))
     return (both / either).tolist()
 
 
 def plate_errors(cut: CutOut, scene: RawScene, rig: Rig) -> dict:
-    """mm and degrees between the plate found and the true one."""
+    """Errors of the plate's centre, mm, and normal, degrees."""
     pose, points = scene.camera.world_to_camera, scene.camera.back_project(scene.frames)
     centre, up = pose[:3, 3], pose[:3, 2]
     sight = centre / np.linalg.norm(centre)
     error = cut.plate.centre - centre
     along = float(error @ sight)
-    # Pixels that truly show the flat plate, wherever the sensor's noise puts them.
+    # Pixels that show the flat plate according to the noise-free depth.
     true = (scene.camera.back_project(scene.clean) - centre) @ pose[:3, :3]
     top = scene.cloth & (scene.clean > 0) & (scene.frames > 0) & (
         np.hypot(true[..., 0], true[..., 1]) < 0.75 * rig.plate_radius) & (true[..., 2] > -2e-3)
     bias = float(np.median((scene.frames - scene.clean)[top]) / sight[2])
     shown = points[top][np.abs((scene.frames - scene.clean)[top] - bias) < 0.01]
-    own = np.linalg.eigh(np.cov(shown.T))[1][:, 0]
+    measured = np.linalg.eigh(np.cov(shown.T))[1][:, 0]
     return {"across_mm": 1e3 * float(np.linalg.norm(error - along * sight)),
             "along_mm": 1e3 * (along - bias), "bias_mm": 1e3 * bias,
-            "tilt_deg": angle(cut.plate.normal, up), "tilt_sensor_deg": angle(own, up),
-            "tilt_from_shown_deg": angle(cut.plate.normal, own)}
+            "tilt_deg": angle(cut.plate.normal, up), "tilt_sensor_deg": angle(measured, up),
+            "tilt_from_shown_deg": angle(cut.plate.normal, measured)}
 
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:
-    """Degrees between two directions (3,), whichever way they point."""
+    """Angle, degrees, between two unit vectors (3,), ignoring their signs."""
     return float(np.degrees(np.arccos(min(1.0, abs(float(one @ other))))))
 
 
-def shifts(views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: str) -> list[float]:
-    """(3,) by how many standard deviations log alpha differs between two cut-outs."""
+def posterior_shifts(
+    views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: str
+) -> list[float]:
+    """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
     from drapenet.inference import infer_capture
 
     header, samples = read_header(bundled(rig)), []
@@ -121,7 +124,7 @@ def shifts(views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: str) ->
 
 
 def run(config: Config) -> Result:
-    """Cut out all captures, and print the table."""
+    """Evaluate all captures; print a table by sensor and clutter."""
     settings = {key: config[key] for key in ("rig", "edge_mm", "seed")}
     densities = list(CLUTTER)
     cases = {f"{sensor}_{k}": {
@@ -129,11 +132,11 @@ def run(config: Config) -> Result:
         "estimated": k < config["estimated"], **settings}
         for shift, sensor in enumerate(SENSORS) for k in range(config["poses"])}
     results = run_cases(case, cases, folder=Path(config["cases"]) / config["rig"],
-                        workers=config["workers"], sources=ESTIMATOR)
+                        workers=config["workers"], sources=ESTIMATOR_SOURCES)
     groups = {"all": list(results)} | {
         name: [key for key in results if cases[key][kind] == name]
         for kind, names in (("sensor", SENSORS), ("clutter", densities)) for name in names}
-    summary = {name: judged([results[key] for key in keys]) for name, keys in groups.items()
+    summary = {name: summarise([results[key] for key in keys]) for name, keys in groups.items()
                if keys}
     print(table(["", "captures", "failed", "IoU median", "worst", "with background: worst",
                  "across, mm", "worst", "tilt, °", "worst", "from shown: worst", "turn, °", "worst",
@@ -143,11 +146,11 @@ def run(config: Config) -> Result:
                   *one["across_mm"], *one["tilt_deg"], one["tilt_from_shown_deg"][1],
                   *one["turn_deg"], one["shift"][0], one["shift_true_mask"][0]]
                  for name, one in summary.items()]))
-    return Result({"asked": ASKED, "summary": summary, "cases": results})
+    return Result({"targets": TARGETS, "summary": summary, "cases": results})
 
 
-def judged(results: list[dict]) -> dict:
-    """Median and worst of each figure over captures; 'n/a' where there is none."""
+def summarise(results: list[dict]) -> dict:
+    """Median and worst case of each error over captures; 'n/a' without values."""
     done = [one for one in results if not one["failed"]]
     found = {"captures": len(results), "failed": len(results) - len(done)}
     for name in ("iou", "iou_background", "across_mm", "along_mm", "tilt_deg", "tilt_sensor_deg",

@@ -1,7 +1,7 @@
-"""Share of faulty captures that are corrected, refused or have a warning.
+"""Share of faulty captures that are corrected, refused or reported with a warning.
 
-Drapes of a dataset are captured by four views (``configs/setup/real.yaml``), and the captures
-spoiled in every way in which a user may spoil one. Sound captures should have no warning.
+Drapes of a dataset are captured in four views (``configs/setup/real.yaml``), and faults that users
+may cause are applied to the captures. Captures without faults should have no warning.
 """
 
 from collections import Counter
@@ -28,22 +28,22 @@ from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
-FEW = 10  # pixels of a view: a capture with no more wrong is mended
-EDGE = 6e-3  # m, of drapes that are simulated for a fault
+MAX_DIFFERING_PIXELS = 10  # pixels per view that may still differ in a corrected capture
+EDGE = 6e-3  # m, mesh edges of drapes that are simulated with a fault
 
 Rng = np.random.Generator
 
 
-def _scaled(capture: SyntheticCapture, fx: float, fy: float) -> SyntheticCapture:
+def _scale_focal(capture: SyntheticCapture, fx: float, fy: float) -> SyntheticCapture:
     given = capture.intrinsics
     return replace(capture, intrinsics=replace(given, fx=fx * given.fx, fy=fy * given.fy))
 
 
-def _on_views(change: Callable[[np.ndarray, Rng], np.ndarray]) -> Callable:
-    def spoil(capture: SyntheticCapture, rng: Rng) -> SyntheticCapture:
+def _per_view(change: Callable[[np.ndarray, Rng], np.ndarray]) -> Callable:
+    def apply(capture: SyntheticCapture, rng: Rng) -> SyntheticCapture:
         return replace(capture, views=np.stack([change(view.copy(), rng)
                                                 for view in capture.views]))
-    return spoil
+    return apply
 
 
 def _speckle(view: np.ndarray, rng: Rng) -> np.ndarray:
@@ -103,65 +103,66 @@ def _coarse(capture: SyntheticCapture, rng: Rng) -> SyntheticCapture:
         width=views.shape[2], height=views.shape[1]))
 
 
-def _moved(capture: SyntheticCapture, rows: int) -> SyntheticCapture:
+def _shift_rows(capture: SyntheticCapture, rows: int) -> SyntheticCapture:
     views, given = np.roll(capture.views, rows, axis=1), capture.intrinsics
     views[:, :rows] = 0
     return replace(capture, views=views, intrinsics=replace(given, cy=given.cy + rows))
 
 
 FAULTS: dict[str, Callable[[SyntheticCapture, Rng], SyntheticCapture]] = {
-    "speckle inside the cloth": _on_views(_speckle),
-    "15 % of pixels missing": _on_views(_missing),
-    "fx 15 % too long": lambda c, rng: _scaled(c, 1.15, 1.0),
-    "fx 20 % too short": lambda c, rng: _scaled(c, 0.8, 1.0),
-    "fx and fy 15 % too long": lambda c, rng: _scaled(c, 1.15, 1.15),
-    "depth 10 % too large": _on_views(lambda view, rng: 1.1 * view),
-    "depth 10 % too small": _on_views(lambda view, rng: 0.9 * view),
+    "speckle inside the cloth": _per_view(_speckle),
+    "15 % of pixels missing": _per_view(_missing),
+    "fx 15 % too long": lambda c, rng: _scale_focal(c, 1.15, 1.0),
+    "fx 20 % too short": lambda c, rng: _scale_focal(c, 0.8, 1.0),
+    "fx and fy 15 % too long": lambda c, rng: _scale_focal(c, 1.15, 1.15),
+    "depth 10 % too large": _per_view(lambda view, rng: 1.1 * view),
+    "depth 10 % too small": _per_view(lambda view, rng: 0.9 * view),
     "table not turned once": _not_turned,
-    "cut by a threshold of the depth": _on_views(_threshold),
+    "cut by a threshold of the depth": _per_view(_threshold),
     "length of the ray for depth": _rays,
-    "a hot pixel": _on_views(_hot),
-    "flying pixels around the cloth": _on_views(_flying),
-    "a saturated patch": _on_views(_saturated),
+    "a hot pixel": _per_view(_hot),
+    "flying pixels around the cloth": _per_view(_flying),
+    "a saturated patch": _per_view(_saturated),
     "two views swapped": lambda c, rng: replace(c, views=c.views[[0, 2, 1, 3]]),
     "turned the other way": lambda c, rng: replace(c, views=c.views[[0, 3, 2, 1]]),
-    "mirrored pictures": _on_views(lambda view, rng: view[:, ::-1]),
-    "pictures upside down": _on_views(lambda view, rng: view[::-1]),
-    "hem outside the picture": lambda c, rng: _moved(c, 35),
+    "mirrored pictures": _per_view(lambda view, rng: view[:, ::-1]),
+    "pictures upside down": _per_view(lambda view, rng: view[::-1]),
+    "hem outside the picture": lambda c, rng: _shift_rows(c, 35),
     "every second pixel only": _coarse,
-    "depth in centimetres": _on_views(lambda view, rng: 10 * view),
+    "depth in centimetres": _per_view(lambda view, rng: 10 * view),
 }
-"""Spoil a capture of four views."""
+"""Faults by name, as functions that apply them to a capture of four views."""
 SIMULATED = {
     "specimen of 270 mm": {"rig": replace(Rig(), specimen_size=0.27)},
     "specimen 20 mm off the centre": {"offset": (0.02, 0.0)},
 }
-"""Faults of the specimen, as options of its drape."""
-MOVED = "cloth moved between the views"
+"""Faults of the specimen by name, as arguments of :func:`sim.drape.drape`."""
+MOVED_CLOTH = "cloth moved between the views"
 
 
-def read(capture: SyntheticCapture) -> Capture:
-    """The capture as ``infer.py`` reads it."""
+def check_capture(capture: SyntheticCapture) -> Capture:
+    """Check the capture as ``infer.py`` does when it reads one."""
     return checked_capture(Path("capture"), capture.views, capture.intrinsics, capture.turns,
                            REFERENCE_DENSITY, None, Rig().name, ())
 
 
-def doubts(
+def find_warnings(
     capture: SyntheticCapture, rig: Rig, setups: Setups, *, sound: SyntheticCapture | None = None
 ) -> list[str]:
-    """What ``infer.py`` says of a capture before it estimates; its error if it refuses it.
+    """Warnings of ``infer.py`` before estimation, or its error message if it refuses the capture.
 
     Args:
-        sound: the capture before it was spoiled; one that is mended, all but a few pixels, is said
-            to be so.
+        sound: the capture without the fault. If the checked captures differ in at most a few
+            pixels, the result is "corrected".
     """
     try:
-        checked = read(capture)
+        checked = check_capture(capture)
     except InputError as error:
         return [str(error)]
-    if sound is not None and checked.views.shape == sound.views.shape and (
-            np.abs(checked.views - read(sound).views) > 1e-6).sum() < FEW * len(checked.views):
-        return ["mended"]
+    if sound is not None and checked.views.shape == sound.views.shape:
+        differing = (np.abs(checked.views - check_capture(sound).views) > 1e-6).sum()
+        if differing < MAX_DIFFERING_PIXELS * len(checked.views):
+            return ["corrected"]
     camera = locate_camera(checked.views, checked.intrinsics, rig)
     found = drape_map(checked.views, camera, rig, turns=checked.turns)
     try:
@@ -171,8 +172,9 @@ def doubts(
 
 
 def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """theta (6,), positions (V, 3) and faces (F, 3) of a dataset's drapes, the last shards first:
-    networks learn from the first.
+    """Yield theta (6,), positions (V, 3) and faces (F, 3) of the drapes of a dataset.
+
+    The last shards come first, because networks are trained on the first.
     """
     for name in reversed(list(finished_manifest(root)["shards"])):
         shard = Shard(root / name)
@@ -182,7 +184,7 @@ def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def run(config: Config) -> Result:
-    """Spoil, look, count."""
+    """Check captures without and with faults; print the share with a warning of each."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
     nominal, source = CameraRig.load(rig.name).intrinsics, drapes(Path(config["data"]))
@@ -190,34 +192,37 @@ def run(config: Config) -> Result:
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
         return setups.capture(positions, faces, rng, nominal=nominal)
 
-    said: dict[str, list[list[str]]] = {}
+    messages: dict[str, list[list[str]]] = {}
     for number in tqdm(range(config["sound"]), desc="sound", mininterval=5):
         rng = np.random.default_rng([config["seed"], number])
         seen = capture(*next(source)[1:], rng)
-        said.setdefault("sound", []).append(doubts(seen, rig, setups))
+        messages.setdefault("sound", []).append(find_warnings(seen, rig, setups))
     for number in tqdm(range(config["spoiled"]), desc="spoiled"):
         rng = np.random.default_rng([config["seed"], 1, number])
         theta, positions, faces = next(source)
         seen = capture(positions, faces, rng)
-        for name, spoil in FAULTS.items():
-            said.setdefault(name, []).append(doubts(spoil(seen, rng), rig, setups, sound=seen))
+        for name, apply in FAULTS.items():
+            messages.setdefault(name, []).append(
+                find_warnings(apply(seen, rng), rig, setups, sound=seen))
         shapes = {name: drape(fabric_from_theta(theta), edge=EDGE, seed=number, **{
             "rig": rig, **options}) for name, options in SIMULATED.items()}
         for name, shape in shapes.items():
             if shape.converged:
-                said.setdefault(name, []).append(doubts(
+                messages.setdefault(name, []).append(find_warnings(
                     capture(shape.positions, shape.faces, rng), rig, setups))
         other = drape(fabric_from_theta(theta), rig=rig, edge=EDGE, seed=number + 1, start="fold")
         again = capture(other.positions, other.faces, np.random.default_rng(
             [config["seed"], 1, number]))
         views = np.concatenate([seen.views[:2], again.views[2:]])
-        said.setdefault(MOVED, []).append(doubts(replace(seen, views=views), rig, setups))
-    shares = {name: float(np.mean([bool(one) for one in lines])) for name, lines in said.items()}
-    print(table(["capture", "of", "mended, doubted or refused"],
-                [[name, len(said[name]), share] for name, share in shares.items()]))
+        messages.setdefault(MOVED_CLOTH, []).append(
+            find_warnings(replace(seen, views=views), rig, setups))
+    shares = {name: float(np.mean([bool(one) for one in lines]))
+              for name, lines in messages.items()}
+    print(table(["capture", "number", "corrected, reported or refused"],
+                [[name, len(messages[name]), share] for name, share in shares.items()]))
     faults = [share for name, share in shares.items() if name != "sound"]
-    print(f"faults found: {np.mean(faults):.1%} on average, sound captures doubted: "
-          f"{shares['sound']:.1%}")
+    print(f"faults detected: {np.mean(faults):.1%} on average; captures without faults that have "
+          f"a warning: {shares['sound']:.1%}")
     reasons = Counter(line.split(":")[-1 if line.startswith("view ") else 0][:50]
-                      for lines in said["sound"] for line in lines)
-    return Result({"found": shares, "said_of_sound": dict(reasons.most_common(20))})
+                      for lines in messages["sound"] for line in lines)
+    return Result({"found": shares, "warnings_of_sound": dict(reasons.most_common(20))})

@@ -1,9 +1,9 @@
 """Likelihood of unseen fabrics under each prior (paper's Table 1 and Figure 15).
 
-Mixtures (GMM) and autoencoders (VAE) on distinct fabrics: 80 % of them are fitted, the others
-judge, over several random splits. Outliers are drawn in to what the fitted part calls plausible
-(:func:`data.prior.coordinates.plausible_range`), for all models alike. Log-likelihoods are per
-fabric, in nats, of densities in log alpha and in beta/alpha in mm; an autoencoder's is an
+Mixtures (GMM) and autoencoders (VAE) are fitted to 80 % of the distinct fabrics and evaluated on
+the others, for several random splits. For all models, outliers are clipped to the plausible range
+of the fitted part (:func:`data.prior.coordinates.plausible_range`). Log-likelihoods are per fabric,
+in nats, of densities in log alpha and in beta/alpha in mm; that of an autoencoder is an
 importance-weighted bound.
 """
 
@@ -23,8 +23,8 @@ from data.prior import MODELS, Prior, VaePrior
 from data.prior.coordinates import Coordinates, plausible_range
 from sim.material import is_admissible
 
-FITTED = 0.8  # share of the fabrics, as in the paper
-NEAR = (0.75, 1.0, 1.25)  # deviations of the table
+FITTED = 0.8  # share of the fabrics that is fitted, as in the paper
+RADII = (0.75, 1.0, 1.25)  # radii of the coverage, in standard deviations of the table
 PER_MILLIMETRE = 3 * np.log(1e-3)  # log of the volume of (mm)³ in m³
 NAMES = {"gaussian": "Gaussian of theta"} | {f"gmm{k}": f"GMM (K = {k})" for k in range(3, 8)} | {
     f"vae{k}": f"VAE-{k}" for k in range(1, 5)}
@@ -32,79 +32,79 @@ NAMES = {"gaussian": "Gaussian of theta"} | {f"gmm{k}": f"GMM (K = {k})" for k i
 
 @dataclass(frozen=True)
 class Split:
-    """theta (F, 6) of the fabrics to fit and of those that judge, and the yardstick for both."""
+    """theta (F, 6) of the fitted and the unseen fabrics, and the coordinates of distances."""
 
     fitted: np.ndarray
     unseen: np.ndarray
-    yardstick: Coordinates
+    coordinates: Coordinates
 
-    def drawn_in(self) -> tuple[np.ndarray, np.ndarray]:
-        """Both parts with outliers drawn in to the range of the fitted one."""
+    def clipped(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both parts, with outliers clipped to the plausible range of the fitted part."""
         low, high = plausible_range(self.fitted)
         return np.clip(self.fitted, low, high), np.clip(self.unseen, low, high)
 
 
-def split_rows(theta: np.ndarray, seed: int, yardstick: Coordinates) -> Split:
-    """A random split of the rows of theta."""
+def split_rows(theta: np.ndarray, seed: int, coordinates: Coordinates) -> Split:
+    """Split the rows of theta (F, 6) at random."""
     order = np.random.default_rng(seed).permutation(len(theta))
     fitted = round(FITTED * len(theta))
-    return Split(theta[order[:fitted]], theta[order[fitted:]], yardstick)
+    return Split(theta[order[:fitted]], theta[order[fitted:]], coordinates)
 
 
-def plain(prior: Prior) -> Prior:
-    """The prior without the widening of an autoencoder's samples."""
+def without_widening(prior: Prior) -> Prior:
+    """The prior without the widening that autoencoders apply to samples."""
     if isinstance(prior, VaePrior):
         return replace(prior, shift=0.0, spread=(1.0, 1.0))
     return prior
 
 
 def log_likelihoods(prior: Prior, split: Split) -> tuple[float, float]:
-    """Mean over the fitted and over the unseen fabrics, nats, beta/alpha in mm."""
+    """Mean log-likelihoods of the fitted and the unseen fabrics, nats, beta/alpha in mm."""
     return tuple(float(prior.log_likelihood(part).mean()) + PER_MILLIMETRE
-                 for part in split.drawn_in())
+                 for part in split.clipped())
 
 
 def distance(samples: np.ndarray, split: Split) -> float:
-    """2-Wasserstein distance of samples to the unseen fabrics, in deviations of the table."""
-    a, b = (split.yardstick.encode(part) for part in (samples, split.drawn_in()[1]))
+    """2-Wasserstein distance of samples (N, 6) from the unseen fabrics, in standard deviations."""
+    a, b = (split.coordinates.encode(part) for part in (samples, split.clipped()[1]))
     cost = ot.dist(a, b, metric="sqeuclidean")
     return float(np.sqrt(ot.emd2(ot.unif(len(a)), ot.unif(len(b)), cost, numItermax=10**6)))
 
 
 def coverage(samples: np.ndarray, split: Split) -> list[float]:
-    """Share of unseen fabrics with a sample within each of ``NEAR``."""
-    nearest, _ = cKDTree(split.yardstick.encode(samples)).query(
-        split.yardstick.encode(split.drawn_in()[1]))
-    return [float((nearest <= near).mean()) for near in NEAR]
+    """Share of unseen fabrics with a sample (of N, 6) within each of ``RADII``."""
+    nearest, _ = cKDTree(split.coordinates.encode(samples)).query(
+        split.coordinates.encode(split.clipped()[1]))
+    return [float((nearest <= radius).mean()) for radius in RADII]
 
 
-def judge(model: str, split: Split, samples: int) -> dict:
-    """Fit one model and judge it; figures by name."""
+def evaluate(model: str, split: Split, samples: int) -> dict:
+    """Fit a model and evaluate it; figures by name."""
     start = time.process_time()
     prior = MODELS[model](split.fitted)
     seconds = time.process_time() - start
     fitted, unseen = log_likelihoods(prior, split)
     figures = {"log_likelihood_fitted": fitted, "log_likelihood_unseen": unseen}
-    for name, drawing in (("", plain(prior)), ("_widened", prior)):
-        if name and drawing is plain(prior):
+    for name, drawing in (("", without_widening(prior)), ("_widened", prior)):
+        if name and drawing is without_widening(prior):
             continue
         theta = drawing.sample(samples, np.random.default_rng(0))
         possible = np.array([is_admissible(*from_theta(row)) for row in theta])
         figures |= {f"wasserstein{name}": distance(theta[possible], split),
                     f"rejected{name}": float(1 - possible.mean())}
-        for near, share in zip(NEAR, coverage(theta[possible], split), strict=True):
-            figures[f"within_{near:g}{name}"] = share
+        for radius, share in zip(RADII, coverage(theta[possible], split), strict=True):
+            figures[f"within_{radius:g}{name}"] = share
     return figures | {"fit_cpu_s": seconds}
 
 
-def judge_rows(model: str, split: Split) -> dict:
-    """The same on rows that were not de-duplicated, likelihoods only."""
+def evaluate_rows(model: str, split: Split) -> dict:
+    """Likelihoods of a model on a split of rows that were not de-duplicated."""
     fitted, unseen = log_likelihoods(MODELS[model](split.fitted), split)
     return {"log_likelihood_fitted": fitted, "log_likelihood_unseen": unseen}
 
 
 def mean_and_error(runs: list[dict]) -> dict:
-    """[mean, standard error over the splits] of every figure."""
+    """[mean, standard error over the splits] of each figure."""
     values = {name: np.array([run[name] for run in runs]) for name in runs[0]}
     error = {name: v.std(ddof=1) / np.sqrt(len(v)) if len(v) > 1 else 0.0
              for name, v in values.items()}
@@ -112,17 +112,17 @@ def mean_and_error(runs: list[dict]) -> dict:
 
 
 def compare(fabrics: FabricTable, models: list[str], splits: int, samples: int) -> dict:
-    """All figures of the report."""
+    """Evaluate all models on all splits; contents of the report."""
     theta = fabrics.theta
-    yardstick, _ = Coordinates.fit(theta)
+    coordinates, _ = Coordinates.fit(theta)
     rows = np.repeat(theta, fabrics.multiplicity, axis=0)
-    by_fabric = [split_rows(theta, seed, yardstick) for seed in range(splits)]
-    by_row = [split_rows(rows, seed, yardstick) for seed in range(splits)]
+    by_fabric = [split_rows(theta, seed, coordinates) for seed in range(splits)]
+    by_row = [split_rows(rows, seed, coordinates) for seed in range(splits)]
     leaked = [len(s.unseen) - sum(not (s.fitted == row).all(1).any() for row in s.unseen)
               for s in by_row]
-    runs = {model: [judge(model, split, samples) for split in by_fabric]
+    runs = {model: [evaluate(model, split, samples) for split in by_fabric]
             for model in tqdm(models, desc="split by fabric", unit="model")}
-    row_runs = {model: [judge_rows(model, split) for split in by_row]
+    row_runs = {model: [evaluate_rows(model, split) for split in by_row]
                 for model in tqdm(models, desc="split by row", unit="model")}
     unseen = by_fabric[0].unseen
     return {
@@ -130,7 +130,7 @@ def compare(fabrics: FabricTable, models: list[str], splits: int, samples: int) 
         "samples": samples,
         "leaked_rows": {"of": len(by_row[0].unseen), "leaked": leaked},
         "wasserstein_of_the_fitted_fabrics": mean_and_error(
-            [{"w": distance(split.drawn_in()[0], split)} for split in by_fabric])["w"],
+            [{"w": distance(split.clipped()[0], split)} for split in by_fabric])["w"],
         "models": {model: mean_and_error(figures) for model, figures in runs.items()},
         "by_row": {model: mean_and_error(figures) for model, figures in row_runs.items()},
         "runs": {model: [run["log_likelihood_unseen"] for run in figures]
@@ -139,7 +139,7 @@ def compare(fabrics: FabricTable, models: list[str], splits: int, samples: int) 
 
 
 def print_tables(result: dict) -> None:
-    """Table 1, with what the paper's split would have shown, and the coverage."""
+    """Print Table 1, with the split by row that the paper used, and the coverage."""
     def cell(figures: dict, name: str, digits: int = 2) -> str:
         if name not in figures:
             return ""
@@ -158,17 +158,17 @@ def print_tables(result: dict) -> None:
         for model, figures in result["models"].items()]))
     mean, error = result["wasserstein_of_the_fitted_fabrics"]
     print(f"\nWasserstein distance of the fitted fabrics themselves: {mean:.2f} ± {error:.2f}\n")
-    columns = [f"within_{near:g}{kind}" for kind in ("", "_widened") for near in NEAR]
-    head = ["unseen fabrics with a sample within ...", *(f"{near:g}" for near in NEAR),
-            *(f"widened {near:g}" for near in NEAR), "rejected"]
+    columns = [f"within_{radius:g}{kind}" for kind in ("", "_widened") for radius in RADII]
+    head = ["unseen fabrics with a sample within ...", *(f"{radius:g}" for radius in RADII),
+            *(f"widened {radius:g}" for radius in RADII), "rejected"]
     print(table(head, [
         [NAMES[model], *(cell(figures, name) for name in columns),
          cell(figures, "rejected_widened" if "rejected_widened" in figures else "rejected", 4)]
         for model, figures in result["models"].items()]))
 
 
-def picture(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figure:
-    """Figure 15: fabrics over samples of models fitted to all of them, in three projections."""
+def plot_samples(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figure:
+    """Figure 15: fabrics and samples of models fitted to all fabrics, in three projections."""
     views = (("alpha warp, µN·m", "alpha weft, µN·m"), ("alpha bias, µN·m", "beta/alpha bias, mm"),
              ("beta/alpha warp, mm", "beta/alpha weft, mm"))
     columns = ((0, 2), (1, 4), (3, 5))
@@ -200,7 +200,7 @@ def picture(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figu
 
 
 def run(config: Config) -> Result:
-    """Compare, and print the tables."""
+    """Compare the models; print the tables."""
     if unknown := [name for name in config["models"] if name not in MODELS]:
         raise InputError(f"models={','.join(unknown)}: known are {', '.join(MODELS)}")
     if config["splits"] < 1 or config["samples"] < 10:
@@ -208,4 +208,4 @@ def run(config: Config) -> Result:
     fabrics = read_fabric_table(config["fabrics"])
     result = compare(fabrics, config["models"], config["splits"], config["samples"])
     print_tables(result)
-    return Result(result, picture(fabrics, config["samples"], ("gmm3", "vae4")))
+    return Result(result, plot_samples(fabrics, config["samples"], ("gmm3", "vae4")))

@@ -1,11 +1,11 @@
-"""The network on scans of real fabrics: agreement of estimates, and drapes predicted from them.
+"""Agreement of the network's estimates of scanned real fabrics, and drapes predicted from them.
 
-Every scan of a real drape on the disc rig (fabric_F_sample_S_capture_C.npz) is seen from four sides
-by a depth camera on a tripod, with its noise (``configs/setup/real.yaml``), and estimated by the
-network of that rig. The true moduli are unknown. So estimates are judged by their agreement:
-between captures of a sample, between samples of a fabric, and by whether the nearest other estimate
-is of the same fabric; and by drapes of one sample's estimate beside scans of the other samples.
-Densities are unknown: moduli are those at 300 g/m².
+Every scan of a real drape on the disc rig (fabric_F_sample_S_capture_C.npz) is rendered in four
+views with the poses and noise of ``configs/setup/real.yaml``, and estimated by the network of that
+rig. The true moduli are unknown. Therefore the estimates are compared between captures of a sample
+and between samples of a fabric, the nearest other estimate should be of the same fabric, and drapes
+simulated with the estimate of one sample are compared with scans of the other samples. Densities
+are unknown: moduli are those at 300 g/m².
 """
 
 import re
@@ -19,15 +19,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import (
-    ESTIMATOR,
+    ESTIMATOR_SOURCES,
     Config,
     Result,
+    label_log_axes,
     load_arrays,
     run_cases,
     table,
-    tick_short_scales,
 )
-from benchmarks.known import estimated
+from benchmarks.known import estimate_views
 from common.command import compose_config
 from common.errors import InputError
 from data.cameras import CameraRig
@@ -44,76 +44,80 @@ from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.scene import DISC_RIG
 
-FOUR = (0.0, 0.0, 0.0, 1.0)  # shares of captures with 1, 2, ... views
-LEVEL = 0.68  # of the picture's intervals
+FOUR_VIEWS = (0.0, 0.0, 0.0, 1.0)  # shares of captures with 1, 2, ... views
+LEVEL = 0.68  # of the plotted intervals
 NAME = re.compile(r"fabric_(\d+)_sample_(\d+)(?:_capture_(\d+))?")
-SHAPE = {"coefficient": "drape coefficient, points", "folds": "folds",
-         "amplitude_mm": "outline's amplitude, mm"}
-"""The figures of :func:`shape`, by name."""
+SHAPE_LABELS = {"coefficient": "drape coefficient, points", "folds": "folds",
+                "amplitude_mm": "outline's amplitude, mm"}
+"""Labels of the values of :func:`shape_measures`."""
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """Which drape a scan shows: numbers of the fabric, its sample, and the sample's capture."""
+    """Identity of a scan: numbers of its fabric, sample and capture."""
 
     fabric: int
     sample: int
     capture: int
 
     @classmethod
-    def of(cls, scan: str) -> "Specimen":
-        """From a scan's name; InputError where it is not such a one."""
+    def from_scan_name(cls, scan: str) -> "Specimen":
+        """Parse the name of a scan; InputError if it has another form."""
         found = NAME.fullmatch(scan)
         if not found:
             raise InputError(f"the scan '{scan}' must be named fabric_F_sample_S_capture_C, with "
-                             "numbers, to know which ones show one fabric")
+                             "numbers, which identify scans of one fabric")
         return cls(*(int(number or 1) for number in found.groups()))
 
     @property
-    def of_sample(self) -> tuple[int, int]:
-        """Fabric and sample."""
+    def sample_key(self) -> tuple[int, int]:
+        """Numbers of fabric and sample."""
         return self.fabric, self.sample
 
 
-def captured(path: str, checkpoint: str, captures: int, seed: int, identity: dict) -> dict:
-    """The network's samples from ``captures`` renderings of the scan ``path``.
+def estimate_scan(path: str, checkpoint: str, captures: int, seed: int, identity: dict) -> dict:
+    """Posterior samples from ``captures`` renderings of the scan ``path``.
 
-    ``identity`` says what the files of ``checkpoint`` hold.
+    ``identity`` has the digests of the files of ``checkpoint``.
     """
     from data.setups import Setups
 
     header, scan = read_header(checkpoint), read_scan(Path(path), DISC_RIG)
-    setups = replace(Setups.load("real"), views=FOUR)
+    setups = replace(Setups.load("real"), views=FOUR_VIEWS)
     nominal = CameraRig.load(DISC_RIG.name).intrinsics
-    numbers = asdict(Specimen.of(scan.name)).values()
+    numbers = asdict(Specimen.from_scan_name(scan.name)).values()
     samples, sensors = [], []
     for number in range(captures):
         rng = np.random.default_rng([seed, *numbers, number])
         seen = setups.capture(scan.positions, scan.faces, rng, nominal=nominal)
-        samples.append(estimated(seen.views, seen.intrinsics, header).samples)
+        samples.append(estimate_views(seen.views, seen.intrinsics, header).samples)
         sensors.append(seen.sensor)
     return {"sensors": sensors, "identity": identity,
             "arrays": {"samples": np.concatenate(samples)}}
 
 
-def draped(theta: list[float], start: str, seed: int, edge_mm: float, nuisances: dict) -> dict:
-    """:func:`shape` of a drape of theta (6,); its status alone where it did not converge."""
-    # Scanned specimens have the rig's nominal size and lie centred on the support: so do these.
+def drape_measures(
+    theta: list[float], start: str, seed: int, edge_mm: float, nuisances: dict
+) -> dict:
+    """:func:`shape_measures` of a drape of theta (6,); only its status if it did not converge."""
+    # Like the scanned specimens, these have the nominal size and are centred on the support.
     result = drape(fabric_from_theta(np.array(theta)), rig=DISC_RIG, edge=1e-3 * edge_mm,
                    start=start, seed=seed, laws=Nuisances(**nuisances).laws)
     found = {"status": result.status.value}
-    return found | shape(result.positions, result.rest, result.faces) if result.converged else found
+    if not result.converged:
+        return found
+    return found | shape_measures(result.positions, result.rest, result.faces)
 
 
-def shape(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> dict[str, float]:
-    """Figures of a drape on the disc rig that no turn of it changes.
+def shape_measures(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> dict[str, float]:
+    """Rotation-invariant figures of a drape on the disc rig.
 
     Args:
         positions: (V, 3), rest: (V, 2), m; faces: (F, 3).
 
     Returns:
-        ``coefficient`` in percent, ``folds``, and ``amplitude_mm``: the root mean square of the
-        outline's distance from the axis about its mean, which is that of its spectrum.
+        ``coefficient`` in percent, ``folds``, and ``amplitude_mm``: the standard deviation of the
+        outline's distance from the axis.
     """
     outline = fold_outline(positions, rest, DISC_RIG)
     radius = 1e3 * np.linalg.norm(outline, axis=1)
@@ -122,14 +126,16 @@ def shape(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> dict[st
 
 
 def run(config: Config) -> Result:
-    """Estimate, drape, and print the figures."""
+    """Estimate all scans, simulate drapes of the estimates; print agreement and differences."""
     if config["captures"] < 1 or config["drapes"] < 0:
-        raise InputError("give captures of 1 or more, drapes from 0")
+        raise InputError(f"captures={config['captures']} must be at least 1, "
+                         f"drapes={config['drapes']} at least 0")
     header = read_header(config["checkpoint"] or bundled(DISC_RIG.name))
     if header.rig != DISC_RIG.name:
-        raise InputError(f"{header.path} knows drapes on {header.rig}; the scans are from "
+        raise InputError(f"{header.path} was trained on {header.rig}; the scans are of "
                          f"{DISC_RIG.name}")
-    scans = {Specimen.of(s.name): s for s in read_scans(Path(config["scans"]), DISC_RIG)}
+    scans = {Specimen.from_scan_name(s.name): s
+             for s in read_scans(Path(config["scans"]), DISC_RIG)}
     scans = {key: scans[key] for key in sorted(scans, key=lambda s: tuple(asdict(s).values()))}
     estimates = estimate_all(scans, header, config)
     log_alpha = {key: e.samples.mean(axis=0)[LINEAR] for key, e in estimates.items()}
@@ -137,27 +143,28 @@ def run(config: Config) -> Result:
               "agreement": agreement(log_alpha),
               "recognition": recognition({key: e.samples.mean(axis=0) / e.spread
                                           for key, e in estimates.items()}),
-              "scans": [row(scans[key], estimates[key]) for key in scans]}
-    show(report)
+              "scans": [scan_row(scans[key], estimates[key]) for key in scans]}
+    print_agreement(report)
     if config["drapes"]:
         report["drapes"] = drape_all(estimates, config)
         report["prediction"] = prediction(
-            {key: shape(s.positions, s.rest, s.faces) for key, s in scans.items()},
+            {key: shape_measures(s.positions, s.rest, s.faces) for key, s in scans.items()},
             report["drapes"])
-        show_prediction(report["prediction"])
+        print_prediction(report["prediction"])
     return Result(report, draw(estimates))
 
 
 def estimate_all(
     scans: dict[Specimen, Scan], header: Header, config: dict[str, Any]
 ) -> dict[Specimen, Estimate]:
-    """The estimate of every scan, of all its renderings together."""
+    """Estimate of every scan from all its renderings."""
     folder = Path(config["cases"])
     cases = {f"estimate_{scan.name}": {
         "path": str(Path(config["scans"]) / f"{scan.name}.npz"), "checkpoint": str(header.path),
         "identity": header.identity, "captures": config["captures"], "seed": config["seed"]}
         for scan in scans.values()}
-    run_cases(captured, cases, folder=folder, workers=config["workers"], sources=ESTIMATOR)
+    run_cases(estimate_scan, cases, folder=folder, workers=config["workers"],
+              sources=ESTIMATOR_SOURCES)
     return {key: Estimate(load_arrays(folder, f"estimate_{scan.name}")["samples"], STIFF_SOFT, 0.0,
                           1.0, REFERENCE_DENSITY, header.spread) for key, scan in scans.items()}
 
@@ -165,21 +172,22 @@ def estimate_all(
 def drape_all(
     estimates: dict[Specimen, Estimate], config: dict[str, Any]
 ) -> dict[str, list[dict]]:
-    """Drapes of each sample's estimate, the median over its captures; by name of the sample."""
+    """Drapes of each sample's estimate, the median over its captures, by name of the sample."""
     spread, cases = nuisance_config(config["variation"]), {}
-    for number, (sample, members) in enumerate(grouped(estimates, "of_sample").items()):
+    for number, (sample, members) in enumerate(group_by(estimates, "sample_key").items()):
         samples = np.concatenate([estimates[key].samples for key in members])
         middle = replace(estimates[members[0]], samples=samples).theta
         for k in range(config["drapes"]):
             index = number * config["drapes"] + k
-            cloth, own, rng = (stream(config["seed"], kind, index)
+            cloth, cut, rng = (stream(config["seed"], kind, index)
                                for kind in (Stream.CLOTH, Stream.SPECIMEN, Stream.START))
             cases[f"drape_{sample[0]}_{sample[1]}_{k}"] = {
                 "theta": middle.tolist(), "start": config["start"],
                 "seed": int(rng.integers(2**31)), "edge_mm": config["edge_mm"],
                 "nuisances": {name: float(value) for name, value
-                              in asdict(spread.sample(cloth, own)).items()}}
-    found = run_cases(draped, cases, folder=Path(config["cases"]), workers=config["workers"])
+                              in asdict(spread.sample(cloth, cut)).items()}}
+    found = run_cases(drape_measures, cases, folder=Path(config["cases"]),
+                      workers=config["workers"])
     drapes: dict[str, list[dict]] = {}
     for name, result in found.items():
         drapes.setdefault(name.removeprefix("drape_").rpartition("_")[0], []).append(result)
@@ -187,13 +195,13 @@ def drape_all(
 
 
 def nuisance_config(name: str) -> NuisanceConfig:
-    """Of the file ``name`` of configs/nuisances."""
+    """Distribution of nuisances from the file ``name`` of configs/nuisances."""
     options = compose_config("generate", [f"nuisances={name}"], schema=Options)
     return config_from_options(options).sampling.nuisances
 
 
-def grouped(keys: Sequence[Specimen], by: str) -> dict[Any, list[Specimen]]:
-    """The scans with the same value of the attribute ``by``."""
+def group_by(keys: Sequence[Specimen], by: str) -> dict[Any, list[Specimen]]:
+    """Group the scans by the value of the attribute ``by``."""
     groups: dict[Any, list[Specimen]] = {}
     for key in keys:
         groups.setdefault(getattr(key, by), []).append(key)
@@ -201,18 +209,18 @@ def grouped(keys: Sequence[Specimen], by: str) -> dict[Any, list[Specimen]]:
 
 
 def ratio(one: np.ndarray, other: np.ndarray) -> float:
-    """By which factor the alphas of log alpha (3,) and (3,) differ: geometric mean of three."""
+    """Factor between the alphas of log alpha (3,) and (3,), geometric mean over directions."""
     return float(np.exp(np.abs(one - other).mean()))
 
 
 def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
     """Ratios of alpha between captures of a sample, samples of a fabric, and fabrics.
 
-    Of samples and fabrics the means of log alpha (3,) of their parts count; ``single`` are single
-    captures of two samples of a fabric.
+    Samples are compared by the means of log alpha (3,) of their captures, fabrics by the means of
+    their samples; ``single`` compares single captures of two samples of a fabric.
     """
     members = {sample: [log_alpha[key] for key in keys]
-               for sample, keys in grouped(log_alpha, "of_sample").items()}
+               for sample, keys in group_by(log_alpha, "sample_key").items()}
     samples: dict[int, list[np.ndarray]] = {}
     for (fabric, _), parts in members.items():
         samples.setdefault(fabric, []).append(np.mean(parts, axis=0))
@@ -221,7 +229,7 @@ def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
                      for pair in combinations(parts, 2)],
         "single": [ratio(log_alpha[one], log_alpha[other])
                    for one, other in combinations(log_alpha, 2)
-                   if one.fabric == other.fabric and one.of_sample != other.of_sample],
+                   if one.fabric == other.fabric and one.sample_key != other.sample_key],
         "samples": [ratio(*pair) for parts in samples.values() for pair in combinations(parts, 2)],
         "fabrics": [ratio(*pair) for pair in combinations(
             [np.mean(parts, axis=0) for parts in samples.values()], 2)],
@@ -232,22 +240,22 @@ def agreement(log_alpha: dict[Specimen, np.ndarray]) -> dict[str, dict]:
 
 
 def recognition(points: dict[Specimen, np.ndarray]) -> dict[str, dict]:
-    """How often the nearest other scan shows the same fabric.
+    """Number of scans whose nearest other scan is of the same fabric.
 
     Args:
-        points: (D,) of each scan, in which distances are taken.
+        points: (D,) of each scan, with Euclidean distances.
 
     Returns:
-        ``any``, where every other scan may be the nearest, and ``other_sample``, where those of the
-        same sample are left out: how many are ``right``, ``of`` how many scans whose fabric has
-        another one to be found, and how many would be by ``chance``.
+        For ``any`` other scan, and for scans of an ``other_sample``: the number ``right``, the
+        number ``of`` scans whose fabric has another eligible scan, and the number expected by
+        ``chance``.
     """
     keys, result = list(points), {}
-    for name, barred in (("any", lambda a, b: a == b),
-                         ("other_sample", lambda a, b: a.of_sample == b.of_sample)):
+    for name, excluded in (("any", lambda a, b: a == b),
+                           ("other_sample", lambda a, b: a.sample_key == b.sample_key)):
         right, chance, count = 0, 0.0, 0
         for key in keys:
-            others = [other for other in keys if not barred(key, other)]
+            others = [other for other in keys if not excluded(key, other)]
             share = np.mean([other.fabric == key.fabric for other in others])
             if not share > 0:
                 continue
@@ -261,30 +269,31 @@ def recognition(points: dict[Specimen, np.ndarray]) -> dict[str, dict]:
 def prediction(
     scanned: dict[Specimen, dict], drapes: dict[str, list[dict]]
 ) -> dict[str, dict[str, float]]:
-    """How far drapes of one sample's estimate are from scans of the fabric's other samples.
+    """Differences of drapes of a sample's estimate from scans of the fabric's other samples.
 
     Args:
-        scanned: :func:`shape` of each scan.
-        drapes: of each sample's estimate; a sample none of whose converged predicts nothing.
+        scanned: :func:`shape_measures` of each scan.
+        drapes: of each sample's estimate; samples without a converged drape are not used.
 
     Returns:
-        By figure of :func:`shape`, over all ordered pairs of samples: the median and the mean size
-        of the difference of their means, ``off`` and ``mean_off``; the mean difference, ``bias``;
-        the median size of that between the two samples' scans, ``scans``; beside the mean
-        deviation of one estimate's drapes. The last entry counts.
+        For each value of :func:`shape_measures`, over all ordered pairs of samples: the median and
+        the mean absolute difference of their means, ``off`` and ``mean_off``; the mean
+        difference, ``bias``; the median absolute difference of the two samples' scans,
+        ``scans``; and ``deviation``, the mean standard deviation over the drapes of an estimate.
+        ``count`` has the numbers of pairs and drapes.
     """
-    members = grouped(scanned, "of_sample")
-    settled = {sample: [d for d in drapes["{}_{}".format(*sample)] if d["status"] == "converged"]
-               for sample in members}
+    members = group_by(scanned, "sample_key")
+    converged = {sample: [d for d in drapes["{}_{}".format(*sample)] if d["status"] == "converged"]
+                 for sample in members}
     pairs = [(one, other) for one, other in permutations(members, 2)
-             if one[0] == other[0] and settled[one]]
+             if one[0] == other[0] and converged[one]]
     if not pairs:
-        raise InputError("nothing is predicted: no fabric has two samples, or no drape converged")
+        raise InputError("no prediction: no fabric has two samples, or no drape converged")
     result: dict[str, dict] = {}
-    for figure in SHAPE:
+    for figure in SHAPE_LABELS:
         means = {sample: np.mean([scanned[key][figure] for key in keys])
                  for sample, keys in members.items()}
-        each = {sample: [d[figure] for d in found] for sample, found in settled.items()}
+        each = {sample: [d[figure] for d in found] for sample, found in converged.items()}
         gaps = np.array([(np.mean(each[one]) - means[other], means[one] - means[other])
                          for one, other in pairs])
         off, scans = np.median(np.abs(gaps), axis=0)
@@ -294,11 +303,11 @@ def prediction(
                           "deviation": float(np.mean([np.std(v) for v in each.values() if v]))}
     return result | {"count": {"pairs": len(pairs),
                                "drapes": sum(map(len, drapes.values())),
-                               "converged": sum(map(len, settled.values()))}}
+                               "converged": sum(map(len, converged.values()))}}
 
 
-def row(scan: Scan, estimate: Estimate) -> dict:
-    """One scan's figures: medians and intervals of alpha, and the posterior's mean."""
+def scan_row(scan: Scan, estimate: Estimate) -> dict:
+    """Results of one scan: medians and intervals of alpha, mean and deviation of the posterior."""
     alpha, _ = estimate.moduli(REFERENCE_DENSITY)
     low, middle, high = np.quantile(alpha / MICRO, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2], axis=0)
     return {"scan": scan.name, "theta": estimate.samples.mean(axis=0).tolist(),
@@ -306,8 +315,8 @@ def row(scan: Scan, estimate: Estimate) -> dict:
             "alpha_uN_m": middle.tolist(), "interval_68": np.transpose([low, high]).tolist()}
 
 
-def show(report: dict) -> None:
-    """Print the estimates and how they agree."""
+def print_agreement(report: dict) -> None:
+    """Print the estimates and their agreement."""
     print(table(["scan", *(f"α {name}" for name in STIFF_SOFT),
                  *(f"β/α {name}, mm" for name in STIFF_SOFT)],
                 [[r["scan"], *r["alpha_uN_m"], *(1e3 * v for v in r["theta"][3:])]
@@ -323,31 +332,31 @@ def show(report: dict) -> None:
               f"{found['chance']:.1f}")
 
 
-def show_prediction(found: dict) -> None:
-    """Print how well other samples' drapes are predicted."""
-    print(table(["", "off, median", "mean", "bias", "between the samples' scans",
-                 "deviation of one's drapes"],
+def print_prediction(found: dict) -> None:
+    """Print the differences between predicted drapes and scans of other samples."""
+    print(table(["", "difference, median", "mean", "bias", "between the samples' scans",
+                 "deviation over drapes"],
                 [[label, *(found[key][name] for name in ("off", "mean_off", "bias", "scans",
                                                          "deviation"))]
-                 for key, label in SHAPE.items()]))
+                 for key, label in SHAPE_LABELS.items()]))
     count = found["count"]
     print(f"{count['converged']} of {count['drapes']} drapes converged, {count['pairs']} pairs of "
           "samples")
-    print(f"drape coefficient of other samples off by: {found['coefficient']['off']:.2f} points")
-    print(f"fold count of other samples off by: {found['folds']['off']:.2f}")
+    print(f"median error of the drape coefficient: {found['coefficient']['off']:.2f} points")
+    print(f"median error of the number of folds: {found['folds']['off']:.2f}")
 
 
 def draw(estimates: dict[Specimen, Estimate]) -> Figure:
-    """Alpha of every scan with its interval, by fabric."""
+    """Plot alpha of every scan with its interval, grouped by fabric."""
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
-    fabrics = list(grouped(estimates, "fabric"))
+    fabrics = list(group_by(estimates, "fabric"))
     alpha = {key: e.moduli(REFERENCE_DENSITY)[0] / MICRO for key, e in estimates.items()}
     for direction, axis in enumerate(figure.subplots(3, 1, sharex=True)):
         place = 0
         for number, fabric in enumerate(fabrics):
             begin = place
-            for keys in grouped([k for k in estimates if k.fabric == fabric],
-                                "of_sample").values():
+            for keys in group_by([k for k in estimates if k.fabric == fabric],
+                                 "sample_key").values():
                 for key in keys:
                     low, middle, high = np.quantile(
                         alpha[key][:, direction], [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
@@ -359,6 +368,6 @@ def draw(estimates: dict[Specimen, Estimate]) -> Figure:
                           xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
             place += 1.5  # between fabrics
         axis.set(yscale="log", xticks=[], ylabel=f"α {STIFF_SOFT[direction]}, µN·m")
-        tick_short_scales(axis.yaxis)
+        label_log_axes(axis.yaxis)
     figure.suptitle("captures of a sample side by side, 68 % intervals", fontsize=9)
     return figure

@@ -1,10 +1,10 @@
 """Refinement of scans of drapes.
 
 Each scan on the disc rig is estimated as by ``infer.py scan=FILE refine=scan``. The moduli of the
-real fabrics are unknown: judged are the distance of the drape of the estimate from the scan, and
-the agreement of estimates (:mod:`benchmarks.estimation.real_captures`). Densities are unknown:
-moduli are those at 300 g/m². With ``simulated=N`` the scans are those of N drapes of known fabrics
-on a finer mesh, with all nuisances and noise on the vertices, given as points without mesh.
+real fabrics are unknown; reported are the distance of the estimate's drape from the scan and the
+agreement of estimates (:mod:`benchmarks.estimation.real_captures`). Densities are unknown: moduli
+are those at 300 g/m². With ``simulated=N`` the scans are point clouds of N drapes of known fabrics,
+simulated on a finer mesh with all nuisances, with noise.
 """
 
 import json
@@ -16,9 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR, Config, Result, load_arrays, run_cases, table
+from benchmarks.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases, table
 from benchmarks.estimation.real_captures import Specimen, agreement, recognition
-from benchmarks.estimation.refine_views import WAYS, along_warp, judge, recovered
+from benchmarks.estimation.refine_views import (
+    METHODS,
+    along_warp,
+    nuisance_errors,
+    posterior_errors,
+)
 from benchmarks.known import known_drape
 from common.errors import InputError
 from data.picture import shade
@@ -33,20 +38,20 @@ from sim.scene import DISC_RIG
 if TYPE_CHECKING:
     from drapenet.refine.scans import Registered
 
-_STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
-JOINED = (1, 2, 4)  # scans of a fabric
-_TRUTH_MM = 2.0  # edges at the rim of simulated specimens
+_STEM_RADIUS = 0.3  # radius of the stem below the support in figures, relative to the support's
+JOINED_COUNTS = (1, 2, 4)  # scans of a fabric in a joint estimate
+_TRUTH_MM = 2.0  # mesh edges at the rim of simulated specimens
 
 
 def real(*, path: str) -> dict:
-    """The refinement of the scan in a file."""
+    """Refine the scan in a file."""
     from drapenet.refine.scans import read_shape
 
-    return refined(read_shape(Path(path), DISC_RIG))
+    return refine_scan(read_shape(Path(path), DISC_RIG))
 
 
 def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
-    """The refinement of a raw scan of a known fabric."""
+    """Refine a simulated raw scan of a known fabric."""
     from drapenet.refine.scans import EDGE, register
     from drapenet.refine.surface import Cloud
 
@@ -54,16 +59,16 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
                                seed=seed)
     noise = np.random.default_rng([seed, number]).normal(0, 1e-3 * noise_mm, shape.positions.shape)
     cloud = Cloud.of_mesh(shape.positions + noise, shape.faces)
-    result = refined(register(cloud, DISC_RIG, edge=EDGE))
+    result = refine_scan(register(cloud, DISC_RIG, edge=EDGE))
     arrays, along = result["arrays"], math.cos(2 * result["axis"]) >= 0
-    for way in () if along else WAYS:  # the scan's x axis is the truth's warp
+    for way in () if along else METHODS:  # the true warp is the x axis of the scan
         arrays[way] = arrays[way][:, SWAPPED]
     return result | {"truth": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
                      "specimen": along_warp(result["refined"]["specimen"], along)}
 
 
-def refined(scan: "Registered") -> dict:
-    """What ``infer.py scan=FILE refine=scan`` makes of a scan."""
+def refine_scan(scan: "Registered") -> dict:
+    """Estimate a scan as by ``infer.py scan=FILE refine=scan``."""
     from drapenet.estimate import make_estimate
     from drapenet.inference import infer_capture
     from drapenet.refine.refined import refined_capture
@@ -77,7 +82,7 @@ def refined(scan: "Registered") -> dict:
     result = refined_capture(estimate, capture, camera, turns=found.turns,
                              seen=CapturedScan(shape), known={})
     if result is None:
-        raise InputError("no cloth settles at the scan")
+        raise InputError("no simulated cloth converges at the scan")
     network = estimate.samples
     if result.draws is not None:
         estimate = make_estimate(result.draws, capture=capture, header=header)
@@ -91,17 +96,17 @@ def refined(scan: "Registered") -> dict:
 
 
 def run(config: Config) -> Result:
-    """Refine all scans, and print the tables."""
+    """Refine all scans; print the tables."""
     folder = Path(config["cases"])
-    work = {"folder": folder, "workers": config["workers"], "sources": ESTIMATOR}
+    work = {"folder": folder, "workers": config["workers"], "sources": ESTIMATOR_SOURCES}
     if config["simulated"]:
         results = run_cases(simulated, {
             f"simulated_{k}": {"number": k, "noise_mm": config["noise_mm"], "seed": config["seed"]}
             for k in range(config["simulated"])}, **work)
         truth = np.array([r["truth"] for r in results.values()])
         arrays = [load_arrays(folder, name) for name in results]
-        summary = {way: judge(truth, [own[way] for own in arrays]) for way in WAYS}
-        summary["specimen"] = recovered(list(results.values()))
+        summary = {way: posterior_errors(truth, [own[way] for own in arrays]) for way in METHODS}
+        summary["specimen"] = nuisance_errors(list(results.values()))
         for name, found in summary.items():
             print(f"{name}: {json.dumps(found)}")
     else:
@@ -115,8 +120,8 @@ def run(config: Config) -> Result:
     away = [r["refined"].get("fidelity", {}).get("displacement_mm") for r in results.values()]
     rest = [value for value in away if value is not None]
     seconds = float(np.median([r["seconds"] for r in results.values()]))
-    print(f"estimates let go come to rest {np.mean(rest):.2f} mm away on average, at most "
-          f"{max(rest):.1f} mm; {len(away) - len(rest)} did not come to rest; "
+    print(f"drapes released at the scan move by {np.mean(rest):.2f} mm on average, at most "
+          f"{max(rest):.1f} mm; {len(away) - len(rest)} did not converge; "
           f"{sum(bool(r['doubts']) for r in results.values())} with a warning; "
           f"median {seconds:.0f} s")
     return Result({"summary": summary, "mean_away_mm": float(np.mean(rest)), "seconds": seconds,
@@ -124,14 +129,14 @@ def run(config: Config) -> Result:
 
 
 def agreements(results: dict[str, dict], folder: Path) -> dict:
-    """How estimates of captures, samples and fabrics agree, printed."""
-    arrays = {Specimen.of(name): load_arrays(folder, name) for name in results}
+    """Agreement of estimates of captures, samples and fabrics; prints it."""
+    arrays = {Specimen.from_scan_name(name): load_arrays(folder, name) for name in results}
     samples = {key: own["refined"] for key, own in arrays.items()}
     spread = np.array(next(iter(results.values()))["spread"])
     log_alpha = {key: s.mean(axis=0)[LINEAR] for key, s in samples.items()}
     print(table(["scan", *(f"α {name}" for name in STIFF_SOFT), "friction, µN·m per m",
-                 "let go, mm", "s"],
-                [[name, *(np.exp(log_alpha[Specimen.of(name)]) / MICRO).tolist(),
+                 "released, mm", "s"],
+                [[name, *(np.exp(log_alpha[Specimen.from_scan_name(name)]) / MICRO).tolist(),
                   r["refined"]["specimen"].get("friction_un", {}).get("median", math.nan),
                   r["refined"].get("fidelity", {}).get("displacement_mm", math.nan), r["seconds"]]
                  for name, r in results.items()]))
@@ -140,8 +145,8 @@ def agreements(results: dict[str, dict], folder: Path) -> dict:
                                            for k, s in samples.items()})}
     summary["joined"] = {
         way: {count: recognition(joined_groups({key: own[way] for key, own in arrays.items()},
-                                               spread, count))["any"] for count in JOINED}
-        for way in WAYS}
+                                               spread, count))["any"] for count in JOINED_COUNTS}
+        for way in METHODS}
     for name, found in summary["agreement"].items():
         if found["pairs"]:
             print(f"median ratio of alpha between {name}: {found['median']:.3f}")
@@ -157,28 +162,28 @@ def agreements(results: dict[str, dict], folder: Path) -> dict:
 def joined_groups(
     samples: dict[Specimen, np.ndarray], spread: np.ndarray, count: int
 ) -> dict[Specimen, np.ndarray]:
-    """(6,) joint estimates of every ``count`` scans of a fabric, in parts of the spread."""
+    """Joint estimates (6,) of every ``count`` scans of a fabric, in units of the spread (6,)."""
     found = {}
     for fabric in sorted({key.fabric for key in samples}):
-        own = [Estimate(samples[key], STIFF_SOFT, 0.0, 1.0, REFERENCE_DENSITY, spread)
-               for key in sorted(samples, key=astuple) if key.fabric == fabric]
-        for group in range(len(own) // count):
-            chosen = own[group * count : (group + 1) * count]
+        members = [Estimate(samples[key], STIFF_SOFT, 0.0, 1.0, REFERENCE_DENSITY, spread)
+                   for key in sorted(samples, key=astuple) if key.fabric == fabric]
+        for group in range(len(members) // count):
+            chosen = members[group * count : (group + 1) * count]
             one = joined(chosen, [""] * count).samples if count > 1 else chosen[0].samples
             found[Specimen(fabric, group, 1)] = one.mean(axis=0) / spread
     return found
 
 
 def draw(names: list[str], folder: Path, *, shown: int = 9) -> Figure:
-    """Scan, drape of the estimate, and their distance, a column each."""
+    """Plot scan, drape of the estimate and their distance, one column per scan."""
     names = names[:: -(-len(names) // shown)]
     figure = Figure(figsize=(1.7 * len(names) + 0.6, 5.4), layout="constrained")
     axes = figure.subplots(3, len(names), squeeze=False)
     for column, name in zip(axes.T, names, strict=True):
         scan = load_arrays(folder, name)
         for axis, positions in zip(column, (scan["positions"], scan["drape"]), strict=False):
-            axis.imshow(shade(positions, scan["faces"], plate_radius=_STEM * DISC_RIG.plate_radius,
-                              elevation=35.0, size=(320, 260)))
+            axis.imshow(shade(positions, scan["faces"], elevation=35.0, size=(320, 260),
+                              plate_radius=_STEM_RADIUS * DISC_RIG.plate_radius))
         gap = 1e3 * np.linalg.norm(scan["drape"] - scan["positions"], axis=1)
         image = column[2].tripcolor(*1e3 * scan["rest"].T, scan["faces"], gap, vmin=0, vmax=15,
                                     shading="gouraud", cmap="magma", rasterized=True)
@@ -187,5 +192,5 @@ def draw(names: list[str], folder: Path, *, shown: int = 9) -> Figure:
         for axis in column:
             axis.set_xticks([])
             axis.set_yticks([])
-    figure.colorbar(image, ax=axes[2, :].tolist(), label="gap, mm, on the flat disc", shrink=0.9)
+    figure.colorbar(image, ax=axes[2, :].tolist(), label="distance, mm, on the disc", shrink=0.9)
     return figure

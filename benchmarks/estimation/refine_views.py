@@ -1,28 +1,29 @@
 """Refinement of captures of known fabrics.
 
-Fabrics of the prior are draped on a finer mesh than the refinement's, captured, and estimated by
-the network and by the refinement; both posteriors are compared with the truth. With
-``variation=real`` specimens and captures vary in all that real ones vary in; with ``none`` the
-specimen is ideal, and the sensor ``smooth`` sees four views, exact quarter turns apart, with true
-intrinsics and a clean cut-out, from a tripod anywhere.
+Fabrics from the prior are draped on a finer mesh than that of the refinement, captured, and
+estimated by the network and by the refinement; both posteriors are compared with the truth. With
+``variation=real`` specimens and captures have all nuisances. With ``none`` the specimen is ideal,
+and the sensor ``smooth`` takes four views at exact quarter turns, with true intrinsics, an exact
+cut-out and a random camera pose.
 """
 
 import math
 import time
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import (
-    ESTIMATOR,
+    ESTIMATOR_SOURCES,
     Config,
     Result,
+    label_log_axes,
     load_arrays,
     run_cases,
     table,
-    tick_short_scales,
 )
 from benchmarks.comparison import same_folds
 from benchmarks.known import CLEAN, known_drape
@@ -39,13 +40,13 @@ from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import fold_outline
 from sim.scene import Rig
 
-WAYS = ("network", "refined")
+METHODS = ("network", "refined")
 
 
 def case(
     *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
 ) -> dict:
-    """The network and the refinement on one capture."""
+    """Estimate one capture with the network and with the refinement."""
     from drapenet.estimate import make_estimate
     from drapenet.inference import infer_capture
     from drapenet.refine.refined import refined_capture
@@ -62,11 +63,11 @@ def case(
     known = {"membrane": 200.0, "friction": 0.0} if nuisances == "none" else {}
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    own = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
-           if nuisances == "none" else {})
+    fixed = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
+             if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refined_capture(estimate, capture, camera, turns=found.turns, seen=None, known=own,
+    refined = refined_capture(estimate, capture, camera, turns=found.turns, seen=None, known=fixed,
                               settings=settings)
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}
@@ -75,9 +76,9 @@ def case(
     first = drape(estimate.fabric, rig=nominal, seed=number)
     outlines = [fold_outline(d.positions, d.rest, nominal) for d in (shape, first)]
     arrays = {}
-    for name in WAYS:  # a refinement that gains nothing leaves the network's answer
+    for name in METHODS:  # without an improvement the refined estimate is that of the network
         one = estimates.get(name, estimate)
-        # The first yarns found are the truth's warp or weft, whichever lie nearer.
+        # The first yarn direction of the estimate is the nearer of the true warp and weft.
         along = math.cos(2 * (one.axis - seen.orientation)) >= 0
         arrays[name] = one.samples if along else one.samples[:, SWAPPED]
     specimen = along_warp(refined.content["specimen"] if refined else {}, along)
@@ -89,14 +90,15 @@ def case(
 
 
 def along_warp(specimen: dict, along: bool) -> dict:
-    """The part ``specimen`` of ``estimate.json`` along the true warp, if that was found as such."""
+    """Entry ``specimen`` of ``estimate.json`` with warp and weft swapped unless ``along`` warp."""
     other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
     return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
 
 
-def recovered(results: list[dict]) -> dict[str, dict[str, float]]:
-    """Of friction and curl, deviations of the estimates from the truth and as estimated, in parts
-    of their spread over specimens, root mean squares.
+def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
+    """Root mean square errors and estimated deviations of friction and curl, by name.
+
+    In units of their spread over specimens.
     """
     from drapenet.refine.refined import specimen_spread
 
@@ -114,11 +116,12 @@ def recovered(results: list[dict]) -> dict[str, dict[str, float]]:
     return found
 
 
-def judge(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
-    """Errors of the posteriors' means, and how often their intervals hold.
+def posterior_errors(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
+    """Errors of posterior means, and coverage of intervals.
 
     Args:
-        truth: (N, 6). samples: of each, (S, 6).
+        truth: (N, 6) theta.
+        samples: posterior samples (S, 6) of each capture.
     """
     errors = np.stack([s.mean(axis=0) for s in samples]) - truth
     places = np.concatenate([ranks(s[:, None], t[None])
@@ -134,23 +137,23 @@ def judge(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Refine all captures, and print the table."""
+    """Refine all captures; print the table."""
     folder = Path(config["cases"]) / config["variation"]
     settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
     settings["nuisances"] = config["variation"]
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        folder=folder, workers=config["workers"], sources=ESTIMATOR)
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
     truth = np.array([r["theta"] for r in results.values()])
-    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in WAYS}
+    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in METHODS}
     other = np.array([r["other_folds"] for r in results.values()])
     groups = {"all": np.ones(len(truth), bool), "other folds": other}
     summary = {
-        group: {way: judge(truth[rows], [s for s, row in zip(samples[way], rows, strict=True)
-                                         if row]) for way in WAYS}
+        group: {way: posterior_errors(truth[rows], list(compress(samples[way], rows)))
+                for way in METHODS}
         for group, rows in groups.items() if rows.any()}
     seconds = np.array([r["seconds"] for r in results.values()])
-    specimen = recovered(list(results.values()))
+    specimen = nuisance_errors(list(results.values()))
     print(table(
         ["", "fabrics", "log alpha", "median", "worst fabric", "beta/alpha, mm", "inside 50 %",
          "68 %", "90 %"],
@@ -158,7 +161,7 @@ def run(config: Config) -> Result:
           f["log_alpha_worst_fabric"], f["beta_over_alpha_mm"], *f["inside"].values()]
          for group, ways in summary.items() for way, f in ways.items()]))
     print(f"median {np.median(seconds):.1f} s, 90th percentile {np.quantile(seconds, 0.9):.1f} s; "
-          f"{sum(not r['gained'] for r in results.values())} refinements gained nothing")
+          f"{sum(not r['gained'] for r in results.values())} refinements without improvement")
     for name, f in specimen.items():
         print(f"{name}: error {f['error']:.2f} of its spread, estimated {f['estimated']:.2f}")
     return Result({"summary": summary, "specimen": specimen,
@@ -168,16 +171,16 @@ def run(config: Config) -> Result:
 
 
 def draw(truth: np.ndarray, samples: dict[str, list[np.ndarray]]) -> Figure:
-    """True against found alpha."""
+    """Plot estimated against true alpha."""
     figure = Figure(figsize=(5.5, 4.6), layout="constrained")
     axis = figure.subplots()
-    for name, colour in zip(WAYS, ("0.6", "C1"), strict=True):
+    for name, colour in zip(METHODS, ("0.6", "C1"), strict=True):
         found = np.exp([s[:, LINEAR].mean(axis=0) for s in samples[name]]) / MICRO
         for k, marker in enumerate("os^"):
             axis.plot(np.exp(truth[:, k]) / MICRO, found[:, k], marker, color=colour, ms=4,
                       label=f"{name}, {('warp', 'bias', 'weft')[k]}")
-    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="found [µN·m]")
-    tick_short_scales(axis.xaxis, axis.yaxis)
+    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="estimated [µN·m]")
+    label_log_axes(axis.xaxis, axis.yaxis)
     ends = np.array(axis.get_xlim())
     axis.plot(ends, ends, color="k", lw=0.8)
     axis.legend(fontsize=7, frameon=False)

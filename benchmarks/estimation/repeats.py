@@ -1,10 +1,10 @@
 """Joint estimates of several drapes of one fabric.
 
-Fabrics of the prior are draped several times: one cloth, each time another specimen, start and
-capture. Each capture is estimated, and the first 1, 2, ... of a fabric together
-(:mod:`drapenet.joint`). The errors of two captures of one fabric are correlated, because friction
-and membrane belong to the cloth; ``drapenet.joint.SHARED`` is this correlation. The bound
-(:mod:`benchmarks.estimation.bound`) is that of these drapes, also for friction and curl.
+Each fabric from the prior is draped several times, with another specimen, start and capture each
+time. The captures are estimated one by one, and the first 1, 2, ... of a fabric jointly
+(:mod:`drapenet.joint`). The errors of two captures of one fabric are correlated, because they
+share friction and membrane; ``drapenet.joint.SHARED`` is this correlation. The bound
+(:mod:`benchmarks.estimation.bound`) is computed for the same drapes, also for friction and curl.
 """
 
 import math
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ESTIMATOR, Config, Result, load_arrays, run_cases, table
+from benchmarks.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases, table
 from benchmarks.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
-from benchmarks.estimation.refine_views import judge
+from benchmarks.estimation.refine_views import posterior_errors
 from common.command import compose_config
 from data.cameras import CameraRig
 from data.captures import Capture
@@ -32,12 +32,12 @@ from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 COUNTS = (1, 2, 5)
-CLOTH = ("membrane", "shear", "friction")  # of the fabric; all other nuisances are a specimen's
-CURL = ("curl_warp", "curl_weft")
+CLOTH_NUISANCES = ("membrane", "shear", "friction")  # of the fabric; others are of the specimen
+CURL_NUISANCES = ("curl_warp", "curl_weft")
 
 
 def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, seed: int) -> dict:
-    """Estimates of all drapes of one fabric; samples along the true warp, bias and weft."""
+    """Estimate all drapes of one fabric; samples along the true warp, bias and weft."""
     from benchmarks.estimation.bound import depth_information
     from drapenet.inference import estimate_capture
 
@@ -68,7 +68,7 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
 
 
 def bound(names: list[str], fisher: list[np.ndarray], shared: tuple[str, ...]) -> np.ndarray:
-    """(6 + S,) least standard deviations of theta and of S nuisances that the captures share."""
+    """Smallest standard deviations (6 + S,) of theta and of S nuisances shared by the captures."""
     from drapenet.refine.cloth import DRIFT
     from drapenet.refine.refined import specimen_spread
 
@@ -79,29 +79,29 @@ def bound(names: list[str], fisher: list[np.ndarray], shared: tuple[str, ...]) -
     found = joint_covariance(
         [Information(tuple(names), one, 0, True, "") for one in fisher],
         np.linalg.inv(load_prior("gaussian").covariance),
-        own={name: value for name, value in known.items() if name not in shared},
+        separate={name: value for name, value in known.items() if name not in shared},
         shared={name: deviations[name] for name in shared})
     return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in shared)]
 
 
 def correlation(errors: list[np.ndarray]) -> np.ndarray:
-    """(6,) correlation of the errors of two captures of one fabric.
+    """Correlation (6,) of the errors of two captures of one fabric.
 
     Args:
-        errors: of each fabric, (n, 6).
+        errors: (n, 6) of each fabric.
     """
-    pairs = np.concatenate([np.einsum("ik,jk->ijk", own, own)[~np.eye(len(own), dtype=bool)]
-                            for own in errors])
+    pairs = np.concatenate([np.einsum("ik,jk->ijk", one, one)[~np.eye(len(one), dtype=bool)]
+                            for one in errors])
     return pairs.mean(axis=0) / np.square(np.concatenate(errors)).mean(axis=0)
 
 
 def run(config: Config) -> Result:
-    """Estimate all fabrics, and print the table."""
+    """Estimate all fabrics; print the table."""
     settings = {key: config[key] for key in ("rig", "drapes", "refined", "truth_mm", "seed")}
     folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
     results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        folder=folder, workers=config["workers"], sources=ESTIMATOR)
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
     truth = np.array([r["theta"] for r in results.values()])
     arrays = [load_arrays(folder, name) for name in results]
     samples, fisher = ([[own[k] for k in own if k.startswith(kind)] for own in arrays]
@@ -115,22 +115,23 @@ def run(config: Config) -> Result:
         together = [joined([Estimate(s, WARP_WEFT, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
                             for s in samples[k][:count]], [str(i) for i in range(count)]).samples
                     if count > 1 else samples[k][0] for k in chosen]
-        summary[count] = judge(truth[chosen], together)
+        summary[count] = posterior_errors(truth[chosen], together)
         names = results[f"fabric_{chosen[0]}"]["names"]
-        least = [(bound(names, fisher[k][:count], CLOTH), bound(names, fisher[k][:count], CURL))
-                 for k in chosen]
+        least = [[bound(names, fisher[k][:count], shared_nuisances)
+                  for shared_nuisances in (CLOTH_NUISANCES, CURL_NUISANCES)] for k in chosen]
         cloth, curl = (np.sqrt(np.nanmean(np.square(part), axis=0))
                        for part in zip(*least, strict=True))
         summary[count] |= {
             "bound": float(np.sqrt(np.square(cloth[LINEAR]).mean())),
-            "friction": float(cloth[6 + CLOTH.index("friction")]), "curl": float(curl[6:].mean())}
+            "friction": float(cloth[6 + CLOTH_NUISANCES.index("friction")]),
+            "curl": float(curl[6:].mean())}
     print(table(
-        ["captures", "fabrics", "log alpha", "of one capture's", "bound", "of one capture's",
+        ["captures", "fabrics", "log alpha", "relative to one", "bound", "relative to one",
          "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "friction, bound", "curl, bound"],
         [[count, f["fabrics"], f["log_alpha"], f["log_alpha"] / summary[1]["log_alpha"],
           f["bound"], f["bound"] / summary[1]["bound"], f["beta_over_alpha_mm"],
           *f["inside"].values(), f["friction"], f["curl"]] for count, f in summary.items()]))
-    print("bounds of friction and curl in parts of their spread; correlation of the errors of two "
+    print("bounds of friction and curl in units of their spread; correlation of the errors of two "
           f"captures of a fabric: log alpha {shared[LINEAR].mean():.2f}, beta/alpha "
           f"{shared[3:].mean():.2f} (SHARED = {SHARED:g})")
     return Result({"correlation": shared.tolist(), "summary": summary})

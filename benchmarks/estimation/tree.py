@@ -1,8 +1,8 @@
-"""A folder of raw frames estimated by one command that is killed twice.
+"""Estimation of a folder of raw frames by one command, with and without interruptions.
 
-Scans of real fabrics stand in synthetic scenes (:mod:`data.scenes`) and are written as raw
-frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them twice: undisturbed, and killed
-twice on the way; both must end with the same tables.
+Scans of real fabrics are rendered in synthetic scenes (:mod:`data.scenes`) and written as raw
+frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them once without interruption and
+once killed and restarted twice; both must give the same tables.
 """
 
 import csv
@@ -34,9 +34,9 @@ TABLES = ("fabrics.csv", "captures.csv", "failures.csv")
 
 
 def make_tree(scans: list[Path], root: Path, *, sensor: str, seed: int) -> None:
-    """Raw frames of every scan, whole or not there."""
+    """Write raw frames of every scan; existing captures are kept."""
     for path in tqdm(scans, desc="frames", mininterval=10):
-        name = Specimen.of(path.stem)
+        name = Specimen.from_scan_name(path.stem)
         folder = root / f"fabric_{name.fabric}" / f"sample_{name.sample}" / f"{name.capture}"
         if folder.exists():
             continue
@@ -50,11 +50,12 @@ def make_tree(scans: list[Path], root: Path, *, sensor: str, seed: int) -> None:
 
 
 def command(root: Path, out: Path) -> list[str]:
+    """Command line that estimates the captures in ``root``."""
     return [sys.executable, str(ROOT / "infer.py"), f"captures={root}", f"out={out}"]
 
 
 def killed_twice(root: Path, out: Path, count: int) -> list[int]:
-    """Run, kill, run, kill, run; how many captures were finished at each kill."""
+    """Run the command, kill and restart it twice; numbers of finished captures at the kills."""
     finished = []
     for share in KILLS:
         run = subprocess.Popen(command(root, out), start_new_session=True,
@@ -72,7 +73,7 @@ def killed_twice(root: Path, out: Path, count: int) -> list[int]:
 
 
 def run(config: Config) -> Result:
-    """Make the tree, estimate it twice, compare."""
+    """Write the captures, estimate them twice; compare the tables."""
     scans = sorted(Path(config["scans"]).glob("*.npz"))
     if not scans:
         raise InputError(f"{config['scans']} holds no scans (npz)")
@@ -88,8 +89,11 @@ def run(config: Config) -> Result:
     same = {name: (whole / name).read_bytes() == (broken / name).read_bytes() for name in TABLES}
     rows = {name: list(csv.DictReader((whole / name).read_text("utf-8-sig").splitlines()))
             for name in TABLES}
-    alphas = {Specimen.of(f"{row['fabric']}_{row['sample']}_capture_{row['capture']}"): np.log(
-        [float(row[f"{role}_alpha_uN_m"]) for role in ROLES]) for row in rows["captures.csv"]}
+    alphas = {}
+    for row in rows["captures.csv"]:
+        name = f"{row['fabric']}_{row['sample']}_capture_{row['capture']}"
+        alphas[Specimen.from_scan_name(name)] = np.log(
+            [float(row[f"{role}_alpha_uN_m"]) for role in ROLES])
     found = agreement(alphas)
     print(table(["", "ratio of alpha, median", "largest", "pairs"],
                 [[name, one["median"], one["largest"], one["pairs"]]

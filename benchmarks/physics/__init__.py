@@ -1,1 +1,1 @@
-"""The simulator against theory, finer meshes, other simulators and scans of real drapes."""
+"""Validation of the simulator by theory, finer meshes, other simulators and scans of drapes."""

@@ -1,7 +1,7 @@
-"""Share of drapes that converge, their self-intersections, and how deep they enter the cylinder.
+"""Share of drapes that converge, their self-intersections and penetration of the cylinder.
 
-Fabrics of the shipped prior, its soft tail included, each from a sine and from a fold start. The
-plan (fabrics, starts, seeds, off-centre drift) is that of a dataset (:mod:`data.sampling`).
+Fabrics from the bundled prior, including its soft tail, each from a sine and from a fold start.
+Fabrics, starts, seeds and offsets are planned as for a dataset (:mod:`data.sampling`).
 """
 
 from collections import Counter
@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Config, Result, run_cases, table, tick_short_scales
+from benchmarks.common import Config, Result, label_log_axes, run_cases, table
 from data.fabrics import fabric_from_theta
 from data.prior import load_prior
 from data.sampling import SamplingConfig, plan_drape
 from sim.drape import drape
 from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
 
-RESIDUAL = 1e-3  # of a vertex's weight
-STEP = 0.02  # mm
-ENTRY = 0.2  # mm, into the cylinder
-SHARE = 0.99  # of the drapes must reach the criterion
+MAX_RESIDUAL = 1e-3  # relative to the weight of a vertex
+MAX_STEP = 0.02  # mm
+MAX_PENETRATION = 0.2  # mm, penetration of the cylinder
+MIN_SHARE = 0.99  # of the drapes
 
 STARTS = SamplingConfig().starts
 
 
 def one_drape(index: int, seed: int, edge_mm: float) -> dict:
-    """Drape ``index`` of the plan, in people's units."""
+    """Simulate drape ``index`` of the plan."""
     plan = plan_drape(index, config=SamplingConfig(seed=seed), prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
     result = drape(fabric, edge=1e-3 * edge_mm or None, start=plan.start, seed=plan.seed,
@@ -38,11 +38,11 @@ def one_drape(index: int, seed: int, edge_mm: float) -> dict:
         "beta_over_alpha_mm": (1e3 * plan.theta[3:]).tolist(),
         "status": result.status.value,
         "message": result.message,
-        "residual": _number(result.residual),
-        "step_mm": _number(result.step),
+        "residual": _finite(result.residual),
+        "step_mm": _finite(result.step),
         "positive_definite": bool(result.positive_definite),
         "self_intersections": result.self_intersections,
-        "entry_mm": _number(1e3 * deepest_entry(result.positions, result.faces, result.rig)),
+        "entry_mm": _finite(1e3 * deepest_entry(result.positions, result.faces, result.rig)),
         "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
         "folds": fold_count(result.positions, result.rest, result.rig),
         "largest_stretch": maximum_stretch(
@@ -53,22 +53,22 @@ def one_drape(index: int, seed: int, edge_mm: float) -> dict:
     }
 
 
-def _number(value: float) -> float | None:
-    """A float for JSON; None where a failure left no finite one."""
+def _finite(value: float) -> float | None:
+    """``value`` for JSON; None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
 def reaches_criterion(run: dict) -> bool:
-    """Whether a drape is an equilibrium by the criterion, whatever its status says."""
+    """Whether a drape meets the convergence criterion, independent of its status."""
     return bool(
         run["positive_definite"]
-        and run["residual"] is not None and run["residual"] < RESIDUAL
-        and run["step_mm"] is not None and run["step_mm"] < STEP
+        and run["residual"] is not None and run["residual"] < MAX_RESIDUAL
+        and run["step_mm"] is not None and run["step_mm"] < MAX_STEP
     )
 
 
 def summarise(runs: list[dict]) -> dict:
-    """Shares and worst cases of the drapes ``runs``."""
+    """Shares and worst cases over the drapes ``runs``."""
     reached = [run for run in runs if reaches_criterion(run)]
     accepted = [run for run in runs if run["status"] == "converged"]
     return {
@@ -89,7 +89,7 @@ def summarise(runs: list[dict]) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Drape all fabrics, and print the table."""
+    """Simulate all drapes; print the table."""
     drapes = len(STARTS) * config["fabrics"]
     cases = {
         f"{config['seed']}_{config['edge_mm']:g}_{index:04d}": {
@@ -102,8 +102,8 @@ def run(config: Config) -> Result:
     summary = summarise(runs)
     by_start = {start: summarise([r for r in runs if r["start"] == start]) for start in STARTS}
     print(table(
-        ["start", "drapes", "reach the criterion", "accepted", "intersect themselves",
-         "deepest entry, mm", "mean seconds"],
+        ["start", "drapes", "meet the criterion", "accepted", "intersect themselves",
+         "largest penetration, mm", "mean seconds"],
         [[name, s["drapes"], f"{100 * s['share_reached']:.1f} %", s["accepted"],
           s["accepted_that_intersect_themselves"], s["deepest_entry_of_accepted_mm"],
           s["mean_seconds"]] for name, s in [*by_start.items(), ("all", summary)]],
@@ -113,19 +113,20 @@ def run(config: Config) -> Result:
         print(f"fabric {other['fabric']} (alpha {alpha} µN·m), {other['start']}: "
               f"{other['status']}, {other['message']}")
     passed = (
-        summary["share_reached"] >= SHARE
+        summary["share_reached"] >= MIN_SHARE
         and summary["accepted_that_intersect_themselves"] == 0
-        and summary["deepest_entry_of_accepted_mm"] <= ENTRY
+        and summary["deepest_entry_of_accepted_mm"] <= MAX_PENETRATION
     )
     print("criteria met" if passed else "criteria not met")
     return Result({
-        "criterion": {"residual": RESIDUAL, "step_mm": STEP, "entry_mm": ENTRY, "share": SHARE},
+        "criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP, "entry_mm": MAX_PENETRATION,
+                      "share": MIN_SHARE},
         "passed": passed, "all": summary, "by_start": by_start, "drapes": runs,
     }, draw(runs))
 
 
 def draw(runs: list[dict]) -> Figure:
-    """Final residual and Newton steps against the softest modulus."""
+    """Plot final residual and Newton steps against the smallest modulus."""
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     axes = figure.subplots(1, 2)
     for start, marker in zip(STARTS, "o^", strict=True):
@@ -133,8 +134,8 @@ def draw(runs: list[dict]) -> Figure:
         softest = [min(r["alpha_uN_m"]) for r in chosen]
         for axis, key in zip(axes, ("residual", "iterations"), strict=True):
             axis.loglog(softest, [r[key] for r in chosen], marker, ms=4, alpha=0.7, label=start)
-    axes[0].axhline(RESIDUAL, color="grey", lw=0.8)
-    tick_short_scales(*(axis.xaxis for axis in axes), axes[1].yaxis)
+    axes[0].axhline(MAX_RESIDUAL, color="grey", lw=0.8)
+    label_log_axes(*(axis.xaxis for axis in axes), axes[1].yaxis)
     axes[0].set(xlabel="smallest α, µN·m", ylabel="largest force / vertex weight")
     axes[1].set(xlabel="smallest α, µN·m", ylabel="Newton steps, all meshes")
     axes[1].legend(title="start", frameon=False)

@@ -1,9 +1,9 @@
-"""Distance of drapes on the default mesh from those on a fine one, and their cost.
+"""Displacement of drapes on the default mesh from drapes on a fine mesh, and their cost.
 
-The fabrics of :mod:`benchmarks.speed.speed` are draped on their default meshes. The equilibrium
-next to such a drape is found on a mesh with at least four times as many triangles, and next to that
-one on every other mesh, the default one included. All then have the same folds, and the distances
-between them are due to their meshes. The cost is that of a drape from a sine start.
+The fabrics of :mod:`benchmarks.speed.speed` are draped on their default meshes. From each drape the
+equilibrium on a mesh with at least four times as many triangles is found, and from this the
+equilibria on all other meshes, including the default one. All have the same folds, so that their
+displacements are due to the meshes. The cost is that of a drape from a sine start.
 """
 
 import time
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Config, Result, next_to, run_cases, table, tick_short_scales
+from benchmarks.common import Config, Result, equilibrium_near, label_log_axes, run_cases, table
 from benchmarks.comparison import Draped, compare, same_folds
 from benchmarks.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
@@ -21,34 +21,38 @@ from sim.measures import fold_outline
 from sim.mesh.specimens import EDGES, GRADING, TOPOLOGIES, Specimen, make_specimen
 from sim.scene import DISC_RIG, Rig
 
-LIMIT = 0.8  # mm, mean displacement between drapes of one fold configuration
-FINER = 4  # times as many triangles has the fine mesh, at least
+MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds
+MIN_TRIANGLE_RATIO = 4  # number of triangles of the fine mesh over that of the default mesh
 RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG)}
 
 
 def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
-    """How far the drapes of one fabric on several meshes lie from that on a fine one."""
+    """Displacements of the drapes of one fabric on several meshes from that on a fine mesh."""
     fabric = prior_fabrics(index + 1, seed)[index].at_density(REFERENCE_DENSITY)
-    held = RIGS[rig]
-    drape(fabric, rig=held, edge=0.01)  # compiles or loads the kernels, of all meshes
-    own, own_cost = timed_drape(fabric, held, None, index)
-    specimen = fine_specimen(held, own, index % TOPOLOGIES)
-    found = next_to(own.rest, own.positions, specimen, held, fabric, self_contact=True)
+    tester = RIGS[rig]
+    drape(fabric, rig=tester, edge=0.01)  # compiles or loads the kernels of all meshes
+    default, default_cost = timed_drape(fabric, tester, None, index)
+    specimen = fine_specimen(tester, default, index % TOPOLOGIES)
+    found = equilibrium_near(default.rest, default.positions, specimen, tester, fabric,
+                             self_contact=True)
     finest = Shape(specimen, found.state.positions)
-    rows = [distance(own, own.converged, finest, held, "default, as draped", own_cost)]
-    for name, edge in (("default", own.edge), *((f"{mm:g}", 1e-3 * mm) for mm in edges_mm)):
-        there = make_specimen(held, edge=edge, topology=index % TOPOLOGIES)
-        placed = next_to(finest.rest, finest.positions, there, held, fabric, self_contact=True)
-        cost = own_cost if name == "default" else timed_drape(fabric, held, edge, index)[1]
-        rows.append(distance(Shape(there, placed.state.positions), placed.converged, finest, held,
-                             name, cost))
-    return {"rig": rig, "alpha_uN_m": (fabric.alpha / MICRO).tolist(), "edge_mm": 1e3 * own.edge,
-            "triangles": len(own.faces), "fine_triangles": len(finest.faces),
-            "fine_converged": found.converged, "meshes": rows}
+    rows = [difference(default, default.converged, finest, tester, "default, as draped",
+                       default_cost)]
+    for name, edge in (("default", default.edge), *((f"{mm:g}", 1e-3 * mm) for mm in edges_mm)):
+        coarse = make_specimen(tester, edge=edge, topology=index % TOPOLOGIES)
+        placed = equilibrium_near(finest.rest, finest.positions, coarse, tester, fabric,
+                                  self_contact=True)
+        cost = default_cost if name == "default" else timed_drape(fabric, tester, edge, index)[1]
+        rows.append(difference(Shape(coarse, placed.state.positions), placed.converged, finest,
+                               tester, name, cost))
+    return {"rig": rig, "alpha_uN_m": (fabric.alpha / MICRO).tolist(),
+            "edge_mm": 1e3 * default.edge, "triangles": len(default.faces),
+            "fine_triangles": len(finest.faces), "fine_converged": found.converged,
+            "meshes": rows}
 
 
 class Shape:
-    """A specimen at positions (V, 3), m (:class:`benchmarks.comparison.Draped`)."""
+    """A specimen at positions (V, 3), m, as :class:`benchmarks.comparison.Draped`."""
 
     def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
         self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions
@@ -57,29 +61,29 @@ class Shape:
 def timed_drape(
     fabric: Fabric, rig: Rig, edge: float | None, seed: int
 ) -> tuple[DrapeResult, float]:
-    """A drape from a sine start, and its CPU-seconds."""
+    """Simulate a drape from a sine start; return it and its CPU-seconds."""
     began = time.process_time()
     result = drape(fabric, rig=rig, edge=edge, seed=seed)
     return result, time.process_time() - began
 
 
-def fine_specimen(rig: Rig, own: DrapeResult, topology: int) -> Specimen:
-    """A mesh with :data:`FINER` times the triangles of ``own`` or more.
+def fine_specimen(rig: Rig, default: DrapeResult, topology: int) -> Specimen:
+    """Specimen on a mesh with :data:`MIN_TRIANGLE_RATIO` times the triangles of ``default``.
 
-    Its edges are half as long at the rim, and at the hem as short as it takes.
+    Its edges are half as long at the rim; the grading is reduced until the number is reached.
     """
-    edge = max(own.edge / 2, EDGES[0])
+    edge = max(default.edge / 2, EDGES[0])
     for grading in np.linspace(GRADING, 1.0, 9):
         specimen = make_specimen(rig, edge=edge, topology=topology, grading=float(grading))
-        if len(specimen.mesh.faces) >= FINER * len(own.faces):
+        if len(specimen.mesh.faces) >= MIN_TRIANGLE_RATIO * len(default.faces):
             break
     return specimen
 
 
-def distance(
+def difference(
     coarse: Draped, converged: bool, fine: Draped, rig: Rig, mesh: str, cost: float
 ) -> dict:
-    """How far a drape lies from the fine one, in people's units."""
+    """Displacement, mm, and folds of a drape compared with the fine one."""
     outlines = (fold_outline(shape.positions, shape.rest, rig) for shape in (coarse, fine))
     return {"mesh": mesh, "apart_mm": 1e3 * compare(fine, coarse).displacement,
             "same_folds": same_folds(*outlines), "cpu_seconds": round(cost, 3),
@@ -87,7 +91,7 @@ def distance(
 
 
 def summarise(fabrics: list[dict]) -> list[dict]:
-    """A row a mesh, over the fabrics that keep their folds there; costs over all."""
+    """One row per mesh: displacements over converged drapes with the same folds, mean costs."""
     rows = []
     for meshes in zip(*(fabric["meshes"] for fabric in fabrics), strict=True):
         kept = [m["apart_mm"] for m in meshes if m["same_folds"] and m["converged"]]
@@ -99,34 +103,34 @@ def summarise(fabrics: list[dict]) -> list[dict]:
             "mean_mm": float(np.mean(kept)) if kept else None,
             "median_mm": float(np.median(kept)) if kept else None,
             "largest_mm": max(kept, default=None),
-            "within_limit": sum(apart <= LIMIT for apart in kept),
+            "within_limit": sum(apart <= MAX_DISPLACEMENT for apart in kept),
             "mean_cpu_seconds": float(np.mean(costs)),
             "median_cpu_seconds": float(np.median(costs)),
         })
     return rows
 
 
-def picture(fabrics: dict[str, list[dict]]) -> Figure:
-    """Distance from the fine drape against the fabric's softest direction, a colour a mesh."""
+def plot(fabrics: dict[str, list[dict]]) -> Figure:
+    """Plot displacements from the fine drape against the smallest alpha, one colour per mesh."""
     figure = Figure(figsize=(5.2 * len(fabrics), 4.0), layout="constrained")
     axes = figure.subplots(1, len(fabrics), squeeze=False)[0]
-    for axis, (rig, own) in zip(axes, fabrics.items(), strict=True):
-        softest = [min(fabric["alpha_uN_m"]) for fabric in own]
-        meshes = zip(*(fabric["meshes"] for fabric in own), strict=True)
+    for axis, (rig, results) in zip(axes, fabrics.items(), strict=True):
+        softest = [min(fabric["alpha_uN_m"]) for fabric in results]
+        meshes = zip(*(fabric["meshes"] for fabric in results), strict=True)
         for number, rows in enumerate(meshes):
             name = rows[0]["mesh"]
             axis.scatter(softest, [m["apart_mm"] for m in rows], s=18, color=f"C{number}",
                          label=name if name.startswith("default") else f"{name} mm at the rim")
-        axis.axhline(LIMIT, color="0.6", linewidth=0.8)
-        axis.set(xscale="log", yscale="log", xlabel="α of the softest direction, µN·m",
-                 ylabel="from the fine drape, mm (mean)", title=rig)
-        tick_short_scales(axis.xaxis, axis.yaxis)
+        axis.axhline(MAX_DISPLACEMENT, color="0.6", linewidth=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="smallest α, µN·m",
+                 ylabel="mean displacement from the fine drape, mm", title=rig)
+        label_log_axes(axis.xaxis, axis.yaxis)
     axes[0].legend(frameon=False)
     return figure
 
 
 def run(config: Config) -> Result:
-    """Drape and compare, and print the tables."""
+    """Simulate and compare all drapes; print the tables."""
     settings = {k: config[k] for k in ("seed", "edges_mm")}
     counts = dict(zip(RIGS, (config["drapes"], config["discs"]), strict=True))
     cases = {f"{rig}_{i}": {"index": i, "rig": rig, **settings}
@@ -134,13 +138,14 @@ def run(config: Config) -> Result:
     found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"])
     fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
                for rig, count in counts.items() if count}
-    rows = {rig: summarise(own) for rig, own in fabrics.items()}
-    for rig, own in rows.items():
+    rows = {rig: summarise(results) for rig, results in fabrics.items()}
+    for rig, summaries in rows.items():
         print(rig)
         print(table(
-            ["edges at the rim, mm", "same folds", "mean from fine, mm", "median", "largest",
-             f"within {LIMIT:g} mm", "CPU-seconds a drape, mean", "median"],
+            ["edges at the rim, mm", "same folds", "mean displacement, mm", "median", "largest",
+             f"within {MAX_DISPLACEMENT:g} mm", "CPU-seconds per drape, mean", "median"],
             [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
-              r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]] for r in own]))
-    return Result({"limit_mm": LIMIT, "meshes": rows, "fabrics": list(found.values())},
-                  picture(fabrics))
+              r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]]
+             for r in summaries]))
+    return Result({"limit_mm": MAX_DISPLACEMENT, "meshes": rows, "fabrics": list(found.values())},
+                  plot(fabrics))

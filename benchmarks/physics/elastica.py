@@ -1,8 +1,8 @@
-"""Hanging strips against the heavy elastica.
+"""Hanging strips compared with the heavy elastica.
 
-Clamped strips of the default bending law and of the hinge laws on four triangulations: deviation
-of drop over reach (H/W) from the boundary-value solution, order of convergence of the default law,
-and the modulus with which a hinge strip hangs like the physical one.
+Clamped strips of the default bending law and of the hinge laws on four triangulations: deviation of
+drop over reach (H/W) from the boundary-value solution, order of convergence of the default law, and
+the modulus with which a strip of hinges has the physical deflection.
 """
 
 from pathlib import Path
@@ -25,17 +25,17 @@ from sim.newton import Status
 from sim.scene import Scene
 
 LENGTH, WIDTH = 0.09, 0.027  # m
-LIMIT = 0.005  # of the default law's H/W
+MAX_DEVIATION = 0.005  # relative deviation of H/W with the default law
 CELLS = (20, 40, 80, 160)  # along the free length
-CLAMP = 2 * LENGTH / CELLS[0]  # m, the same on all of them
-LEAST_CELLS = ((40.0, 40), (200.0, 80), (np.inf, 160))
-"""Up to which gamma how many cells along the strip are used for the table."""
+CLAMP = 2 * LENGTH / CELLS[0]  # m, equal on all meshes
+TABLE_CELLS = ((40.0, 40), (200.0, 80), (np.inf, 160))
+"""Upper limits of gamma, and cells along the strip in the table up to that limit."""
 RATE_GAMMAS = (1.0, 10.0, 100.0, 1000.0)
 RATE_MEMBRANE = 2000.0
-"""N/m, for the rates: at 200 N/m the weight stretches a strip by up to 0.04 %, which would hide
-the bending law's own error on the finest meshes."""
+"""N/m, for the orders of convergence: at 200 N/m the weight stretches a strip by up to 0.04 %,
+which exceeds the error of the bending law on the finest meshes."""
 EQUIVALENT_PAIRS = ((6e-3, 10.0), (3e-3, 10.0), (1.5e-3, 10.0), (3e-3, 1.0), (3e-3, 100.0))
-"""Edges, m, and gamma of the strips of 90 × 30 mm that equivalent moduli are found for."""
+"""Edges, m, and gamma of the strips of 90 × 30 mm used for equivalent moduli."""
 
 MESHES = {
     "alternating": {"diagonals": "alternating"},
@@ -46,22 +46,22 @@ MESHES = {
 
 
 def make_strip(mesh: str, *, edge: float, width: float, clamp: float) -> tuple[Mesh, np.ndarray]:
-    """A strip of a kind of :data:`MESHES` and its clamped vertices; m, multiples of ``edge``."""
+    """A strip of a kind in :data:`MESHES` and its clamped vertices; m, multiples of ``edge``."""
     return strip(length=LENGTH, width=width, edge=edge, clamp=clamp, **MESHES[mesh])
 
 
 def cells_for(gamma: float) -> int:
-    """Cells along the strip in the table of deviations."""
-    return next(cells for limit, cells in LEAST_CELLS if gamma <= limit)
+    """Number of cells along the strip in the table of deviations."""
+    return next(cells for limit, cells in TABLE_CELLS if gamma <= limit)
 
 
 def hang_series(
     mesh: str, law: str, gammas: list[float], cells: list[int], membrane: float
 ) -> dict:
-    """Deviations of H/W from the elastica, for all ``gammas`` on meshes of rising fineness.
+    """Deviations of H/W from the elastica for all ``gammas`` on successively finer meshes.
 
-    Every strip starts from its shape on the next coarser mesh, the coarsest from the shape of the
-    next smaller gamma. ``cells`` are the finest meshes, one for each gamma.
+    A strip starts from its shape on the next coarser mesh, on the coarsest mesh from the shape of
+    the next smaller gamma. ``cells`` gives the finest mesh of each gamma.
     """
     laws = Laws(bending=law, membrane=Corotational(stiffness=membrane))
     rows, coarse = [], None
@@ -76,7 +76,7 @@ def hang_series(
             if coarse:
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
-                state = scene.state(positions)  # with the clamp's own normals
+                state = scene.state(positions)  # normals of the clamp follow from the positions
             found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
                                      options=TIGHT)
             state = found.state
@@ -95,7 +95,7 @@ def hang_series(
 
 
 def equivalents(mesh: str, law: str, edge: float, gamma: float) -> dict:
-    """The equivalent modulus of a hinge law on strips of 90 × 30 mm."""
+    """Equivalent modulus of a hinge law on a strip of 90 × 30 mm, relative to the physical one."""
     grid, held = make_strip(mesh, edge=edge, width=0.03, clamp=2 * edge)
     found = equivalent_modulus(grid, held, gamma=gamma, laws=Laws(bending=law))
     return {"ratio": found.ratio if found.found else None, "message": found.message}
@@ -107,14 +107,14 @@ def equivalent_case(law: str, mesh: str, edge: float, gamma: float) -> str:
 
 
 def fitted_rate(rows: list[dict]) -> float:
-    """Order of the error's fall over the last three meshes of one gamma."""
+    """Order of convergence fitted to the three finest meshes of one gamma."""
     last = sorted(rows, key=lambda row: row["cells"])[-3:]
     errors = [abs(row["deviation"]) for row in last]
     return float(-np.polyfit(np.log([row["cells"] for row in last]), np.log(errors), 1)[0])
 
 
 def run(config: Config) -> Result:
-    """Hang all strips, and print the tables."""
+    """Simulate all strips; print the tables."""
     unknown = set(config["meshes"]) - set(MESHES)
     if unknown:
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
@@ -151,11 +151,11 @@ def run(config: Config) -> Result:
     largest = _largest(deviations.get("midedge", {}))
     if largest is not None:
         print(f"\nlargest deviation of the default law: {_percent(largest)} % "
-              f"(limit {_percent(LIMIT)} %)")
+              f"(limit {_percent(MAX_DEVIATION)} %)")
     return Result({
         "length_m": LENGTH, "width_m": WIDTH,
         "cells_along": [cells_for(gamma) for gamma in gammas],
-        "passed": largest is not None and largest <= LIMIT,
+        "passed": largest is not None and largest <= MAX_DEVIATION,
         "largest_deviation": largest,
         "deviations": deviations,
         "order": {"gammas": list(RATE_GAMMAS), "membrane_N_m": RATE_MEMBRANE, **order},
@@ -169,10 +169,10 @@ def print_tables(
     gammas: list[float], deviations: dict[str, dict], order: dict[str, list[float]],
     hinges: list[str], moduli: dict[str, dict]
 ) -> None:
-    """Deviations of all laws, the default law's order, and equivalent moduli of hinges."""
+    """Print deviations, orders of convergence of the default law, and equivalent moduli."""
     meshes = list(order)
     for law, by_mesh in deviations.items():
-        print(f"\n{law}: H/W off the elastica, %")
+        print(f"\n{law}: deviation of H/W from the elastica, %")
         print(table(
             ["gamma", "cells along", "elastica H/W", *meshes],
             [[gamma, cells_for(gamma), aspect_ratio(elastica(gamma)[-1]),
@@ -182,14 +182,14 @@ def print_tables(
     print(table(["gamma", *meshes], [[gamma, *[round(order[mesh][k], 2) for mesh in meshes]]
                                      for k, gamma in enumerate(RATE_GAMMAS)]))
     for law in hinges:
-        print(f"\n{law}: equivalent modulus over physical modulus")
+        print(f"\n{law}: equivalent modulus / physical modulus")
         print(table(["edge, mm", "gamma", *meshes], [
             [1e3 * edge, gamma, *[moduli[equivalent_case(law, mesh, edge, gamma)]["ratio"] or "-"
                                   for mesh in meshes]] for edge, gamma in EQUIVALENT_PAIRS]))
 
 
 def _at(rows: list[dict], gamma: float) -> float | None:
-    """Deviation on the mesh that ``gamma`` is tabulated for, None where it did not converge."""
+    """Deviation on the mesh used in the table for ``gamma``, None if it did not converge."""
     row = next(r for r in rows if r["gamma"] == gamma and r["cells"] == cells_for(gamma))
     return row["deviation"] if row["status"] == Status.CONVERGED.value else None
 
@@ -199,13 +199,13 @@ def _percent(value: float | None) -> str:
 
 
 def _largest(by_mesh: dict[str, list]) -> float | None:
-    """Largest absolute deviation, None if a strip did not converge or there is none."""
+    """Largest absolute deviation, None without strips or if one did not converge."""
     values = [value for line in by_mesh.values() for value in line]
     return max(map(abs, values)) if values and None not in values else None
 
 
 def draw(gammas: list[float], deviations: dict) -> Figure:
-    """Strips on the master curve of the elastica, and how far they are off it."""
+    """Plot strips on the master curve of the elastica, and their deviations from it."""
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     fine = np.geomspace(min(gammas) / 4, max(gammas), 200)
@@ -222,7 +222,7 @@ def draw(gammas: list[float], deviations: dict) -> Figure:
     if "hinge_linear" in deviations:
         hinge = strips("hinge_linear")
         left.plot(gammas, hinge, "^", color="C3", ms=5, mfc="none", label="hinges")
-        # A simulator given the number alpha in its own convention has the modulus f alpha here.
+        # In a simulator with another convention, the value alpha is the modulus f alpha here.
         for name, curvature, marker in (("ARCSim", ARCSIM, "s"),
                                         ("discrete shells", DISCRETE_SHELLS, "d")):
             left.plot(np.array(gammas) * curvature, hinge, marker, color="grey", ms=4,
@@ -236,7 +236,7 @@ def draw(gammas: list[float], deviations: dict) -> Figure:
             right.semilogx(gammas, 100 * np.array(values, dtype=float), style, color=f"C{k}",
                            lw=1.5, label=label)
     right.axhline(0, color="k", lw=0.8)
-    right.set(xlabel="Γ", ylabel="H/W off the elastica, %",
+    right.set(xlabel="Γ", ylabel="deviation of H/W, %",
               title="default law —, hinges - -, quadratic ···")
     right.legend(frameon=False, fontsize=8)
     return figure

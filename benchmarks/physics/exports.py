@@ -1,9 +1,9 @@
-"""Strips of exported materials in Newton's Style3D, against the heavy elastica.
+"""Strips of exported materials in Newton's Style3D, compared with the heavy elastica.
 
-Strips along warp, bias and weft hang with the material that :mod:`drapenet.export` writes, of a
-fabric with one modulus and of one with three. Reported is the apparent modulus from drop over
-reach, divided by the fabric's. VBD is left out: with the steps that a strip needs to come to rest
-there (above 4 000 a second) it takes minutes for each second. Needs the extra ``newton``.
+Strips along warp, bias and weft are simulated with the material that :mod:`drapenet.export` writes
+for a fabric with one modulus and for one with three. The result is the apparent modulus from drop
+over reach, relative to that of the fabric. VBD is not tested: it needs more than 4 000 steps per
+second for a strip to come to rest, which takes minutes per second. Needs the extra ``newton``.
 """
 
 import json
@@ -30,11 +30,11 @@ DENSITY = 200.0  # g/m²
 STEP = 1 / 120  # s
 MEMBRANE = 400.0  # N/m
 
-ITERATIONS = 400  # of its linear solver; fewer damp the motion
+ITERATIONS = 400  # of the linear solver; fewer damp the motion
 
 
 def estimate_file(folder: Path, alphas: tuple[float, ...]) -> Path:
-    """An ``estimate.json`` of the fabric, without intervals' width."""
+    """Write an ``estimate.json`` of the fabric with intervals of zero width."""
     def exact(value: float) -> dict:
         return {"median": value, "interval_68": [value] * 2, "interval_90": [value] * 2}
 
@@ -52,11 +52,11 @@ def estimate_file(folder: Path, alphas: tuple[float, ...]) -> Path:
 def hang(
     material: dict, mesh: Mesh, held: np.ndarray, *, angle: float, seconds: float
 ) -> tuple[np.ndarray, float]:
-    """(V, 3) m, where the strip along +x comes to rest, and its greatest speed, m/s, at the end.
+    """Simulate a strip along +x; final positions (V, 3), m, and largest speed, m/s.
 
     Args:
         material: ``MATERIAL`` of the exported module.
-        angle: rad, from the strip's length to the warp.
+        angle: rad, from the direction of the strip to the warp.
     """
     from newton.solvers import SolverStyle3D
 
@@ -65,7 +65,7 @@ def hang(
         density=material["density_kg_m2"], stiffness=material["edge_aniso_ke"], young=MEMBRANE,
         shear=MEMBRANE / 4).finalize()
     solver = SolverStyle3D(model=model, config=SolverStyle3D.Config(iterations=ITERATIONS))
-    solver.collision = None  # nothing to touch
+    solver.collision = None  # there are no obstacles
     now, then, control = model.state(), model.state(), model.control()
     for _ in range(round(seconds / STEP)):
         now.clear_forces()
@@ -75,7 +75,7 @@ def hang(
 
 
 def run(config: Config) -> Result:
-    """Hang all strips, and print the table."""
+    """Simulate all strips; print the table."""
     style3d.require()
     import newton
 

@@ -1,8 +1,8 @@
-"""Strips that are held to cylinders, as endlessly wide ones would be.
+"""Constraints that make a strip bend as a cylinder, like an infinitely wide one.
 
-A strip cut off the yarn directions twists when it bends, and one with a Poisson effect curves
-across. Held to a cylinder it carries the law's torque for the cut's direction. Strips are grids
-whose columns of ``across`` + 1 vertices are numbered one after the other.
+A strip cut at an angle to the yarns twists when it bends, and one with a Poisson effect curves
+across. Constrained to a cylinder it has the torque of the law in its direction. Strips are grids
+whose columns of ``across`` + 1 vertices are numbered consecutively.
 """
 
 from dataclasses import replace
@@ -15,25 +15,25 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
 
-GUIDE = 100.0
-"""Stiffness of the ties in units of alpha/edge²; the rulings are then level to 1e-4."""
+TIE_STIFFNESS = 100.0
+"""Stiffness of the ties in units of alpha/edge²; the rulings are level within 1e-4."""
 
 
 def guided(laws: Laws, across: int) -> Laws:
-    """``laws`` of a strip with ``across`` mesh cells from side to side, held to a cylinder."""
+    """Add the constraint to a cylinder to ``laws``, for a strip with ``across`` mesh cells."""
     ties = (partial(TiedRows, across=across), partial(LevelSides, across=across))
     return replace(laws, others=(*laws.others, *ties))
 
 
 class TiedRows(Energy):
-    """Penalty on differences along x and z between neighbours across a strip."""
+    """Penalty on differences in x and z between neighbours across a strip."""
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, across: int) -> None:
         grid = np.arange(len(mesh.rest)).reshape(-1, across + 1)
         edge = float(np.linalg.norm(mesh.rest[across + 1] - mesh.rest[0]))
         neighbours = np.stack([grid[:, :-1], grid[:, 1:]], axis=-1).reshape(-1, 2)
         self.dofs = np.concatenate([3 * neighbours, 3 * neighbours + 2])
-        self._stiffness = GUIDE * float(fabric.alpha.max()) / edge**2  # N/m of each tie
+        self._stiffness = TIE_STIFFNESS * float(fabric.alpha.max()) / edge**2  # N/m of each tie
 
     def value(self, q: np.ndarray) -> float:
         return 0.5 * self._stiffness * float((self._differences(q) ** 2).sum())
@@ -50,9 +50,9 @@ class TiedRows(Energy):
 
 
 class LevelSides(Energy):
-    """Penalty on the part across the strip, y, of the normals at its sides, which stay level.
+    """Penalty on the component across the strip, y, of the normals at its sides.
 
-    The Hessian leaves out what is proportional to that part itself.
+    The Hessian omits the terms proportional to this component.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, across: int) -> None:
@@ -62,7 +62,7 @@ class LevelSides(Energy):
         coordinates = 3 * len(mesh.rest)
         self.dofs = np.concatenate([ends, coordinates + sides[:, None]], axis=1)
         self._normals = coordinates + 3 * sides[:, None] + np.arange(3)
-        self._stiffness = GUIDE * float(fabric.alpha.max())  # N·m per side edge
+        self._stiffness = TIE_STIFFNESS * float(fabric.alpha.max())  # N·m per side edge
 
     def value(self, q: np.ndarray) -> float:
         return 0.5 * self._stiffness * float((q[self._normals[:, 1]] ** 2).sum())
@@ -75,7 +75,7 @@ class LevelSides(Energy):
         return self._stiffness * rows[:, :, None] * rows[:, None, :]
 
     def _rows(self, q: np.ndarray) -> np.ndarray:
-        """(N, 7) derivatives of the normals' parts across: by both ends, by the rotation."""
+        """Derivatives (N, 7) of the normals' components by both end points and the rotation."""
         normal, edge = q[self._normals], q[self.dofs[:, 3:6]] - q[self.dofs[:, :3]]
         length = np.linalg.norm(edge, axis=1, keepdims=True)
         along = edge / length

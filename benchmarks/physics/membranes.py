@@ -2,13 +2,13 @@
 
 Isotropic fabrics of each alpha:
 
-- *locking*: drapes on coarse and fine meshes, with 200, 400 and 5000 N/m and with 5000 N/m behind
-  the guard (strain free from 99 % to 101 %);
-- *in-plane insensitivity*: how far a drape moves for membranes of 100 to 1000 N/m, and how far
-  for half and twice the alpha, for two laws;
+- *locking*: drapes on coarse and fine meshes, with 200, 400 and 5000 N/m and with 5000 N/m beyond
+  the guard (no stress for stretches of 99 % to 101 %);
+- *in-plane insensitivity*: displacements for membranes of 100 to 1000 N/m, compared with those for
+  half and twice the alpha, for two laws;
 - *scaling*: the same moduli/density at 100, 300 and 900 g/m².
 
-All start from one drape of 200 N/m, so that their folds are the same.
+All start from one drape with 200 N/m, so that they have the same folds.
 """
 
 from dataclasses import asdict, dataclass
@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Config, Result, load_arrays, next_to, run_cases, table
+from benchmarks.common import Config, Result, equilibrium_near, load_arrays, run_cases, table
 from benchmarks.comparison import compare, same_folds
 from data.picture import shade
 from sim.drape import drape
@@ -41,11 +41,11 @@ LOCKING = {
     "5000 N/m, guarded": ("guarded corotational", STIFF),
 }
 DENSITIES = (0.1, 0.3, 0.9)
-LIMIT = 0.01  # mm, between drapes of one modulus/density
+MAX_DIFFERENCE = 0.01  # mm, displacement between drapes with the same modulus/density
 
 
 def membrane(name: str, stiffness: float) -> Membrane:
-    """The membrane called ``name`` with Young's modulus times thickness ``stiffness``, N/m."""
+    """Membrane ``name`` with the product ``stiffness``, N/m, of Young's modulus and thickness."""
     if name == "corotational":
         return Corotational(stiffness, POISSON)
     if name == "guarded corotational":
@@ -53,14 +53,14 @@ def membrane(name: str, stiffness: float) -> Membrane:
     return OrthotropicStVK(stiffness, stiffness, POISSON, stiffness / (2 * (1 + POISSON)))
 
 
-def settle(
+def simulate(
     *, alpha: float, edge_mm: float, law: str, stiffness: float, density: float, seed: int,
     begin: str | None,
 ) -> dict:
-    """The drape of a :class:`Case` from the npz file ``begin``, or from flat if None.
+    """Simulate a :class:`Case` from the drape in the npz file ``begin``, or from flat if None.
 
-    From a file it goes straight to equilibrium at ``density`` (kg/m²), below the door of
-    :func:`sim.drape.drape`, which would first reduce it to the reference density.
+    From a file, the equilibrium at ``density`` (kg/m²) is found directly, without
+    :func:`sim.drape.drape`, which scales fabrics to the reference density.
     """
     rig = Rig()
     fabric = Fabric(np.full(3, alpha * MICRO), density=density)
@@ -71,7 +71,7 @@ def settle(
     else:
         start = load_arrays(Path(begin).parent, Path(begin).stem)
         specimen = make_specimen(rig, edge=1e-3 * edge_mm, topology=seed % TOPOLOGIES)
-        found = next_to(start["rest"], start["positions"], specimen, rig, fabric, laws)
+        found = equilibrium_near(start["rest"], start["positions"], specimen, rig, fabric, laws)
         mesh, steps = specimen.mesh, found.newton.iterations
     positions = found.state.positions
     return {
@@ -84,7 +84,7 @@ def settle(
 
 @dataclass(frozen=True)
 class Case:
-    """A drape: a fabric of ``alpha``, µN·m, at ``density``, kg/m², with a membrane, on a mesh."""
+    """A fabric of ``alpha``, µN·m, at ``density``, kg/m², with a membrane, and mesh edges."""
 
     alpha: float
     edge_mm: float
@@ -94,21 +94,21 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its files."""
         numbers = "_".join(f"{value:g}" for value in (self.stiffness, self.alpha, self.edge_mm,
                                                       self.density))
         return f"{self.law.replace(' ', '-')}_{numbers}"
 
 
 def locking_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]:
-    """By label of LOCKING and edge, mm."""
+    """Cases by label of :data:`LOCKING` and edge, mm."""
     edges = [*config["coarse_mm"], config["fine_mm"]]
     return {(label, edge): Case(alpha, edge, law, stiffness)
             for label, (law, stiffness) in LOCKING.items() for edge in edges}
 
 
 def insensitivity_cases(alpha: float, config: Config) -> dict[tuple[str, str], Case]:
-    """By law and change."""
+    """Cases by membrane law and change."""
     edge = config["edge_mm"]
     return {(law, change): case for law in LAWS for change, case in (
         *((f"{stiffness:g} N/m", Case(alpha, edge, law, stiffness)) for stiffness in STIFFNESSES),
@@ -116,7 +116,7 @@ def insensitivity_cases(alpha: float, config: Config) -> dict[tuple[str, str], C
 
 
 def scaling_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]:
-    """By what happens to the membrane, and density."""
+    """Cases by scaling of the membrane, and density."""
     edge = config["edge_mm"]
     return {(label, density): Case(density / REFERENCE_DENSITY * alpha, edge, stiffness=stiffness,
                                    density=density)
@@ -125,17 +125,17 @@ def scaling_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]
 
 
 class Drapes:
-    """Finished cases: what they report, and the drapes."""
+    """Results and drapes of finished cases."""
 
     def __init__(self, folder: Path, reports: dict[str, dict]) -> None:
         self._folder, self.reports = folder, reports
 
     def drape(self, case: Case) -> SimpleNamespace:
-        """Rest, positions and faces of a case."""
+        """Rest points, positions and faces of a case."""
         return SimpleNamespace(**load_arrays(self._folder, case.name))
 
-    def apart(self, case: Case, other: Case) -> float:
-        """Mean vertex displacement between two cases, mm; NaN if one has not converged."""
+    def displacement(self, case: Case, other: Case) -> float:
+        """Mean displacement between two cases, mm; NaN if one has not converged."""
         if any(self.reports[one.name]["status"] != Status.CONVERGED.value for one in (case, other)):
             return float("nan")
         return 1e3 * compare(self.drape(case), self.drape(other)).displacement
@@ -147,11 +147,12 @@ class Drapes:
         return same_folds(*outlines)
 
 
-def answers(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict]]:
-    """Rows of the three questions for one fabric.
+def comparison_rows(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict]]:
+    """Rows of the three tables for one fabric.
 
-    Of locking: distances from the fine mesh with the same membrane, from 200 N/m on the same mesh
-    and from 5000 N/m on the fine one; else from the case of 200 N/m, or of 300 g/m².
+    Locking has displacements from the fine mesh with the same membrane, from 200 N/m on the same
+    mesh and from 5000 N/m on the fine mesh; insensitivity those from the case of 200 N/m, and
+    scaling those from 300 g/m².
     """
     fine = config["fine_mm"]
     locking, changed, scaled = (cases(alpha, config) for cases in (
@@ -159,25 +160,25 @@ def answers(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict
     return {
         "locking": [{
             "membrane": label, "edge_mm": edge,
-            "from_own_fine_mesh_mm": drapes.apart(case, locking[label, fine]),
-            "from_200_same_mesh_mm": drapes.apart(case, locking["200 N/m", edge]),
-            "from_5000_fine_mesh_mm": drapes.apart(case, locking["5000 N/m", fine]),
+            "from_own_fine_mesh_mm": drapes.displacement(case, locking[label, fine]),
+            "from_200_same_mesh_mm": drapes.displacement(case, locking["200 N/m", edge]),
+            "from_5000_fine_mesh_mm": drapes.displacement(case, locking["5000 N/m", fine]),
             "same_folds": drapes.same_folds(case, locking[label, fine]),
             **drapes.reports[case.name]} for (label, edge), case in locking.items()],
         "insensitivity": [{
             "membrane": law, "change": change,
-            "moved_mm": drapes.apart(case, changed[law, f"{BASE:g} N/m"]),
+            "moved_mm": drapes.displacement(case, changed[law, f"{BASE:g} N/m"]),
             "same_folds": drapes.same_folds(case, changed[law, f"{BASE:g} N/m"]),
             **drapes.reports[case.name]} for (law, change), case in changed.items()],
         "scaling": [{
             "membrane": label, "density_g_m2": 1e3 * density,
-            "apart_mm": drapes.apart(case, scaled[label, REFERENCE_DENSITY]),
+            "apart_mm": drapes.displacement(case, scaled[label, REFERENCE_DENSITY]),
             **drapes.reports[case.name]} for (label, density), case in scaled.items()],
     }
 
 
-def picture(drapes: Drapes, config: Config) -> Figure:
-    """The stiff membrane on the coarsest mesh without and with the guard, and on the fine one."""
+def plot(drapes: Drapes, config: Config) -> Figure:
+    """Show membranes without and with the guard on the coarsest and on the fine mesh."""
     coarse, fine = config["coarse_mm"][0], config["fine_mm"]
     columns = [("5000 N/m", coarse), ("5000 N/m, guarded", coarse), ("200 N/m", coarse),
                ("5000 N/m", fine), ("5000 N/m, guarded", fine), ("200 N/m", fine)]
@@ -195,26 +196,27 @@ def picture(drapes: Drapes, config: Config) -> Figure:
 
 
 def run(config: Config) -> Result:
-    """Drape, answer, and print the tables."""
+    """Simulate all cases; print the tables."""
     folder = Path(config["cases"])
     options = {"folder": folder, "workers": config["workers"]}
     starts = {alpha: Case(alpha, config["start_mm"]) for alpha in config["alpha"]}
-    run_cases(settle, {f"start_{case.name}": {**asdict(case), "seed": config["seed"], "begin": None}
-                       for case in starts.values()}, **options)
-    drapes = Drapes(folder, run_cases(settle, {
+    run_cases(simulate, {
+        f"start_{case.name}": {**asdict(case), "seed": config["seed"], "begin": None}
+        for case in starts.values()}, **options)
+    drapes = Drapes(folder, run_cases(simulate, {
         case.name: {**asdict(case), "seed": config["seed"],
                     "begin": str(folder / f"start_{start.name}.npz")}
         for alpha, start in starts.items()
         for cases in (locking_cases, insensitivity_cases, scaling_cases)
         for case in cases(alpha, config).values()}, **options))
-    found = {alpha: answers(alpha, drapes, config) for alpha in config["alpha"]}
+    found = {alpha: comparison_rows(alpha, drapes, config) for alpha in config["alpha"]}
     for alpha, questions in found.items():
         for question, rows in questions.items():
             print(f"\n{question}, alpha = {alpha:g} µN·m\n")
             print(table(rows[0], [row.values() for row in rows]))
     worst = max(row["apart_mm"] for questions in found.values() for row in questions["scaling"]
                 if row["membrane"] == "scaled too")
-    print(f"\nscaling: largest difference {worst:.1e} mm (limit {LIMIT} mm)")
+    print(f"\nscaling: largest difference {worst:.1e} mm (limit {MAX_DIFFERENCE} mm)")
     return Result({"scaling_worst_mm": worst,
                    "fabrics": {f"{alpha:g}": questions for alpha, questions in found.items()}},
-                  picture(drapes, config))
+                  plot(drapes, config))

@@ -1,11 +1,11 @@
-"""The drapes of :mod:`benchmarks.meshes`: which there are, and how each is made."""
+"""Cases of :mod:`benchmarks.physics.meshes`: their list, and the simulation of each."""
 
 import time
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import load_arrays, next_to
+from benchmarks.common import equilibrium_near, load_arrays
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
@@ -25,34 +25,34 @@ FABRICS = {
     "weft-stiff": (8.0, 16.0, 40.0),
     "bias-soft": (50.0, 14.0, 40.0),
 }
-SOFTENING = -2.5
+BETA_OVER_ALPHA_MM = -2.5
 MESHES = ("graded", "other", "uniform")
-"""A triangulation of the pool, another one, and one with about as many triangles of one size."""
+"""Two graded triangulations, and a mesh with about as many triangles of uniform size."""
 DEFAULT_LAW = "midedge"
 
 
 def common_start(alpha: list[float], edge_mm: float, membrane: float, seed: int) -> dict:
-    """Drape a fabric of moduli ``alpha`` (3,), µN·m, in the usual way."""
+    """Drape a fabric of moduli ``alpha`` (3,), µN·m, as the common start of its cases."""
     laws = Laws(membrane=Corotational(stiffness=membrane))
     result = drape(_fabric(alpha), edge=1e-3 * edge_mm, seed=seed, laws=laws)
-    return _figures(result.mesh, result.positions, result.status, result.seconds)
+    return _results(result.mesh, result.positions, result.status, result.seconds)
 
 
-def one_drape(
+def drape_near(
     alpha: list[float], law: str, mesh: str, edge_mm: float, membrane: float, seed: int, begin: str
 ) -> dict:
-    """The equilibrium on a mesh next to the drape in the npz file ``begin``."""
+    """Find the equilibrium on a mesh, started from the drape in the npz file ``begin``."""
     began = time.perf_counter()
     near = load_arrays(Path(begin).parent, Path(begin).stem)
-    specimen = meshed(mesh, 1e-3 * edge_mm, seed)
-    found = next_to(near["rest"], near["positions"], specimen, Rig(), _fabric(alpha),
-                    Laws(bending=law, membrane=Corotational(stiffness=membrane)))
-    return _figures(specimen.mesh, found.state.positions, found.status,
+    specimen = specimen_on(mesh, 1e-3 * edge_mm, seed)
+    found = equilibrium_near(near["rest"], near["positions"], specimen, Rig(), _fabric(alpha),
+                             Laws(bending=law, membrane=Corotational(stiffness=membrane)))
+    return _results(specimen.mesh, found.state.positions, found.status,
                     time.perf_counter() - began)
 
 
-def meshed(kind: str, edge: float, seed: int) -> Specimen:
-    """The specimen on a mesh of :data:`MESHES`, with edges of ``edge``, m, at the rim."""
+def specimen_on(kind: str, edge: float, seed: int) -> Specimen:
+    """Specimen on a mesh of :data:`MESHES`, with edges of ``edge``, m, at the rim."""
     rig = Rig()
     if kind != "uniform":
         return make_specimen(rig, edge=edge, topology=(seed + (kind == "other")) % TOPOLOGIES)
@@ -64,11 +64,11 @@ def meshed(kind: str, edge: float, seed: int) -> Specimen:
 
 def _fabric(alpha: list[float]) -> Fabric:
     moduli = np.array(alpha) * MICRO
-    return Fabric(moduli, SOFTENING * 1e-3 * moduli)
+    return Fabric(moduli, BETA_OVER_ALPHA_MM * 1e-3 * moduli)
 
 
-def _figures(mesh: Mesh, positions: np.ndarray, status: Status, seconds: float) -> dict:
-    """What is kept of a drape."""
+def _results(mesh: Mesh, positions: np.ndarray, status: Status, seconds: float) -> dict:
+    """Stored results of a drape."""
     return {
         "status": status.value,
         "triangles": len(mesh.faces),
@@ -80,9 +80,9 @@ def _figures(mesh: Mesh, positions: np.ndarray, status: Status, seconds: float) 
 
 
 def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], dict[str, dict]]:
-    """Cases of one fabric by name, in the order in which they need each other.
+    """Cases of one fabric by name, in three groups that depend on the previous ones.
 
-    The common start, the drapes next to it, and the return from the uniform mesh.
+    The common start, the drapes started from it, and the return from the uniform mesh.
     """
     common = {"alpha": list(FABRICS[fabric]), "seed": config["seed"],
               "membrane": config["membrane"]}
@@ -103,18 +103,18 @@ def plan(fabric: str, config: dict) -> tuple[dict[str, dict], dict[str, dict], d
             "begin": str(folder / far),
         }
     }
-    # Another mesh: on the start's mesh the start would simply stay.
+    # On another triangulation, because on that of the cases the start is already the equilibrium.
     own = {**common, "seed": config["seed"] + 2, "edge_mm": config["start_mm"]}
     return {start: own}, drapes, back
 
 
 def laws_for(name: str, config: dict) -> list[str]:
-    """Laws to compare for a fabric: without those that an isotropic fabric does not distinguish."""
+    """Laws to compare; for isotropic fabrics without those that differ only by direction."""
     laws = list(dict.fromkeys([DEFAULT_LAW, *config["laws"]]))
     isotropic = len(set(FABRICS[name])) == 1
     return [law for law in laws if not (isotropic and law.endswith("_edge"))]
 
 
 def case_name(fabric: str, law: str, mesh: str, edge_mm: float) -> str:
-    """Name of a drape's files."""
+    """Name of the files of a case."""
     return f"{fabric}_{law}_{mesh}_{edge_mm:g}"

@@ -1,17 +1,17 @@
 """Influence of the mesh on a drape (paper's Figure 12).
 
-Six fabrics, three of them anisotropic. Chance decides which folds a falling drape develops; so
-each fabric is draped once, and the equilibrium next to that shape is found on every mesh and with
-every law, without coarser meshes before it. Compared are
+Six fabrics, three of them anisotropic. The folds of a drape depend on small perturbations;
+therefore each fabric is draped once, and from this shape the equilibrium on every mesh and with
+every law is found, without coarser meshes before it. The comparisons are
 
-- two of the graded triangulations that drapes are made on, and a mesh of triangles of one size
-  that has about as many of them, for the default law and for hinge laws;
+- two of the default graded triangulations and a mesh with about as many triangles of uniform size,
+  for the default law and for hinge laws;
 - the same for the default law on coarser meshes;
-- a graded mesh with itself, started from the common shape and from the uniform mesh's drape: the
-  remaining distance is between minima that the mesh itself creates.
+- a graded mesh started from the common shape and from the drape on the uniform mesh: this
+  displacement is between minima caused by the mesh.
 
-Two drapes have the same fold configuration when they have as many folds and each lies within a
-quarter of the mean fold distance of its partner (:func:`benchmarks.comparison.same_folds`).
+Two drapes have the same folds when they have as many folds and each is within a quarter of the mean
+fold spacing of the corresponding one (:func:`benchmarks.comparison.same_folds`).
 """
 
 from itertools import combinations, groupby
@@ -25,14 +25,14 @@ from matplotlib.figure import Figure
 from benchmarks.common import Config, Result, load_arrays, run_cases, table
 from benchmarks.comparison import compare, same_folds
 from benchmarks.physics.mesh_cases import (
+    BETA_OVER_ALPHA_MM,
     DEFAULT_LAW,
     FABRICS,
     MESHES,
-    SOFTENING,
     case_name,
     common_start,
+    drape_near,
     laws_for,
-    one_drape,
     plan,
 )
 from common.errors import InputError
@@ -40,21 +40,21 @@ from data.picture import shade
 from sim.measures import fold_outline
 from sim.scene import Rig
 
-LIMIT = 0.7  # mm, mean displacement between drapes of one fold configuration
+MAX_DISPLACEMENT = 0.7  # mm, mean displacement between drapes with the same folds
 
 
-class Finished:
-    """Finished drapes by name, with their shapes."""
+class FinishedDrapes:
+    """Results and shapes of finished drapes by name."""
 
     def __init__(self, folder: Path, results: dict[str, dict]) -> None:
         self.results = results
         self.shapes = {name: SimpleNamespace(**load_arrays(folder, name)) for name in results}
-        # Material circles seen from above, (720, 2) m; each drape is in several pairs.
+        # Computed once, because each drape is in several pairs; (720, 2) m.
         self.outlines = {name: fold_outline(shape.positions, shape.rest, Rig())
                          for name, shape in self.shapes.items()}
 
     def difference(self, one: str, two: str) -> dict:
-        """How far drape ``two`` lies from ``one``, in people's units."""
+        """Differences between the drapes ``one`` and ``two``."""
         found = compare(self.shapes[one], self.shapes[two])
         results = [self.results[name] for name in (one, two)]
         return {
@@ -69,8 +69,8 @@ class Finished:
         }
 
 
-def compare_meshes(finished: Finished, fabric: str, law: str, edge_mm: float) -> list[dict]:
-    """Differences between the three meshes of one fineness."""
+def compare_meshes(finished: FinishedDrapes, fabric: str, law: str, edge_mm: float) -> list[dict]:
+    """Differences between the three meshes of one resolution."""
     rows = []
     for one, two in combinations(MESHES, 2):
         names = [case_name(fabric, law, mesh, edge_mm) for mesh in (one, two)]
@@ -79,8 +79,8 @@ def compare_meshes(finished: Finished, fabric: str, law: str, edge_mm: float) ->
     return rows
 
 
-def compare_returns(finished: Finished, fabrics: list[str], config: dict) -> list[dict]:
-    """Differences between two equilibria on one mesh, reached from two sides."""
+def compare_returns(finished: FinishedDrapes, fabrics: list[str], config: dict) -> list[dict]:
+    """Differences between two equilibria on one mesh with different starts."""
     return [
         {"fabric": fabric,
          **finished.difference(*(case_name(fabric, DEFAULT_LAW, mesh, config["edge_mm"])
@@ -90,7 +90,7 @@ def compare_returns(finished: Finished, fabrics: list[str], config: dict) -> lis
 
 
 def summarise(rows: list[dict]) -> dict[str, dict]:
-    """For each law and pair of meshes: how many keep their folds, and how far apart these are."""
+    """Number of pairs with the same folds, and their displacements, by law and pair of meshes."""
     summary = {}
     for law, meshes in dict.fromkeys((row["law"], tuple(row["meshes"])) for row in rows):
         chosen = [row for row in rows if (row["law"], tuple(row["meshes"])) == (law, meshes)]
@@ -106,17 +106,17 @@ def summarise(rows: list[dict]) -> dict[str, dict]:
 
 
 def run(config: Config) -> Result:
-    """Drape and compare, and print the tables."""
+    """Simulate and compare all drapes; print the tables."""
     folder, fabrics = Path(config["cases"]), config["fabrics"]
     if unknown := set(fabrics) - set(FABRICS):
         raise InputError(f"unknown fabric '{min(unknown)}'; choose from {', '.join(FABRICS)}")
     plans = [plan(fabric, config) for fabric in fabrics]
     results: dict[str, dict] = {}
-    for work, group in zip((common_start, one_drape, one_drape), zip(*plans, strict=True),
+    for work, group in zip((common_start, drape_near, drape_near), zip(*plans, strict=True),
                            strict=True):
         cases = {name: settings for cases in group for name, settings in cases.items()}
         results |= run_cases(work, cases, folder=folder, workers=config["workers"])
-    finished = Finished(folder, results)
+    finished = FinishedDrapes(folder, results)
     of_laws = [(fabric, law, config["edge_mm"])
                for fabric in fabrics for law in laws_for(fabric, config)]
     of_spacings = [(fabric, DEFAULT_LAW, mm)
@@ -133,32 +133,32 @@ def run(config: Config) -> Result:
         [[row["fabric"], row["law"], " – ".join(row["meshes"]), *_cells(row)] for row in meshes],
     ))
     print(f"\n{DEFAULT_LAW}: largest mean displacement between the three meshes, mm; "
-          "in brackets: of different folds\n")
+          "in parentheses if the folds differ\n")
     print(table(["fabric", *(f"{mm:g} mm" for mm in sorted(config["refinement_mm"], reverse=True))],
                 spacing_rows(spacings)))
-    print("\nOne graded mesh, reached from two sides\n")
+    print("\nOne graded mesh, from two starts\n")
     print(table(["fabric", "mean, mm", "largest, mm", "curvature", "folds", "same folds"],
                 [[row["fabric"], *_cells(row)] for row in returns]))
     default = summary[f"{DEFAULT_LAW}, graded – other"]
     print()
     for law, figures in summary.items():
-        print(f"{law}: {figures['same_folds']} of {figures['pairs']} pairs keep their folds"
+        print(f"{law}: {figures['same_folds']} of {figures['pairs']} pairs have the same folds"
               + (f", mean {figures['mean_mm']:.2f} mm, at most {figures['largest_mean_mm']:.2f} mm"
                  if figures["same_folds"] else ""))
     worst = default["largest_mean_mm"]
-    passed = worst is not None and worst < LIMIT
-    print(f"{DEFAULT_LAW}, graded – other: {'below' if passed else 'not below'} {LIMIT} mm "
-          "wherever the folds agree")
+    passed = worst is not None and worst < MAX_DISPLACEMENT
+    print(f"{DEFAULT_LAW}, graded – other: {'below' if passed else 'not below'} "
+          f"{MAX_DISPLACEMENT} mm for all pairs with the same folds")
     return Result({
         "fabrics_alpha_uN_m": {name: FABRICS[name] for name in fabrics},
-        "beta_over_alpha_mm": SOFTENING,
-        "limit_mm": LIMIT, "passed": passed, "summary": summary,
+        "beta_over_alpha_mm": BETA_OVER_ALPHA_MM,
+        "limit_mm": MAX_DISPLACEMENT, "passed": passed, "summary": summary,
         "meshes": meshes, "spacings": spacings, "returns": returns, "drapes": results,
     }, draw(finished, fabrics, config))
 
 
 def spacing_rows(spacings: list[dict]) -> list[list[str]]:
-    """For each fabric, how far apart its drapes on meshes of every resolution lie at most."""
+    """Rows of largest displacements by fabric and resolution; in parentheses if folds differ."""
     rows = []
     for fabric, of_fabric in groupby(spacings, key=itemgetter("fabric")):
         cells = []
@@ -171,15 +171,15 @@ def spacing_rows(spacings: list[dict]) -> list[list[str]]:
 
 
 def _cells(row: dict) -> list[object]:
-    """A difference's figures as a table shows them."""
+    """Table cells of a difference."""
     folds = "–".join(str(n) for n in row["folds"])
     same = ("yes" if row["same_folds"] else "no") + ("" if row["converged"] else ", not converged")
     return [f"{row['mean_mm']:.2f}", f"{row['largest_mm']:.1f}",
             f"{100 * row['curvature']:.1f} %", folds, same]
 
 
-def draw(finished: Finished, fabrics: list[str], config: Config) -> Figure:
-    """The drapes from above, one row a fabric, and their outlines laid together."""
+def draw(finished: FinishedDrapes, fabrics: list[str], config: Config) -> Figure:
+    """Show the drapes from above, one row per fabric, and their outlines."""
     laws = config["laws"][:2]
     columns = [(law, mesh) for law in laws for mesh in MESHES]
     wide = len(columns) + len(laws) + 1

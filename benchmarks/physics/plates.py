@@ -1,6 +1,6 @@
-"""Square plates under a small uniform load, against their series solutions (small deflections).
+"""Square plates under a small uniform load, compared with series solutions.
 
-Isotropic ones have no Poisson effect, as the default law has none.
+Isotropic plates have no Poisson effect, as in the default law.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from sim.scene import GRAVITY, Scene
 SIDE = 0.1  # m
 SMALL_GRAVITY = 1e-3 * GRAVITY
 SOFT_MEMBRANE = 1.0
-"""N/m, under the small gravity: it bears none of the load, and its rounding errors stay small."""
+"""N/m, for the small gravity: the membrane bears no load, and its rounding errors are small."""
 
 CLAMPED = 0.00126532  # centre deflection of a clamped isotropic square plate, times q a⁴/D
 PLATES = {
@@ -25,14 +25,14 @@ PLATES = {
     "supported, orthotropic": ((30e-6, 20e-6, 15e-6), False),
     "clamped, isotropic": ((30e-6, 30e-6, 30e-6), True),
 }
-"""alpha of warp, bias, weft in N·m, and whether the sides are clamped or simply supported."""
+"""alpha in warp, bias and weft, N·m, and whether the sides are clamped (else simply supported)."""
 
 
 def plate(*, kind: str, cells: int) -> dict:
-    """Relative error of the centre's deflection of a square plate of ``cells`` by ``cells``.
+    """Relative error of the deflection at the centre of a plate of ``cells`` by ``cells``.
 
     Raises:
-        InputError: the plate does not settle.
+        InputError: the plate does not converge.
     """
     alpha, clamped = PLATES[kind]
     fabric = Fabric(np.array(alpha))
@@ -41,8 +41,8 @@ def plate(*, kind: str, cells: int) -> dict:
     step = SIDE / cells
     points = grid_points(shape, (SIDE + 2 * ring * step,) * 2, 0.0, np.random.default_rng(0))
     points -= ring * step
-    # With an even number of cells every corner is cut by its cell's diagonal, so that no
-    # triangle is held entirely but those of the ring that clamps.
+    # With an even number of cells the diagonals cut the corners, so that only triangles of the
+    # clamped ring have all vertices held.
     faces = grid_faces(choose_diagonals(shape, "alternating", np.random.default_rng(0)))
     mesh = Mesh(rest=points.reshape(-1, 2), faces=faces)
     inside = ((mesh.rest > 0.5 * step) & (mesh.rest < SIDE - 0.5 * step)).all(axis=1)
@@ -54,7 +54,7 @@ def plate(*, kind: str, cells: int) -> dict:
         options=NewtonOptions(residual=1e-6, step=1e-6),
     )
     if not found.converged:
-        raise InputError(f"the plate '{kind}' does not settle: {found.message}")
+        raise InputError(f"the plate '{kind}' does not converge: {found.message}")
     middle = np.argmin(np.linalg.norm(mesh.rest - SIDE / 2, axis=1))
     load = REFERENCE_DENSITY * SMALL_GRAVITY
     exact = load * SIDE**4 * (CLAMPED / fabric.alpha[0] if clamped else navier(fabric))
@@ -63,7 +63,7 @@ def plate(*, kind: str, cells: int) -> dict:
 
 
 def navier(fabric: Fabric) -> float:
-    """Centre deflection of a simply supported square plate over q a⁴, 1/(N·m)."""
+    """Deflection at the centre of a simply supported square plate, divided by q a⁴, 1/(N·m)."""
     a11, a22, a12, a66 = plate_constants(fabric.alpha)
     m = np.arange(1, 400, 2)[:, None]
     n = m.T

@@ -1,8 +1,8 @@
-"""Simulated drapes with the drape coefficients of scanned real ones.
+"""Simulated drapes with the drape coefficients of scanned real drapes.
 
 For each scan of a real fabric on the disc rig (300 mm disc, 180 mm support), the isotropic linear
-modulus whose drape has the scan's drape coefficient: a logarithmic grid, then bisection between the
-two grid points that enclose it. Densities are unknown, so moduli are those at 300 g/m².
+modulus whose drape has the same drape coefficient is found on a logarithmic grid, then by bisection
+between the two grid points that enclose it. Densities are unknown: moduli are those at 300 g/m².
 """
 
 from itertools import pairwise
@@ -21,9 +21,9 @@ from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_count, fold_outline
 from sim.scene import DISC_RIG, Rig
 
-LIMIT = 2.0  # points of drape coefficient between a scan and its drape
-CLOSE = 0.3  # points at which the bisection stops
-_STEM = 0.3  # in pictures the thin support stands on a stem of this share of its radius
+MAX_DIFFERENCE = 2.0  # points of drape coefficient between a scan and its drape
+TOLERANCE = 0.3  # points, tolerance of the bisection
+_STEM_RADIUS = 0.3  # radius of the stem below the support in figures, relative to the support's
 
 
 def one_drape(alpha: float, edge_mm: float, start: str, seed: int) -> dict:
@@ -43,7 +43,7 @@ def one_drape(alpha: float, edge_mm: float, start: str, seed: int) -> dict:
 
 
 class Search:
-    """Drapes of isotropic moduli, made when asked for and kept in a folder."""
+    """Drapes of isotropic moduli, simulated on request and stored in a folder."""
 
     def __init__(self, config: dict) -> None:
         self._settings = {key: config[key] for key in ("edge_mm", "start", "seed")}
@@ -52,33 +52,33 @@ class Search:
         self.drapes: dict[float, dict] = {}
 
     def drape_all(self, alphas: list[float]) -> None:
-        """Drape the moduli (µN·m) that are not in :attr:`drapes` yet."""
+        """Simulate the moduli (µN·m) that are not in :attr:`drapes`."""
         missing = sorted({a for a in alphas if a not in self.drapes})
         cases = {self.name(a): {"alpha": a, **self._settings} for a in missing}
         found = run_cases(one_drape, cases, folder=self.folder, workers=self._workers)
         self.drapes.update(zip(missing, found.values(), strict=True))
 
     def name(self, alpha: float) -> str:
-        """Name of a drape's files."""
+        """Name of the files of a drape."""
         settings = "_".join(str(value) for value in self._settings.values())
         return f"alpha_{alpha:.5g}_{settings}"
 
     def converged(self) -> dict[float, dict]:
-        """The drapes that are equilibria, by modulus, ascending."""
+        """Converged drapes by modulus, in ascending order."""
         return {a: d for a, d in sorted(self.drapes.items()) if d["status"] == "converged"}
 
     def nearest(self, coefficient: float) -> dict:
-        """The drape whose coefficient is nearest to ``coefficient``, percent."""
+        """Drape with the coefficient nearest to ``coefficient``, percent."""
         drapes = self.converged()
         if not drapes:
-            raise InputError("no drape of the grid converged; try another edge_mm or grid")
+            raise InputError("no drape of the grid converged; change edge_mm or grid")
         return min(drapes.values(), key=lambda d: abs(d["coefficient"] - coefficient))
 
-    def between(self, coefficient: float) -> float | None:
-        """The modulus to try next, half-way (log) between the two that enclose ``coefficient``.
+    def next_modulus(self, coefficient: float) -> float | None:
+        """Next modulus, the geometric mean of two moduli that enclose ``coefficient``, or None.
 
-        Folds come and go between neighbours, so that the coefficient does not grow steadily; the
-        innermost pair is taken, where the two coefficients are nearest. None if no pair is left.
+        The coefficient is not monotonic, because the number of folds changes with the modulus. Of
+        several enclosing pairs, that with the smallest difference of coefficients is bisected.
         """
         drapes = list(self.converged().items())
         pairs = [
@@ -91,12 +91,12 @@ class Search:
 
 
 def rounded(alpha: float) -> float:
-    """``alpha`` with the digits that a case's name shows."""
+    """``alpha`` rounded to the digits in the names of cases."""
     return float(f"{alpha:.5g}")
 
 
 def run(config: Config) -> Result:
-    """Search, and print the table."""
+    """Search the modulus of each scan; print the table."""
     rig = DISC_RIG
     scans = read_scans(Path(config["scans"]), rig)
     if not 0 < config["least"] < config["most"] or config["grid"] < 2:
@@ -109,9 +109,9 @@ def run(config: Config) -> Result:
     search.drape_all([rounded(alpha) for alpha in grid])
     for _ in range(config["rounds"]):
         open_targets = [
-            t for t in targets.values() if abs(search.nearest(t)["coefficient"] - t) > CLOSE
+            t for t in targets.values() if abs(search.nearest(t)["coefficient"] - t) > TOLERANCE
         ]
-        tries = [a for t in open_targets if (a := search.between(t)) is not None]
+        tries = [a for t in open_targets if (a := search.next_modulus(t)) is not None]
         if not tries:
             break
         search.drape_all(tries)
@@ -124,16 +124,17 @@ def run(config: Config) -> Result:
          for row in rows],
     ))
     worst = max(abs(row["difference"]) for row in rows)
-    print(f"largest difference {worst:.2f} points, limit {LIMIT:g}")
+    print(f"largest difference {worst:.2f} points, limit {MAX_DIFFERENCE:g}")
     return Result({
         "rig": rig.name,
-        "limit_points": LIMIT, "passed": bool(worst <= LIMIT), "largest_difference": worst,
+        "limit_points": MAX_DIFFERENCE, "passed": bool(worst <= MAX_DIFFERENCE),
+        "largest_difference": worst,
         "scans": rows, "drapes": list(search.drapes.values()),
     }, draw(scans, rows, search, rig))
 
 
 def match(scan: Scan, coefficient: float, search: Search, rig: Rig) -> dict:
-    """The drape nearest to a scan of that drape coefficient (percent), and what else they share."""
+    """Compare a scan of that drape coefficient (percent) with the nearest drape."""
     nearest = search.nearest(coefficient)
     shape = load_arrays(search.folder, search.name(nearest["alpha_uN_m"]))
     outline = fold_outline(scan.positions, scan.rest, rig)
@@ -152,14 +153,14 @@ def match(scan: Scan, coefficient: float, search: Search, rig: Rig) -> dict:
 
 
 def turned(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points (N, 2) or (N, 3) turned about the vertical axis."""
+    """Rotate points (N, 2) or (N, 3) about the vertical axis."""
     c, s = np.cos(angle), np.sin(angle)
     plane = points[:, :2] @ np.array([[c, s], [-s, c]])
     return np.column_stack([plane, points[:, 2:]])
 
 
 def draw(scans: list[Scan], rows: list[dict], search: Search, rig: Rig) -> Figure:
-    """Every scan, the drape that was found for it, and their outlines from above."""
+    """Show every scan, its simulated drape, and their outlines from above."""
     figure = Figure(figsize=(1.9 * len(scans), 5.6), layout="constrained")
     axes = figure.subplots(3, len(scans), squeeze=False)
     for column, scan, row in zip(axes.T, scans, rows, strict=True):
@@ -169,7 +170,7 @@ def draw(scans: list[Scan], rows: list[dict], search: Search, rig: Rig) -> Figur
         for axis, (positions, faces) in zip(
             column, ((scan.positions, scan.faces), (found, shape["faces"])), strict=False
         ):
-            axis.imshow(shade(positions, faces, plate_radius=_STEM * rig.plate_radius,
+            axis.imshow(shade(positions, faces, plate_radius=_STEM_RADIUS * rig.plate_radius,
                               elevation=45.0, size=(300, 270), field=0.32))
         column[0].set_title(f"{scan.name.replace('_capture_1', '')}\n{row['coefficient']:.1f} %",
                             fontsize=8)

@@ -1,16 +1,16 @@
-"""Derivatives of drapes by the moduli against central differences, and their cost.
+"""Derivatives of drapes with respect to the moduli compared with central differences, and cost.
 
-Fabrics of the shipped prior, draped from a sine start and converged to rounding. The derivative
-dx/dp of all vertices by each of the six moduli (log alpha and beta/alpha of warp, bias, weft) is
-found in three ways:
+Fabrics from the bundled prior are draped from a sine start and converged to rounding. The
+derivative dx/dp of all vertices by each of the six moduli (log alpha and beta/alpha in warp, bias
+and weft) is computed in three ways:
 
-- central differences of two drapes, each followed from the first and converged to rounding, as far
-  apart as differences do not depend on it;
+- central differences of two drapes, continued from the first and converged to rounding, with steps
+  so small that the differences do not depend on them;
 - forward sensitivities, one solve for each modulus;
-- the adjoint, through PyTorch: the derivative of w·x with w along the difference's own direction.
+- the adjoint, by PyTorch: the derivative of w·x with a unit vector w along the central difference.
 
-Compared are norms: |forward - difference|/|difference|, and the adjoint's number with the norm
-that it should be. Costs are CPU-seconds on one core, relative to the drape's.
+Errors are |forward - difference|/|difference|, and the deviation of the adjoint's derivative from
+|difference|, relative. Costs are CPU-seconds on one core, relative to those of the drape.
 """
 
 import time
@@ -29,13 +29,13 @@ from sim.newton import NewtonOptions
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import equilibria, pulled_back
 
-LIMIT = 1e-3  # of the norm of dx/dp
-COST = 0.15  # of the drape
+MAX_ERROR = 1e-3  # relative to the norm of dx/dp
+MAX_COST = 0.15  # relative to the drape
 TIGHT = NewtonOptions(residual=1e-7, step=1e-7)
-STEPS = np.repeat([1e-4, 1e-7], 3)  # of log alpha, and of beta/alpha in m, at most
-SHORTER = 1 / 3  # of a step, the next one, until
-AGREE = LIMIT / 3  # their differences do, relative
-SHORTENED = 4  # at most so often
+FIRST_STEPS = np.repeat([1e-4, 1e-7], 3)  # first steps of log alpha, and of beta/alpha in m
+STEP_FACTOR = 1 / 3  # factor between successive steps
+STEP_TOLERANCE = MAX_ERROR / 3  # relative change of the difference with the last step
+MAX_STEP_REDUCTIONS = 4
 
 
 class Clock:
@@ -50,7 +50,7 @@ class Clock:
 
 
 def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
-    """Derivatives and costs of fabric ``index``."""
+    """Errors and costs of the derivatives of fabric ``index``."""
     theta, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
     fabric = fabric_from_theta(theta)
     drape(fabric, edge=0.01)  # loads the kernels
@@ -71,14 +71,14 @@ def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     seconds["six forward sensitivities"] = clock()
     if not forward.ok:
         return {**result, "status": "no derivative", "message": forward.message}
-    differences, failed = by_differences(start, theta)
+    differences, failed = central_differences(start, theta)
     clock()
-    moduli, parameters = moduli_of(theta)
+    moduli, parameters = moduli_from_theta(theta)
     found = equilibria([start], options=TIGHT, **moduli)
     seconds["equilibrium from nearby, with its factor"] = clock()
-    adjoint = backwards(found.positions[0], parameters, differences)
+    adjoint = adjoint_derivatives(found.positions[0], parameters, differences)
     clock()
-    backwards(found.positions[0], parameters, differences[:1])
+    adjoint_derivatives(found.positions[0], parameters, differences[:1])
     seconds["backward"] = clock()
     pulled_back(Tangent.of(start), fabric, differences[0], membrane=200.0, by_held=False,
                 by_rest=False)
@@ -97,43 +97,41 @@ def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     }
 
 
-def by_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
-    """(6, V, 3) central differences of the drapes next to ``start``, and how many failed.
+def central_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
+    """Central differences (6, V, 3) of drapes continued from ``start``, and number of failures.
 
-    A drape close to losing its stability moves far, and not in proportion, for a small change.
+    Steps are reduced, because a drape that is nearly unstable responds non-linearly.
     """
     failed, rows = 0, []
-    for k, step in enumerate(STEPS):
+    for k, step in enumerate(FIRST_STEPS):
         row = np.inf
-        for power in range(SHORTENED + 1):
+        for power in range(MAX_STEP_REDUCTIONS + 1):
             ends = []
             for sign in (1, -1):
                 moved = theta.copy()
-                moved[k] += sign * step * SHORTER**power
+                moved[k] += sign * step * STEP_FACTOR**power
                 end = follow(start, fabric_from_theta(moved), options=TIGHT)
                 failed += not end.converged
                 ends.append(end.positions)
-            before, row = row, (ends[0] - ends[1]) / (2 * step * SHORTER**power)
-            if np.linalg.norm(row - before) < AGREE * np.linalg.norm(row):
+            before, row = row, (ends[0] - ends[1]) / (2 * step * STEP_FACTOR**power)
+            if np.linalg.norm(row - before) < STEP_TOLERANCE * np.linalg.norm(row):
                 break
         rows.append(row)
     return np.stack(rows), failed
 
 
-def moduli_of(theta: np.ndarray) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-    """Arguments alpha and beta of :func:`equilibria` as functions of theta (1, 6), and that."""
+def moduli_from_theta(theta: np.ndarray) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    """Arguments alpha (N·m) and beta (N·m²) of :func:`equilibria`, and the theta (1, 6) they
+    depend on."""
     parameters = torch.tensor(theta[None], requires_grad=True)
     alpha = parameters[:, :3].exp()
     return {"alpha": alpha, "beta": parameters[:, 3:] * alpha}, parameters
 
 
-def backwards(
+def adjoint_derivatives(
     positions: torch.Tensor, parameters: torch.Tensor, directions: np.ndarray
 ) -> np.ndarray:
-    """(K,) derivatives of unit vectors along the first K ``directions`` times the positions.
-
-    Each by the modulus of the same number.
-    """
+    """Derivatives (K,) of w·x by the k-th modulus, with unit vectors w along K ``directions``."""
     found = []
     for k, direction in enumerate(directions):
         weights = torch.from_numpy(direction / np.linalg.norm(direction))
@@ -143,29 +141,29 @@ def backwards(
 
 
 def summarise(rows: list[dict]) -> dict:
-    """Worst and median figures of the fabrics that have derivatives."""
-    good = [row for row in rows if "forward" in row]
-    ratios = {name: [row["seconds"][name] / row["seconds"]["drape"] for row in good]
-              for name in good[0]["seconds"]} if good else {}
+    """Worst and median errors and costs over the fabrics that have derivatives."""
+    complete = [row for row in rows if "forward" in row]
+    ratios = {name: [row["seconds"][name] / row["seconds"]["drape"] for row in complete]
+              for name in complete[0]["seconds"]} if complete else {}
     summary = {
         "fabrics": len(rows),
-        "with_derivatives": len(good),
-        "worst": {way: max(max(row[way]) for row in good) for way in ("forward", "adjoint")},
-        "median": {way: float(np.median([row[way] for row in good]))
+        "with_derivatives": len(complete),
+        "worst": {way: max(max(row[way]) for row in complete) for way in ("forward", "adjoint")},
+        "median": {way: float(np.median([row[way] for row in complete]))
                    for way in ("forward", "adjoint")},
         "share_of_the_drape": {
             name: {"median": float(np.median(values)), "largest": max(values)}
             for name, values in ratios.items() if name != "drape"
         },
-    } if good else {"fabrics": len(rows), "with_derivatives": 0}
-    summary["passed"] = len(good) == len(rows) and all(
-        worst <= LIMIT for worst in summary["worst"].values()
-    ) and summary["share_of_the_drape"]["backward"]["median"] < COST
+    } if complete else {"fabrics": len(rows), "with_derivatives": 0}
+    summary["passed"] = len(complete) == len(rows) and all(
+        worst <= MAX_ERROR for worst in summary["worst"].values()
+    ) and summary["share_of_the_drape"]["backward"]["median"] < MAX_COST
     return summary
 
 
 def run(config: Config) -> Result:
-    """Compare, and print the table."""
+    """Compare the derivatives of all fabrics; print the table."""
     cases = {
         f"fabric_{config['seed']}_{k}_{config['edge_mm']:g}": {
             "index": k, "seed": config["seed"], "edge_mm": config["edge_mm"]
@@ -187,16 +185,16 @@ def run(config: Config) -> Result:
     if summary["with_derivatives"]:
         worst, cost = summary["worst"], summary["share_of_the_drape"]
         print(f"largest relative difference: forward {worst['forward']:.1e}, adjoint "
-              f"{worst['adjoint']:.1e}, limit {LIMIT:g}")
+              f"{worst['adjoint']:.1e}, limit {MAX_ERROR:g}")
         for name, figures in cost.items():
             print(f"{name}: {100 * figures['median']:.1f} % of the drape's time (median), "
                   f"at most {100 * figures['largest']:.1f} %")
-    return Result({"limit": LIMIT, "cost_limit": COST, **summary, "rows": rows},
+    return Result({"limit": MAX_ERROR, "cost_limit": MAX_COST, **summary, "rows": rows},
                   draw([row for row in rows if "forward" in row]))
 
 
 def draw(rows: list[dict]) -> Figure:
-    """Differences of all fabrics by modulus, and what a backward pass costs."""
+    """Plot the errors by modulus, and the cost of a backward pass against that of the drape."""
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.6, 1])
     for shift, way in ((-0.12, "forward"), (0.12, "adjoint")):
@@ -204,16 +202,16 @@ def draw(rows: list[dict]) -> Figure:
         at = np.arange(6) + shift + np.linspace(-0.06, 0.06, max(len(values), 1))[:, None]
         left.semilogy(at[: len(values)].ravel(), np.maximum(values, 1e-12).ravel(), ".",
                       label=way, ms=4)
-    left.axhline(LIMIT, color="k", lw=0.7, ls="--")
+    left.axhline(MAX_ERROR, color="k", lw=0.7, ls="--")
     left.set_xticks(range(6), [name.replace("log_alpha", "log α").replace("beta_over_alpha", "β/α")
                                .replace("_", "\n") for name in THETA_NAMES], fontsize=7)
-    left.set_title("off the central difference, relative", fontsize=9)
+    left.set_title("relative difference from the central difference", fontsize=9)
     left.legend(fontsize=7, frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.9))
     seconds = np.array([[row["seconds"]["drape"], row["seconds"]["backward"]]
                         for row in rows]).reshape(-1, 2)
     right.plot(seconds[:, 0], seconds[:, 1], ".")
     limits = np.array([0.0, 1.05 * seconds[:, 0].max(initial=1.0)])
-    right.plot(limits, COST * limits, "k--", lw=0.7, label="15 % of the drape")
+    right.plot(limits, MAX_COST * limits, "k--", lw=0.7, label="15 % of the drape")
     right.set_xlim(limits)
     right.set_ylim(0, None)
     right.set_xlabel("drape, CPU-seconds", fontsize=8)

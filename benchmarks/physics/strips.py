@@ -1,10 +1,11 @@
-"""Non-linear and anisotropic strips, and plates, against theory.
+"""Non-linear and anisotropic strips, and plates, compared with theory.
 
-1. Strips with beta < 0 and beta > 0 against the non-linear heavy elastica.
-2. Strips cut at 0 to 90 degrees from anisotropic fabrics: *guided* ones, constrained to cylinders,
-   against the law's k(phi); *free* ones as in a tester; *narrow* free ones under a thousandth of
-   gravity, against the plate's compliance.
-3. Square plates under a small uniform load against series solutions, under refinement.
+1. Strips with beta < 0 and beta > 0, compared with the non-linear heavy elastica.
+2. Strips cut at 0 to 90 degrees from anisotropic fabrics: *guided*, constrained to cylinders,
+   compared with k(phi) of the law; *free*, as in a tester; *narrow* and free under a thousandth of
+   gravity, compared with the plate's compliance.
+3. Square plates under a small uniform load on finer and finer meshes, compared with series
+   solutions.
 """
 
 from pathlib import Path
@@ -28,12 +29,12 @@ from sim.newton import Status
 from sim.scene import GRAVITY
 
 LENGTH, WIDTH = 0.09, 0.03  # m
-NARROW = (0.009, 0.0045)  # m
-"""Widths from which the modulus of an infinitely narrow strip is extrapolated linearly: the clamp
-keeps a strip from twisting over a length of about its width."""
+NARROW_WIDTHS = (0.009, 0.0045)  # m
+"""Widths from which the modulus of an infinitely narrow strip is extrapolated linearly, because
+the clamp prevents twisting over a length of about the width."""
 NARROW_EDGE = 0.0015  # m
 WEIGHT = REFERENCE_DENSITY * GRAVITY
-LARGEST_CURVATURE = 400.0  # 1/m, beyond that of any strip
+MAX_CURVATURE = 400.0  # 1/m, above that of any strip
 GAMMAS = (1.0, 10.0, 50.0, 200.0)
 RATIOS = (-4.0, -2.0, 2.0, 4.0)  # beta/alpha, mm
 ANGLES = (0.0, 22.5, 45.0, 67.5, 90.0)  # degrees
@@ -48,13 +49,13 @@ FABRICS = {
 
 
 def make_fabric(name: str) -> Fabric:
-    """A fabric of :data:`FABRICS`."""
+    """Fabric ``name`` of :data:`FABRICS`."""
     alpha, ratio = (np.array(values) for values in FABRICS[name])
     return Fabric(alpha=alpha * MICRO, beta=1e-3 * ratio * alpha * MICRO)
 
 
-def measured(strip: HungStrip, gravity: float = GRAVITY) -> dict:
-    """H/W of a strip and the modulus, µN·m, of the linear elastica that hangs alike."""
+def strip_modulus(strip: HungStrip, gravity: float = GRAVITY) -> dict:
+    """H/W of a strip, and the modulus, µN·m, of the linear elastica with the same H/W."""
     if strip.result.status is not Status.CONVERGED:
         return {"status": strip.result.status.value}
     ratio = aspect_ratio(strip.curve[-1])
@@ -67,23 +68,23 @@ def measured(strip: HungStrip, gravity: float = GRAVITY) -> dict:
 
 
 def apparent_modulus(ratio: float, gravity: float = GRAVITY) -> float:
-    """alpha, N·m, of the linear fabric whose strip of :data:`LENGTH` has this H/W."""
+    """alpha, N·m, of a linear fabric whose strip of :data:`LENGTH` has this H/W."""
     return REFERENCE_DENSITY * gravity * LENGTH**3 / gamma_of_aspect_ratio(ratio)
 
 
 def edge_for(alpha: float, cells: int) -> float:
-    """Mesh spacing, m, that divides the length and a bending length into ``cells`` or more."""
+    """Mesh edge, m, with at least ``cells`` per bending length and an integer number in all."""
     spacing = min(bending_length(alpha, REFERENCE_DENSITY) / cells, LENGTH / 40)
     return LENGTH / np.ceil(LENGTH / spacing)
 
 
 def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
-    """An isotropic strip of beta/alpha = ``ratio`` mm against its elastica."""
+    """Compare an isotropic strip of beta/alpha = ``ratio`` mm with its elastica."""
     alpha = WEIGHT * LENGTH**3 / gamma
     beta = 1e-3 * ratio * alpha
     edge = edge_for(alpha, cells)
     fabric = Fabric(np.full(3, alpha), np.full(3, beta))
-    result = measured(hang(fabric, length=LENGTH, width=6 * edge, edge=edge))
+    result = strip_modulus(hang(fabric, length=LENGTH, width=6 * edge, edge=edge))
     theory = {
         "elastica": aspect_ratio(heavy_elastica(alpha, beta, weight=WEIGHT, length=LENGTH)[-1]),
         "linear_elastica": aspect_ratio(
@@ -94,7 +95,7 @@ def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
 
 
 def angled(*, fabric: str, angle: float, cells: int) -> dict:
-    """A strip cut at ``angle`` degrees: guided, free, and narrow; moduli in µN·m."""
+    """Moduli, µN·m, of a strip cut at ``angle`` degrees: guided, free and narrow."""
     cloth, radians = make_fabric(fabric), float(np.radians(angle))
     alpha, _ = cylinder_moduli(cloth, radians)
     edge = edge_for(alpha, cells)
@@ -103,7 +104,7 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
         "guided": hang(cloth, **options, width=4 * edge, laws=guided(Laws(), 4)),
         "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
     }
-    curvature = np.linspace(0, LARGEST_CURVATURE, 4001)
+    curvature = np.linspace(0, MAX_CURVATURE, 4001)
     law = tabulated_law(curvature, cylinder_torque(cloth, radians, curvature))
     cylinder = strip_shape(law, weight=WEIGHT, length=LENGTH)
     result: dict = {
@@ -115,8 +116,8 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
         "eq8": float(modulus_along(cloth.alpha, np.array(radians))) / MICRO,
     }
     for name, strip in shapes.items():
-        result[name] = measured(strip)
-    limit = [narrow(cloth, radians, width) for width in NARROW]
+        result[name] = strip_modulus(strip)
+    limit = [narrow(cloth, radians, width) for width in NARROW_WIDTHS]
     result["narrow"] = {"status": limit[0]["status"]}
     if all("modulus" in figures for figures in limit):
         result["narrow"]["modulus"] = 2 * limit[1]["modulus"] - limit[0]["modulus"]
@@ -124,23 +125,23 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
 
 
 def narrow(fabric: Fabric, angle: float, width: float) -> dict:
-    """A free strip under a load so small that it may curve in two directions at once."""
+    """Simulate a free strip under a load so small that it can curve in two directions."""
     strip = hang(
         fabric, angle=angle, length=LENGTH, edge=NARROW_EDGE, width=width, across=4,
         gravity=SMALL_GRAVITY, laws=Laws(membrane=Corotational(SOFT_MEMBRANE)),
     )
-    return measured(strip, SMALL_GRAVITY)
+    return strip_modulus(strip, SMALL_GRAVITY)
 
 
-def work(*, part: str, **settings) -> dict:
-    """One case of one of the three parts."""
+def run_case(*, part: str, **settings) -> dict:
+    """Run a case of one of the three parts."""
     return {"nonlinear": nonlinear, "angled": angled, "plate": plate}[part](**settings)
 
 
 def run(config: Config) -> Result:
-    """Compare strips and plates, and print the tables."""
+    """Compare strips and plates with theory; print the tables."""
     if any(n < 4 or n % 2 for n in config["plates"]):
-        raise InputError("plates need even numbers of cells, at least 4")
+        raise InputError(f"plates={config['plates']} must be even numbers of cells, at least 4")
     cells = config["cells"]
     cases = {
         f"gamma{gamma:g}_ratio{ratio:g}":
@@ -156,7 +157,8 @@ def run(config: Config) -> Result:
         f"{kind.replace(', ', '_')}_{n}": {"part": "plate", "kind": kind, "cells": n}
         for kind in PLATES for n in config["plates"]
     }
-    results = run_cases(work, cases, folder=Path(config["cases"]), workers=config["workers"])
+    results = run_cases(run_case, cases, folder=Path(config["cases"]),
+                        workers=config["workers"])
     parts = {
         part: [r for r, case in zip(results.values(), cases.values(), strict=True)
                if case["part"] == part]
@@ -200,7 +202,7 @@ def fitted_rate(pairs: list[tuple[int, float]]) -> float:
 
 
 def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
-    """k(phi) with its measurements, Eq. 8 against the law, and convergence of the plates."""
+    """Plot k(phi) with measurements, Eq. 8 compared with the law, and convergence of plates."""
     figure = Figure(figsize=(14, 4.6), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     phi = np.linspace(0, 90, 181)
@@ -235,7 +237,7 @@ def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
                 curves.append(([name], style, curve))
     for names, style, curve in curves:
         middle.plot(phi, curve, style, label=f"{', '.join(names)}: {'α' if style == '-' else 'β'}")
-    middle.set(xlabel="φ, degrees from warp", ylabel="Eq. 8 against the law, %",
+    middle.set(xlabel="φ, degrees from warp", ylabel="deviation of Eq. 8 from the law, %",
                title="between the sample directions")
     for kind, pairs in plates.items():
         n, error = np.array(pairs).T

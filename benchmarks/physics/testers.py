@@ -1,9 +1,9 @@
 """Errors of the cantilever estimators on strips of known moduli.
 
-Strips of fabrics of the shipped prior are simulated in warp, bias and weft, and the moduli
+Strips of fabrics from the bundled prior are simulated in warp, bias and weft, and the moduli are
 estimated from their curves. *Guided* strips bend as cylinders, as the estimators assume; their
-curves are read without and with noise. *Free* strips twist and curve across as real ones do; their
-curves are read without and with the simulated correction.
+curves are evaluated without and with noise. *Free* strips twist and curve across like real ones;
+their curves are evaluated without and with the simulated correction.
 """
 
 from pathlib import Path
@@ -26,31 +26,31 @@ from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.scene import GRAVITY
 
-SEED = 3  # of the stream of fabrics
-LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in its bending lengths
-STIFFENING = 1e-3  # m, beta/alpha of the last fabric's weft
+SEED = 3  # of the fabrics
+LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in bending lengths
+STIFFENING = 1e-3  # m, beta/alpha in weft of the last fabric
 ALPHA_LIMIT, BETA_LIMIT = 0.02, 0.10
-LEAST_RATIO = 1e-3  # m: errors of beta are relative to it times alpha where |beta| is smaller
+MIN_RATIO = 1e-3  # m; errors of beta are relative to the larger of |beta| and this times alpha
 
 
 def draw_fabric(index: int, *, stiffening: bool) -> Fabric:
-    """Fabric ``index`` of the prior's fixed stream."""
+    """Fabric ``index`` of a fixed sequence from the prior."""
     theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
     if stiffening:
         theta[5] = STIFFENING
     return fabric_from_theta(theta)
 
 
-def work(
+def run_case(
     *, index: int, stiffening: bool, free: bool, noise: float, repeats: int, cells: int, rounds: int
 ) -> dict:
-    """Readings of one fabric: lists of moduli (alpha µN·m, beta nN·m²) of warp, bias, weft."""
+    """Estimates of one fabric: lists of moduli (alpha µN·m, beta nN·m²) in warp, bias and weft."""
     fabric = draw_fabric(index, stiffening=stiffening)
     lengths = {
         direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
         for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)
     }
-    # The correction simulates on another triangulation than the measured strips have.
+    # Another triangulation than that of the strips simulated by the correction.
     mesh = {"cells": cells, "seed": 100 + index}
     result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
     try:
@@ -58,15 +58,15 @@ def work(
                                  **mesh)
         rng = np.random.default_rng(index)
         for method in METHODS:
-            result[f"guided {method}"] = read(strips, fabric, method)
-        shaken = [shake(strips, 1e-3 * noise, rng) for _ in range(repeats)]
+            result[f"guided {method}"] = estimate_moduli(strips, fabric, method)
+        shaken = [add_noise(strips, 1e-3 * noise, rng) for _ in range(repeats)]
         for method in METHODS:
-            result[f"noisy {method}"] = [read(s, fabric, method) for s in shaken]
+            result[f"noisy {method}"] = [estimate_moduli(s, fabric, method) for s in shaken]
         if free:
             strips = simulate_strips(fabric, lengths, **mesh)
-            result["free regression"] = read(strips, fabric, "regression")
+            result["free regression"] = estimate_moduli(strips, fabric, "regression")
             found = estimate(strips, density=fabric.density, method="table")
-            result["free table"] = rows_of(found)
+            result["free table"] = moduli_rows(found)
             result["free corrected"] = moduli(
                 correct(strips, found, density=fabric.density, rounds=rounds)
             )
@@ -76,10 +76,10 @@ def work(
 
 
 def stable_directions(fabric: Fabric) -> list[bool]:
-    """Whether cylinders bent along warp, bias and weft as far as the strips are minima of the law.
+    """Whether cylinders along warp, bias and weft, of the strips' curvature, are stable.
 
-    Where the law softens much faster along the bias than along the yarns, its tangent stiffness
-    against twist turns negative on a cylinder bent along a yarn. Such a strip does not stay one.
+    If the law softens much faster along the bias than along the yarns, its tangent stiffness in
+    twist is negative on a cylinder bent along a yarn, and such a strip twists.
     """
     law = plate_law.constants(fabric)
     stable = []
@@ -97,22 +97,24 @@ def stable_directions(fabric: Fabric) -> list[bool]:
 
 
 def moduli(fabric: Fabric) -> list[list[float]]:
-    """[[alpha µN·m, beta nN·m²] of warp, bias, weft]."""
+    """[[alpha µN·m, beta nN·m²] in warp, bias and weft]."""
     return np.column_stack([fabric.alpha / MICRO, fabric.beta / NANO]).tolist()
 
 
-def read(strips: Strips, fabric: Fabric, method: str) -> list[list[float]]:
-    """What an estimator reads, as :func:`moduli`."""
-    return rows_of(estimate(strips, density=fabric.density, method=method))
+def estimate_moduli(strips: Strips, fabric: Fabric, method: str) -> list[list[float]]:
+    """Estimates of a method, in the form of :func:`moduli`."""
+    return moduli_rows(estimate(strips, density=fabric.density, method=method))
 
 
-def rows_of(found: dict) -> list[list[float]]:
-    """Estimates by direction as :func:`moduli`."""
+def moduli_rows(found: dict) -> list[list[float]]:
+    """Estimates by direction, in the form of :func:`moduli`."""
     return [[found[d].alpha / MICRO, found[d].beta / NANO] for d in DIRECTIONS]
 
 
-def shake(strips: Strips, sigma: float, rng: np.random.Generator) -> dict[str, list[np.ndarray]]:
-    """Curves whose points, but for the clamp's edge, moved by N(0, sigma) along both axes."""
+def add_noise(
+    strips: Strips, sigma: float, rng: np.random.Generator
+) -> dict[str, list[np.ndarray]]:
+    """Curves with noise N(0, sigma) on both coordinates, except at the edge of the clamp."""
     shaken: dict[str, list[np.ndarray]] = {}
     for direction, curves in strips.items():
         for curve in curves:
@@ -123,13 +125,13 @@ def shake(strips: Strips, sigma: float, rng: np.random.Generator) -> dict[str, l
 
 
 def relative_errors(results: list[dict], kind: str) -> np.ndarray:
-    """(n, 2) errors of alpha and beta, relative, of stable directions, all repeats together."""
+    """Relative errors (n, 2) of alpha and beta in stable directions, over all repeats."""
     errors = []
     for result in results:
         if kind in result:
             true = np.array(result["moduli"])
-            # µN·m times mm are nN·m²
-            least = 1e3 * LEAST_RATIO * true[:, 0]
+            # µN·m times mm is nN·m²
+            least = 1e3 * MIN_RATIO * true[:, 0]
             size = np.column_stack([true[:, 0], np.maximum(np.abs(true[:, 1]), least)])
             error = ((np.array(result[kind]) - true) / size).reshape(-1, 3, 2)
             errors.append(error[:, result["stable"]].reshape(-1, 2))
@@ -137,7 +139,7 @@ def relative_errors(results: list[dict], kind: str) -> np.ndarray:
 
 
 def summarise(errors: np.ndarray) -> dict:
-    """What is said of errors (n, 2), in percent, and the share within the limits."""
+    """Statistics of relative errors (n, 2), in percent, and shares within the limits."""
     flat, signed = 100 * np.abs(errors), 100 * errors
     limits = 100 * np.array([ALPHA_LIMIT, BETA_LIMIT])
     return {
@@ -154,7 +156,7 @@ def summarise(errors: np.ndarray) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Read all strips, and print the errors."""
+    """Estimate all strips; print the errors."""
     count = config["fabrics"]
     shared = {key: config[key] for key in ("noise", "repeats", "cells", "rounds")}
     cases = {
@@ -164,7 +166,7 @@ def run(config: Config) -> Result:
         for i in range(count)
     }
     results = list(
-        run_cases(work, cases, folder=Path(config["cases"]), workers=config["workers"]).values()
+        run_cases(run_case, cases, folder=Path(config["cases"]), workers=config["workers"]).values()
     )
     kinds = [f"{strips} {method}" for strips in ("guided", "noisy") for method in METHODS]
     kinds += ["free regression", "free table", "free corrected"]
@@ -176,14 +178,14 @@ def run(config: Config) -> Result:
                  for key in ("median", "rms", "largest"))]
         for kind, part in summary.items()
     ]
-    head = ["strips, reading", *(f"{m}: {key} %" for m in ("alpha", "beta")
-                                 for key in ("median", "rms", "largest"))]
+    head = ["strips, method", *(f"{m}: {key} %" for m in ("alpha", "beta")
+                                for key in ("median", "rms", "largest"))]
     print(table(head, rows))
     unstable = [
         f"{name} {direction}" for name, result in zip(cases, results, strict=True)
         for direction, stable in zip(DIRECTIONS, result["stable"], strict=True) if not stable
     ]
-    print(f"\nleft out, their cylinders are no minima of the law: {', '.join(unstable) or 'none'}")
+    print(f"\nexcluded, because their cylinders are unstable: {', '.join(unstable) or 'none'}")
     failures = {
         name: result["failure"]
         for name, result in zip(cases, results, strict=True) if "failure" in result
@@ -200,7 +202,7 @@ def run(config: Config) -> Result:
 
 
 def draw(results: list[dict]) -> Figure:
-    """Read against true moduli: guided and noisy strips, and free ones."""
+    """Plot estimated against true moduli for guided, noisy and free strips."""
     figure = Figure(figsize=(12, 7.5), layout="constrained")
     axes = figure.subplots(2, 3)
     panels = (
@@ -214,10 +216,10 @@ def draw(results: list[dict]) -> Figure:
             lowest, highest = np.inf, -np.inf
             for kind, marker in zip(kinds, "ox", strict=True):
                 pairs = [
-                    (true[row], read[row])
+                    (true[row], found[row])
                     for result in results if kind in result
                     for each in np.array(result[kind]).reshape(-1, 3, 2)
-                    for true, read, stable in zip(
+                    for true, found, stable in zip(
                         result["moduli"], each, result["stable"], strict=True
                     ) if stable
                 ]
@@ -235,7 +237,7 @@ def draw(results: list[dict]) -> Figure:
                 axis.set_yscale("symlog", linthresh=10)
             if np.isfinite(lowest):
                 axis.plot([lowest, highest], [lowest, highest], "k-", lw=0.7)
-            axis.set(xlabel=f"true {name}, {unit}", ylabel=f"read {name}, {unit}")
+            axis.set(xlabel=f"true {name}, {unit}", ylabel=f"estimated {name}, {unit}")
             if axis.get_legend_handles_labels()[0]:
                 axis.legend()
     return figure

@@ -1,1 +1,1 @@
-"""Timings of drapes, views and the service."""
+"""Timings of drapes and views, and load tests of the service."""

@@ -1,7 +1,7 @@
-"""Views per second of rasteriser and ray casting, and whether they agree.
+"""Views per second of the rasteriser and of ray casting, and the differences between them.
 
-Four views of each of several drapes of the shipped prior. Timings alternate, several times, and the
-shortest is reported, because other programs may disturb.
+Four views of each of several drapes of fabrics from the bundled prior. The renderers are timed in
+turn, several times, and the shortest times are reported, because other processes may interfere.
 """
 
 import time
@@ -22,16 +22,16 @@ from data.rasterise import camera_points, camera_tensors, rasterise_tensors, ren
 from data.render import VIEWS, DepthRenderer
 from sim.drape import drape
 
-SIZES = ((240, 180), (120, 90))  # the captures', and half of it
+SIZES = ((240, 180), (120, 90))  # pixels; that of captures, and half of it
 SEED = 4
 
 
 @dataclass(frozen=True)
 class Drapes:
-    """Drapes of one mesh, with a camera and four angles each.
+    """Drapes on one mesh, with a camera and four angles each.
 
     Attributes:
-        positions: (N, V, 3) m; faces: (F, 3); angles: (N, 4) rad; cameras: of each drape.
+        positions: (N, V, 3) m; faces: (F, 3); angles: (N, 4) rad; cameras: one per drape.
     """
 
     positions: torch.Tensor
@@ -40,13 +40,13 @@ class Drapes:
     cameras: list[Camera]
 
     def first(self, count: int) -> "Drapes":
-        """``count`` drapes, from the start again when there are fewer."""
+        """``count`` drapes, repeated if there are fewer."""
         index = torch.arange(count) % len(self.positions)
         return Drapes(self.positions[index], self.faces, self.angles[index],
                       [self.cameras[k] for k in index.tolist()])
 
     def settings(self, width: int, height: int, device: str = "cpu") -> dict:
-        """Arguments of :func:`data.rasterise.render_batch` at another picture size."""
+        """Arguments of :func:`data.rasterise.render_batch` at an image size in pixels."""
         cameras = [camera.resized(width, height) for camera in self.cameras]
         intrinsics, poses = camera_tensors(cameras, device=device)
         return {"positions": self.positions.to(device), "faces": self.faces.to(device),
@@ -55,7 +55,7 @@ class Drapes:
 
 
 def make_drapes(count: int, edge: float) -> Drapes:
-    """Drapes of ``count`` fabrics of the prior, edges at the rim of ``edge``, m."""
+    """Drapes of ``count`` fabrics from the prior, with edges of ``edge``, m, at the rim."""
     rng, prior, rig = np.random.default_rng(SEED), load_prior("gaussian"), CameraRig.load()
     results = [drape(fabric_from_theta(sample_admissible(prior, rng)[0]), edge=edge)
                for _ in range(count)]
@@ -65,8 +65,8 @@ def make_drapes(count: int, edge: float) -> Drapes:
                   [rig.sample(rng) for _ in results])
 
 
-def cast(drapes: Drapes, width: int, height: int, threads: int) -> Iterator[Callable]:
-    """One function a drape that casts the rays of its four views; the search tree is built."""
+def ray_casters(drapes: Drapes, width: int, height: int, threads: int) -> Iterator[Callable]:
+    """One function per drape that casts the rays of its four views; builds the search tree."""
     for k, camera in enumerate(drapes.cameras):
         renderer = DepthRenderer(drapes.positions[k].numpy(), drapes.faces.numpy(),
                                  threads=threads)
@@ -75,10 +75,10 @@ def cast(drapes: Drapes, width: int, height: int, threads: int) -> Iterator[Call
 
 
 def agreement(drapes: Drapes, threads: int) -> dict[str, float]:
-    """How the rasteriser's views agree with the ray caster's; depths, mm, off the silhouettes."""
+    """Differences between rasteriser and ray casting; depths, mm, except at silhouettes."""
     width, height = SIZES[0]
     views = render_batch(**drapes.settings(width, height)).numpy()
-    rays = np.array([see() for see in cast(drapes, width, height, threads)])
+    rays = np.array([see() for see in ray_casters(drapes, width, height, threads)])
     cloth, seen = views > 0, rays > 0
     inside = binary_erosion(cloth & seen, np.ones((1, 1, 3, 3), dtype=bool))
     error = 1e3 * np.abs(views - rays.astype(float))[inside]
@@ -89,7 +89,7 @@ def agreement(drapes: Drapes, threads: int) -> dict[str, float]:
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Limit PyTorch's threads, which are the rasteriser's too."""
+    """Limit the threads of PyTorch, which the rasteriser uses."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -98,8 +98,8 @@ def torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def shortest(work: dict[str, Callable], repeats: int) -> dict[str, float]:
-    """Least seconds of each function, called in turn after one call that does not count."""
+def shortest_times(work: dict[str, Callable], repeats: int) -> dict[str, float]:
+    """Shortest time of each function, s, called in turn after a warm-up call."""
     seconds = {name: [] for name in work}
     for turn in range(repeats + 1):
         for name, function in work.items():
@@ -110,13 +110,13 @@ def shortest(work: dict[str, Callable], repeats: int) -> dict[str, float]:
     return {name: min(values) for name, values in seconds.items()}
 
 
-def speed(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, float]:
-    """Views a second of each renderer."""
+def view_rates(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, float]:
+    """Views per second of each renderer at an image size in pixels."""
     part = drapes.first(config["batch"] // VIEWS)
     settings = part.settings(width, height)
     intrinsics = settings["intrinsics"].float()[:, None].expand(-1, VIEWS, -1)
     faces = settings["faces"].expand(len(part.positions), -1, -1)
-    casts = list(cast(part, width, height, config["threads"]))
+    casts = list(ray_casters(part, width, height, config["threads"]))
 
     def tensors() -> None:
         points = camera_points(settings["positions"].float(), settings["angles"],
@@ -126,13 +126,13 @@ def speed(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, fl
     work = {
         "rays": lambda: [views() for views in casts],
         "rays, with building the tree":
-            lambda: [views() for views in cast(part, width, height, config["threads"])],
+            lambda: [views() for views in ray_casters(part, width, height, config["threads"])],
         "rasteriser": lambda: render_batch(**settings),
         "rasteriser, PyTorch only": tensors,
     }
     with torch_threads(config["threads"]):
         rates = {name: len(part.positions) * VIEWS / value
-                 for name, value in shortest(work, config["repeats"]).items()}
+                 for name, value in shortest_times(work, config["repeats"]).items()}
     if config["device"] == "cuda":
         many = drapes.first(config["gpu_batch"] // VIEWS).settings(width, height, "cuda")
 
@@ -140,13 +140,13 @@ def speed(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, fl
             render_batch(**many)
             torch.cuda.synchronize()
 
-        seconds = shortest({"gpu": on_gpu}, config["repeats"])["gpu"]
+        seconds = shortest_times({"gpu": on_gpu}, config["repeats"])["gpu"]
         rates[f"rasteriser, GPU, {config['gpu_batch']} at once"] = config["gpu_batch"] / seconds
     return rates
 
 
 def run(config: Config) -> Result:
-    """Time both renderers, and print the table."""
+    """Time both renderers; print the table."""
     for key, least in (("drapes", 1), ("batch", VIEWS), ("threads", 1), ("repeats", 1),
                        ("gpu_batch", VIEWS)):
         if config[key] < least:
@@ -156,12 +156,12 @@ def run(config: Config) -> Result:
     if config["device"] == "cuda" and not torch.cuda.is_available():
         raise InputError("device=cuda: PyTorch finds no GPU here; time the CPU with device=cpu")
     drapes = make_drapes(config["drapes"], 1e-3 * config["edge_mm"])
-    rates = {f"{w}x{h}": speed(drapes, w, h, config) for w, h in SIZES}
+    rates = {f"{w}x{h}": view_rates(drapes, w, h, config) for w, h in SIZES}
     found = agreement(drapes, config["threads"])
     print(f"{found['silhouette_pixels_that_differ']} of {found['cloth_pixels']} pixels differ, "
           f"depth within {found['largest_mm']:.2g} mm")
     first = next(iter(rates.values()))
-    print(f"views a second, batch of {config['batch']}, {config['threads']} threads")
-    print(table(["picture", *first], [[name, *(round(v) for v in row.values())]
-                                      for name, row in rates.items()]))
+    print(f"views per second, batch of {config['batch']}, {config['threads']} threads")
+    print(table(["image", *first], [[name, *(round(v) for v in row.values())]
+                                    for name, row in rates.items()]))
     return Result({"agreement": {"rasteriser": found}, "views_per_second": rates})

@@ -1,10 +1,9 @@
 """The service under load, after a kill, and with malformed requests.
 
-Starts ``serve.py`` and, in turn: sends many captures at once, each with another density by which
-its result is identified, and again where the queue was full; kills the service while estimates are
-in progress, and starts it again; sends malformed requests, from noise on the socket to damaged
-captures. All answers are checked: results, sentences, seconds, files outside the folder,
-tracebacks in the log.
+Starts ``serve.py``, then: uploads many captures at once, each with another density that identifies
+its result, and repeats uploads that were refused because the queue was full; kills the service
+during estimates and restarts it; sends malformed requests, from random bytes to damaged captures.
+Checked are results, response times, files outside the folder and tracebacks in the log.
 """
 
 import io
@@ -30,9 +29,9 @@ from benchmarks.common import ROOT, Config, Result, table
 from common.errors import InputError
 from drapenet.service.app import EXAMPLE
 
-INTERRUPTED = 8  # uploads before the kill
-LONGEST = 10.0  # s, that an answer to a malformed request may take
-PATIENCE = 20.0  # s, after which an answer counts as none
+UPLOADS_BEFORE_KILL = 8  # uploads before the kill
+MAX_SECONDS = 10.0  # s, longest response time for a malformed request
+TIMEOUT = 20.0  # s, timeout of a request
 FILES = {file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
          if file.suffix in (".png", ".yaml")}
 CLIENT = httpx.Client(limits=httpx.Limits(max_connections=None))
@@ -50,7 +49,7 @@ class Service:
         self.start()
 
     def start(self) -> float:
-        """Start it, and wait until it answers; seconds."""
+        """Start the service and wait until it responds; seconds."""
         began = time.monotonic()
         with self.log.open("a") as log:
             self.process = subprocess.Popen(
@@ -65,47 +64,50 @@ class Service:
                 time.sleep(0.05)
 
     def stop(self, how: int = signal.SIGINT) -> None:
+        """Send the signal ``how`` and wait for the end of the process."""
         self.process.send_signal(how)
         self.process.wait(timeout=60)
 
     @property
     def url(self) -> str:
+        """Base address."""
         return f"http://127.0.0.1:{self.port}"
 
     def memory(self) -> float:
         """GiB of the service and its workers, shared pages counted once."""
-        total, left = 0, [self.process.pid]
-        while left:
-            pid = left.pop()
+        total, remaining = 0, [self.process.pid]
+        while remaining:
+            pid = remaining.pop()
             try:
                 rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
                 total += int(re.search(r"^Pss:\s+(\d+)", rollup, re.MULTILINE)[1])
-                left += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
-            except (OSError, TypeError):  # it has just ended
+                children = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+                remaining += map(int, children.split())
+            except (OSError, TypeError):  # the process has ended
                 continue
         return total / 1024**2
 
 
 def post(service: Service, density: float) -> httpx.Response:
-    """Upload the example as a fabric of ``density``, g/m²."""
+    """Upload the example capture with the density ``density``, g/m²."""
     return CLIENT.post(f"{service.url}/estimates", data={"density_g_m2": f"{density}"}, timeout=60,
                       files=[("files", item) for item in FILES.items()])
 
 
-def state_of(service: Service, identity: str) -> dict:
-    """An estimate, as the service answers."""
+def get_state(service: Service, identity: str) -> dict:
+    """State of an estimate, as returned by the service."""
     return CLIENT.get(f"{service.url}/estimates/{identity}", timeout=30).json()
 
 
-def ended(service: Service, identity: str) -> dict:
-    """An estimate, once it has ended."""
-    while (found := state_of(service, identity))["state"] in ("queued", "running"):
+def wait_until_ended(service: Service, identity: str) -> dict:
+    """Wait for the end of an estimate; its state."""
+    while (found := get_state(service, identity))["state"] in ("queued", "running"):
         time.sleep(0.3)
     return found
 
 
 def many_at_once(service: Service, uploads: int) -> dict:
-    """Upload all at once, those refused again and again; are all answered, each with its own?"""
+    """Upload all captures at once, repeat refused uploads; check that each gets its own result."""
     statuses: Counter[int] = Counter()
     peak, stop = [service.memory()], threading.Event()
 
@@ -121,11 +123,11 @@ def many_at_once(service: Service, uploads: int) -> dict:
             if answer.status_code != 429:
                 break
             time.sleep(1.0)
-        found = ended(service, answer.json()["id"])
+        found = wait_until_ended(service, answer.json()["id"])
         return (found["state"] == "done"
                 and found["estimate"]["capture"]["density_g_m2"] == density)
 
-    ended(service, post(service, 100.0).json()["id"])  # workers are ready
+    wait_until_ended(service, post(service, 100.0).json()["id"])  # starts the workers
     watcher = threading.Thread(target=watch)
     watcher.start()
     began = time.monotonic()
@@ -139,17 +141,17 @@ def many_at_once(service: Service, uploads: int) -> dict:
             "peak_memory_GiB": round(max(peak), 2)}
 
 
-def killed(service: Service) -> dict:
-    """Kill the service with some estimates finished and some not, and start it again."""
-    identities = [post(service, 300.0 + k).json()["id"] for k in range(INTERRUPTED)]
-    ended(service, identities[1])
-    before = {one: state_of(service, one)["state"] for one in identities}
+def restart_after_kill(service: Service) -> dict:
+    """Kill the service while estimates are in progress, restart it and compare the states."""
+    identities = [post(service, 300.0 + k).json()["id"] for k in range(UPLOADS_BEFORE_KILL)]
+    wait_until_ended(service, identities[1])
+    before = {one: get_state(service, one)["state"] for one in identities}
     service.stop(signal.SIGKILL)
     seconds = service.start()
-    after = {one: state_of(service, one) for one in identities}
+    after = {one: get_state(service, one) for one in identities}
     finished = [one for one in identities if before[one] == "done"]
     return {"finished_before": len(finished),
-            "of_them_there": sum(after[one]["state"] == "done" for one in finished),
+            "finished_after": sum(after[one]["state"] == "done" for one in finished),
             "others_interrupted_or_finished": sum(
                 after[one]["state"] in ("interrupted", "done")
                 for one in identities if one not in finished),
@@ -157,17 +159,17 @@ def killed(service: Service) -> dict:
             "seconds_to_start": round(seconds, 2)}
 
 
-# Malformed requests: each sends one and returns the status, 0 where the connection was closed.
+# Malformed requests: each function sends one; returns its status, 0 if the connection was closed.
 
 
-def noise(service: Service, rng: random.Random) -> int:
-    """Bytes that are no HTTP, or the beginning of a request."""
+def random_bytes(service: Service, rng: random.Random) -> int:
+    """Send random bytes or an incomplete or invalid HTTP request."""
     words = [rng.randbytes(rng.randint(1, 3000)), b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ",
              b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5\r\n\r\n",
              b"GET /" + b"a" * 70000 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
              b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n"
              b"Content-Type: multipart/form-data; boundary=x\r\n\r\nzz\r\n"]
-    with socket.create_connection(("127.0.0.1", service.port), timeout=PATIENCE) as connection:
+    with socket.create_connection(("127.0.0.1", service.port), timeout=TIMEOUT) as connection:
         connection.sendall(rng.choice(words))
         try:
             answer = connection.recv(4096)
@@ -177,10 +179,10 @@ def noise(service: Service, rng: random.Random) -> int:
 
 
 def stalled(service: Service, rng: random.Random) -> int:
-    """An upload that stops in the middle."""
+    """Start an upload and stop sending."""
     head = (b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nContent-Length: 90000\r\n"
             b"Content-Type: multipart/form-data; boundary=x\r\n\r\n--x\r\n")
-    with socket.create_connection(("127.0.0.1", service.port), timeout=PATIENCE) as connection:
+    with socket.create_connection(("127.0.0.1", service.port), timeout=TIMEOUT) as connection:
         connection.sendall(head + rng.randbytes(rng.randint(0, 500)))
         try:
             answer = connection.recv(4096)
@@ -189,17 +191,17 @@ def stalled(service: Service, rng: random.Random) -> int:
     return int(answer.split()[1]) if answer.startswith(b"HTTP/") else 0
 
 
-def odd_address(service: Service, rng: random.Random) -> int:
-    """A method and an address that nobody should ask for."""
+def invalid_address(service: Service, rng: random.Random) -> int:
+    """Request an invalid address with a random method."""
     parts = ["..", "%2e%2e", "etc", "passwd", "estimates", "a" * 22, "\u00fc", "%00", "export",
              "jfab", "static", "state.json", "a" * 3000, "%5c..%5c", "openapi.json?x=" + "y" * 500]
     path = "/".join(rng.choices(parts, k=rng.randint(1, 6)))
     method = rng.choice(["GET", "POST", "PUT", "DELETE", "PATCH", "HEAD", "TRACE", "X" * 30])
-    return CLIENT.request(method, f"{service.url}/{path}", timeout=PATIENCE).status_code
+    return CLIENT.request(method, f"{service.url}/{path}", timeout=TIMEOUT).status_code
 
 
-def odd_form(service: Service, rng: random.Random) -> int:
-    """A multipart body that is damaged, cut, or of something else."""
+def invalid_form(service: Service, rng: random.Random) -> int:
+    """Send a multipart body that is damaged, truncated or of another type."""
     body = httpx.Request("POST", service.url, files=[("files", item) for item in FILES.items()])
     data, kind = bytearray(body.read()), body.headers["content-type"]
     what = rng.randrange(5)
@@ -216,12 +218,12 @@ def odd_form(service: Service, rng: random.Random) -> int:
     else:
         data = data.replace(b"filename=", rng.choice([b"filename*=utf-8''%ff", b"file=",
                                                       b"filename=\"\r\n"]))
-    return CLIENT.post(f"{service.url}/estimates", content=bytes(data), timeout=PATIENCE,
+    return CLIENT.post(f"{service.url}/estimates", content=bytes(data), timeout=TIMEOUT,
                       headers={"content-type": kind}).status_code
 
 
-def odd_files(service: Service, rng: random.Random) -> int:
-    """A capture with damaged files, hostile names, or nonsense in its fields."""
+def invalid_files(service: Service, rng: random.Random) -> int:
+    """Upload a capture with damaged files, hostile names or invalid fields."""
     files = dict(FILES)
     name = rng.choice(sorted(files))
     data = bytearray(files.pop(name))
@@ -251,18 +253,18 @@ def odd_files(service: Service, rng: random.Random) -> int:
         for _ in range(rng.randrange(4)):
             packed[rng.randrange(len(packed))] = rng.randrange(256)
         sent = [("files", ("a.zip", bytes(packed)))]
-    answer = CLIENT.post(f"{service.url}/estimates", data=fields, files=sent, timeout=PATIENCE)
+    answer = CLIENT.post(f"{service.url}/estimates", data=fields, files=sent, timeout=TIMEOUT)
     return answer.status_code
 
 
-KINDS: dict[Callable[[Service, random.Random], int], int] = {
-    noise: 6, stalled: 1, odd_address: 5, odd_form: 6, odd_files: 6}
-"""What is sent, and how often of all."""
+REQUESTS: dict[Callable[[Service, random.Random], int], int] = {
+    random_bytes: 6, stalled: 1, invalid_address: 5, invalid_form: 6, invalid_files: 6}
+"""Malformed requests and their relative frequencies."""
 
 
 def malformed(service: Service, count: int, seed: int) -> dict:
-    """Send malformed requests, a few at a time."""
-    weights = list(KINDS.values())
+    """Send malformed requests, eight at a time; check responses, files and log."""
+    weights = list(REQUESTS.values())
     statuses: Counter[str] = Counter()
     longest, hung = 0.0, 0
     before = {path for path in service.folder.rglob("*") if service.results not in path.parents}
@@ -271,7 +273,7 @@ def malformed(service: Service, count: int, seed: int) -> dict:
     def one(k: int) -> None:
         nonlocal longest, hung
         rng = random.Random(seed * 100_003 + k)
-        send, = rng.choices(list(KINDS), weights)
+        send, = rng.choices(list(REQUESTS), weights)
         began = time.monotonic()
         try:
             status = str(send(service, rng) or "closed")
@@ -285,7 +287,7 @@ def malformed(service: Service, count: int, seed: int) -> dict:
         with lock:
             statuses[status] += 1
             longest = max(longest, seconds)
-            hung += seconds > LONGEST
+            hung += seconds > MAX_SECONDS
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(one, range(count)))
@@ -306,16 +308,16 @@ def malformed(service: Service, count: int, seed: int) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Measure, and print the figures."""
-    if config["queue"] < INTERRUPTED:
-        raise InputError(f"queue={config['queue']} must be at least {INTERRUPTED}")
+    """Run the three tests; print their figures."""
+    if config["queue"] < UPLOADS_BEFORE_KILL:
+        raise InputError(f"queue={config['queue']} must be at least {UPLOADS_BEFORE_KILL}")
     report: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
         service = Service(Path(folder), queue=config["queue"], workers=config["workers"])
         try:
             for name, measure in (
                 ("many_at_once", lambda: many_at_once(service, config["uploads"])),
-                ("killed", lambda: killed(service)),
+                ("killed", lambda: restart_after_kill(service)),
                 ("malformed", lambda: malformed(service, config["malformed"], config["seed"])),
             ):
                 report[name] = measure()

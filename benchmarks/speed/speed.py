@@ -1,9 +1,9 @@
 """CPU-seconds of a drape on one core.
 
-Fabrics of the shipped prior, each draped from a sine start: CPU-seconds, Newton steps and shares of
-the time; then one median fabric on finer and finer meshes. References: 19.8 CPU-seconds a drape
+Fabrics from the bundled prior, each draped from a sine start: CPU-seconds, Newton steps and shares
+of the time; then a median fabric on finer and finer meshes. References: 19.8 CPU-seconds per drape
 with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with
-Newton 1.8's Style3D solver.
+the Style3D solver of Newton 1.8.
 """
 
 import benchmarks.one_thread  # noqa: F401
@@ -27,7 +27,7 @@ MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
 
 
 def prior_fabrics(count: int, seed: int) -> list[Fabric]:
-    """Fabrics drawn from the shipped prior."""
+    """Fabrics drawn from the bundled prior."""
     prior = load_prior("gaussian")
     return [
         fabric_from_theta(sample_admissible(prior, stream(seed, Stream.FABRIC, i))[0])
@@ -35,8 +35,8 @@ def prior_fabrics(count: int, seed: int) -> list[Fabric]:
     ]
 
 
-def timed(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
-    """Figures of one drape; ``edge_mm`` 0 for the default."""
+def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
+    """Time one drape; ``edge_mm`` 0 for the default mesh."""
     began = time.process_time()
     result = drape(fabric, edge=1e-3 * edge_mm or None, seed=seed)
     return {
@@ -51,11 +51,11 @@ def timed(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
     }
 
 
-def round_of(fabrics: list[Fabric], edge_mm: float) -> dict:
-    """Drape every fabric, and sum up."""
+def time_drapes(fabrics: list[Fabric], edge_mm: float) -> dict:
+    """Time the drapes of all fabrics; summary and single results."""
     runs = []
     for seed, fabric in enumerate(fabrics):
-        runs.append(timed(fabric, edge_mm=edge_mm, seed=seed))
+        runs.append(time_drape(fabric, edge_mm=edge_mm, seed=seed))
         print(f"  {seed + 1} of {len(fabrics)}: {runs[-1]['cpu_seconds']:.2f} CPU-seconds, "
               f"{runs[-1]['triangles']} triangles, {runs[-1]['status']}", flush=True)
     seconds = np.array([run["cpu_seconds"] for run in runs])
@@ -74,20 +74,21 @@ def round_of(fabrics: list[Fabric], edge_mm: float) -> dict:
 
 
 def peak_memory() -> float:
-    """Largest memory of this process so far, GiB."""
+    """Peak memory of this process, GiB."""
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
 
 
 def run(config: Config) -> Result:
-    """Time all drapes, and print the figures."""
+    """Time all drapes; print the figures."""
     fabrics = prior_fabrics(config["drapes"], config["seed"])
-    drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels, of all meshes
+    drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
     report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1}
-    report["default"] = round_of(fabrics, config["edge_mm"])
+    report["default"] = time_drapes(fabrics, config["edge_mm"])
     if config["fine_mm"]:
-        report["fine"] = round_of(fabrics[: config["fine_drapes"]], config["fine_mm"])
+        report["fine"] = time_drapes(fabrics[: config["fine_drapes"]], config["fine_mm"])
     report["peak_memory_GiB"] = peak_memory()
-    report["growth"] = [timed(MEDIAN, edge_mm=edge, seed=0) for edge in config["growth_mm"] if edge]
+    report["growth"] = [time_drape(MEDIAN, edge_mm=edge, seed=0)
+                        for edge in config["growth_mm"] if edge]
     report["peak_memory_of_growth_GiB"] = peak_memory()
 
     print(table(["edges at the rim, mm", "triangles", "CPU-seconds", "Newton steps", "status"],
@@ -97,11 +98,11 @@ def run(config: Config) -> Result:
         if name in report:
             part = report[name]
             print(f"\n{name}: {part['converged']} of {len(part['runs'])} converged, "
-                  f"{part['mean_newton_steps']:.0f} Newton steps in the mean")
-            print("where the time goes: " + ", ".join(
+                  f"{part['mean_newton_steps']:.0f} Newton steps on average")
+            print("shares of the time: " + ", ".join(
                 f"{k} {100 * v:.0f} %" for k, v in part["share_by_activity"].items()))
-            print(f"median CPU-seconds a drape: {part['median_cpu_seconds']:.2f}")
-            print(f"mean CPU-seconds a drape: {part['mean_cpu_seconds']:.2f}")
+            print(f"median CPU-seconds per drape: {part['median_cpu_seconds']:.2f}")
+            print(f"mean CPU-seconds per drape: {part['mean_cpu_seconds']:.2f}")
     print(f"peak memory: {report['peak_memory_GiB']:.2f} GiB, with the table's finest mesh "
           f"{report['peak_memory_of_growth_GiB']:.2f} GiB")
     return Result(report)

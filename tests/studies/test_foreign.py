@@ -45,7 +45,7 @@ def test_a_drape_registered_to_its_own_mesh_stays_and_to_another_lies_on_it():
 
 def test_without_newton_its_rows_are_left_out_and_the_page_says_so(monkeypatch, capsys):
     monkeypatch.setattr(style3d, "find_spec", lambda _: None)
-    assert style3d.left_out("rows are") and style3d.INSTALL in capsys.readouterr().err
+    assert style3d.missing("rows are") and style3d.INSTALL in capsys.readouterr().err
     with pytest.raises(InputError, match="newton"):
         style3d.require()
     report = json.loads(optimisers.STUDY.report.read_text(encoding="utf-8"))
@@ -68,8 +68,8 @@ def test_the_best_moduli_of_a_search_fit_better_than_its_start():
 @pytest.mark.skipif(not style3d.installed(), reason=f"needs Newton: {style3d.INSTALL}")
 def test_style3d_s_cloth_comes_down_and_stays_out_of_the_cylinder():
     shape = drape(Fabric([80 * MICRO] * 3), edge=4e-3, seed=1)
-    found = style3d.draped(Specimen(shape.mesh, shape.held), shape.positions, shape.rig,
-                           density=0.3, modulus=[20 * MICRO] * 3, seconds=0.5)
+    found = style3d.simulate_drape(Specimen(shape.mesh, shape.held), shape.positions, shape.rig,
+                                   density=0.3, modulus=[20 * MICRO] * 3, seconds=0.5)
     held = shape.positions[shape.held]
     assert np.array_equal(found.positions[shape.held], held.astype(np.float32))
     below = found.positions[:, 2] < -2e-3
