@@ -72,21 +72,21 @@ def main(config: MakeCaptureConfig) -> None:
 
     rng = np.random.default_rng(config.seed)
     direction, background = math.radians(config.warp_direction), None
+    intrinsics = rig.intrinsics  # users know only the nominal ones
     if config.raw:
         scene = raw_scene(result.positions, result.faces, rng, rig=result.rig,
                           turns=whole_turns(VIEWS), sensor=config.sensor)
         views, background, direction = scene.frames, scene.background, scene.orientation
+        intrinsics = scene.camera.intrinsics  # of a camera with another focal length
     else:
         camera = rig.sample(rng)
         drawn = DepthRenderer(result.positions, result.faces)
         views = torch.from_numpy(drawn.views(camera, direction))
-        intrinsics, _ = camera_tensors([camera])
         generator = torch.Generator().manual_seed(config.seed)
-        views = noise(views, intrinsics[0], generator).numpy()
+        views = noise(views, camera_tensors([camera])[0][0], generator).numpy()
     for file in old:
         file.unlink()
-    # Users know only the nominal intrinsics, so these are written.
-    write_capture(out, views=views, intrinsics=rig.intrinsics, density=density,
+    write_capture(out, views=views, intrinsics=intrinsics, density=density,
                   warp_direction=direction, rig=rig.name, background=background)
     truth = {
         "density_g_m2": config.density,
