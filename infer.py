@@ -13,6 +13,7 @@ Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``,
 import common.interrupt  # noqa: F401
 
 # isort: split
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,9 @@ def main(config: InferConfig) -> None:
     for (capture, seen), folder in zip(sources, folders, strict=True):
         # Refinement takes minutes: what ends it must not lose the network's estimate.
         first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
+        if sys.stderr.isatty():
+            print(f"{capture.path}: {len(capture.views)} views; the estimate takes about half a "
+                  "minute", file=sys.stderr, flush=True)
         found.append(estimate_capture(capture, header, seen=seen, first=first, **options))
         show_result(folder, found[-1])
     if len(found) > 1:

@@ -104,10 +104,11 @@ def cut_out(
     if not all(raw):
         return CutOut(frames, seen, frames, plate, None, ())
     if plate is None:
+        median = np.median(frames[seen]) if seen.any() else 0.0
         raise InputError(
             f"no plate of {1e3 * rig.plate_diameter:g} mm diameter with cloth on it was found in "
-            "the frames; check rig, depth_unit_m and intrinsics, or set every pixel that is not "
-            "cloth to 0")
+            f"the frames (median depth {median:.3g} m); check rig, depth_unit_m and intrinsics, or "
+            "set every pixel that is not cloth to 0")
     doubts = [] if plate.table is not None else [
         "no table is seen below the plate; look with python -m data.capture whether only cloth is "
         "cut out"]

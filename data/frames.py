@@ -33,7 +33,7 @@ from data.recordings import ENDINGS, read_recording
 
 BACKGROUND = "background.png"
 RECORDED = "recording"
-DEEP = {"modes": {"I;16", "I"}, "kind": "16-bit grey"}
+SATURATED = 65535  # counts, which cameras write where they measure nothing
 MOST_PIXELS = 64_000_000  # of all frames of one view
 MOST_POINTS = LARGEST_PICTURE[0] * LARGEST_PICTURE[1] // 4
 FARTHEST = 100.0  # m, beyond which depth is in another unit, or of nothing
@@ -93,13 +93,13 @@ def read_frames(
             raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
                              "capture.yaml, of the picture that the intrinsics are of")
         reader = {
-            ".png": lambda file: read_picture(file, **DEEP) * counted,
+            ".png": lambda file: read_counts(file) * counted,
             ".npy": read_array, ".exr": read_exr,
             ".ply": lambda file: read_points(file, intrinsics_of(*size))}[Path(kind).suffix]
         frames = join_views({file: reader(file) for file in numbered(folder, kind)})
     background = None
     if BACKGROUND in names:
-        background = np.minimum(read_picture(folder / BACKGROUND, **DEEP) * counted,
+        background = np.minimum(read_counts(folder / BACKGROUND) * counted,
                                 FARTHEST).astype(np.float32)
         if background.shape != frames.shape[1:]:
             raise InputError(f"{folder / BACKGROUND} has {dimensions(background)} pixels, the "
@@ -115,6 +115,12 @@ def read_frames(
                              f"{dimensions(frames[0])}; give one color picture for each view, of "
                              "the same size (the SDK's color aligned to depth)")
     return Frames(np.minimum(frames, FARTHEST).astype(np.float32), background, intrinsics, color)
+
+
+def read_counts(file: Path) -> np.ndarray:
+    """(H, W) counts of a 16-bit PNG, 0 where saturated."""
+    counts = read_picture(file, modes={"I;16", "I"}, kind="16-bit grey")
+    return np.where(counts >= SATURATED, 0, counts)
 
 
 def _grey(picture: np.ndarray) -> np.ndarray:
@@ -158,7 +164,7 @@ def _median(files: list[Path]) -> np.ndarray:
     """Median (H, W) counts of a view's frames."""
     frames: list[np.ndarray] = []
     for file in files:
-        frames.append(read_picture(file, **DEEP))
+        frames.append(read_counts(file))
         if frames[-1].shape != frames[0].shape:
             raise InputError(f"{file} has {dimensions(frames[-1])} pixels but {files[0].name} has "
                              f"{dimensions(frames[0])}; all must have one size")

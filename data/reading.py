@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from common.documents import require_regular
+from common.documents import require_regular, shown
 from common.errors import InputError, one_line
 
 SMALLEST_PICTURE = (80, 60)
@@ -16,6 +16,9 @@ LARGEST_PICTURE = (4096, 4096)
 LARGEST_FILE = 160 << 20  # bytes, of a picture
 MOST_VIEWS = 8
 MILLIMETRE = 1e-3  # m, per count unless stated
+
+_MODES = {"L": "8-bit grey", "RGB": "8-bit colour", "RGBA": "8-bit colour", "1": "1-bit"}
+"""Pillow's modes, in words."""
 
 
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
@@ -25,8 +28,9 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
         with Image.open(file, formats=["PNG"]) as picture:
             require_size(file, *picture.size)
             if picture.mode not in modes:
-                raise InputError(f"{file} is a picture of the type {picture.mode}; it must be "
-                                 f"{kind}: export it as such")
+                mode = _MODES.get(picture.mode, picture.mode)
+                raise InputError(f"{file} is an {mode} picture; it must be {kind}: export it as "
+                                 "such")
             picture.verify()  # checksums, which reading the pixels does not check
         with Image.open(file, formats=["PNG"]) as picture:
             return np.array(picture)
@@ -44,8 +48,10 @@ def numbered(folder: Path, pattern: str, *, most: int = MOST_VIEWS) -> list[Path
     shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
     found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
     if not found:
-        raise InputError(f"{folder}: {pattern.format(0)} is missing; a capture has one to "
-                         f"{MOST_VIEWS} views, {pattern.format(0)} and so on")
+        others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
+        there = f" (the folder holds {shown(others[0])})" if others else ""
+        raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
+                         f"{MOST_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
     if len(found) > most:
         raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
                          "are read: leave the others out")

@@ -65,6 +65,10 @@ def estimate_tree(
     """
     entries = entries_of(source)
     require_folder(out)
+    earlier = {file.parent.relative_to(out) for file in out.rglob(DONE)}
+    if earlier and earlier.isdisjoint(entry.place for entry in entries):
+        raise InputError(f"{out} has the estimates of other captures, such as {min(earlier)}, "
+                         "whose tables would be replaced; choose another out=")
     chosen = str(read_header(checkpoint).path) if checkpoint else ""
     stamps = {entry.place: stamp_of(entry.path, chosen, options) for entry in entries}
     known = [_failure(out / entry.place, stamps[entry.place]) for entry in entries]

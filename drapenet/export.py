@@ -142,7 +142,8 @@ def _ppf(material: Material, name: str) -> dict[str, bytes]:
     warp, _, weft = (material.modulus * material.ratio / (PPF * material.density)).tolist()
     base = min(warp, weft)
     lines = [f"# {line}" for line in json.dumps(material.about_hinges, indent=1).splitlines()]
-    lines += [f"bend = {base!r}", f"bend-warp = {warp - base!r}", f"bend-weft = {weft - base!r}",
+    lines += ["# bend-warp and bend-weft are added to bend; one of them is 0",
+              f"bend = {base!r}", f"bend-warp = {warp - base!r}", f"bend-weft = {weft - base!r}",
               f"shell_density = {material.density!r}"]
     return {name: ("\n".join(lines) + "\n").encode()}
 
@@ -296,7 +297,7 @@ def main(config: ExportConfig) -> None:
     names, path = targets_named(config.to), Path(config.estimate)
     material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
                              edge=1e-3 * config.edge_mm, name=config.name)
-    if len(names) == 1 and config.out:
+    if len(names) == 1 and config.out and not Path(config.out).is_dir():
         require_file(Path(config.out))
         written = export(material, names[0], Path(config.out))
     else:

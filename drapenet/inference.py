@@ -140,9 +140,10 @@ def estimate_capture(
         if refined:
             doubts += refined.doubts
             before = interval_table(estimate, estimate.density)
-            source["refined"], drape = refined.content | {"before": before}, refined.resimulation
-            if refined.draws:
+            source["refined"] = refined.content | {"before": before}
+            if refined.draws:  # else the network's estimate stands, and is simulated below
                 estimate = make_estimate(refined.draws, capture=capture, header=header)
+                drape = refined.resimulation
     try:
         if drapes and not drape:
             from drapenet.resimulate import EDGE, resimulate

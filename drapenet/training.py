@@ -141,8 +141,10 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
             np.isin(training.fabric, np.unique(training.fabric)[: config.fabrics]))
     if len(training) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{config.data} has {len(training)} captures to train on and "
-                         f"{len(unseen)} to validate with; generate more drapes or lower "
-                         "optim.batch_size")
+                         f"{len(unseen)} to validate with, but needs at least "
+                         f"{config.optim.batch_size} (optim.batch_size) and 1: generate more "
+                         "drapes, lower optim.batch_size or change "
+                         f"validation_fraction={config.validation_fraction:g}")
     known = CaptureSet(training, disc=disc)
     return known, CaptureSet(unseen, disc=disc, scale=known.scale), manifest
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -416,6 +417,20 @@ def test_an_interrupted_refinement_leaves_the_network_its_answer(
     with pytest.raises(KeyboardInterrupt):
         infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     assert "refined" not in json.loads((capture.parent / "out" / "estimate.json").read_text())
+
+
+def test_a_rejected_refinement_is_not_shown_as_the_estimate(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rejected = SimpleNamespace(draws=None, content={
+        "misfit_before": None, "misfit": 20.0, "simulations": 15, "status": "interrupted",
+        "specimen": {}}, doubts=("the network's estimate stands",),
+                               resimulation=SimpleNamespace(as_dict=dict, doubts=["another drape"]))
+    monkeypatch.setattr("drapenet.refine.refined.refined_capture", lambda *_, **__: rejected)
+    infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
+    content = json.loads((capture.parent / "out" / "estimate.json").read_text())
+    assert "resimulation" not in content and "another drape" not in content["warnings"]
+    assert "the network's estimate stands" in content["warnings"]
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")

@@ -82,12 +82,14 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
         def first(content: dict[str, Any]) -> None:
             replace_json(folder / ESTIMATE, content)
-            change_state(folder, stage="refining" if refine else "simulating")
+            change_state(folder, stage="refining" if refine else "simulating",
+                         warnings=content["warnings"])
 
         result = estimate_capture(capture, header_for([capture]), seen=seen, refine=refine,
                                   first=first, progress=_throttled(folder))
         write_result(folder, result)
-        change_state(folder, state=DONE, stage=None, progress=None, ended=time.time())
+        change_state(folder, state=DONE, stage=None, progress=None, ended=time.time(),
+                     warnings=result.content["warnings"])
     except InputError as error:
         sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)
         change_state(folder, state=FAILED, stage=None, progress=None, error=sentence,

@@ -29,6 +29,9 @@ def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) ->
     if dofs.max(initial=-1) >= unknowns:
         raise InputError(f"{name}.dofs: {dofs.max()} is beyond the {unknowns} unknowns")
     gradient = energy.gradient(q)
+    if np.shape(gradient) != dofs.shape:
+        raise InputError(f"{name}.gradient has the shape {np.shape(gradient)}; it must have "
+                         f"that of {name}.dofs, {dofs.shape}")
     full, convex = (np.zeros((*dofs.shape, dofs.shape[1])) if hessian is None else hessian
                     for hessian in (energy.hessian(q), energy.hessian(q, convex=True)))
     for _ in range(DIRECTIONS):

@@ -177,7 +177,7 @@ def test_depths_unlike_all_around_them_are_left_out(folder):
     clean = np.array(Image.open(file))
     spoiled = clean.copy()
     inside = np.argwhere(ndimage.binary_erosion(clean > 0, iterations=3))
-    spoiled[tuple(inside[0])] = 65535  # a hot pixel
+    spoiled[tuple(inside[0])] = 60000  # a hot pixel
     Image.fromarray(spoiled).save(file)
     capture = read_capture(folder)
     assert not capture.warnings
@@ -187,6 +187,14 @@ def test_depths_unlike_all_around_them_are_left_out(folder):
     capture = read_capture(folder)
     assert capture.views.max() < 1.0 and capture.views[capture.views > 0].min() > 0.2
     assert any("differs from all around" in w for w in capture.warnings)
+
+
+def test_saturated_counts_are_no_depth(folder):
+    before = read_capture(folder).views
+    for file in folder.glob("view_*.png"):
+        counts = np.array(Image.open(file))
+        Image.fromarray(np.where(counts == 0, 65535, counts).astype(np.uint16)).save(file)
+    np.testing.assert_array_equal(read_capture(folder).views, before)
 
 
 def test_a_damaged_checksum_is_refused(folder):

@@ -69,6 +69,15 @@ def test_wrong_derivatives_are_named(factors, complaint):
         check(Quartic(MESH, ACTIVE, fabric=FABRIC, **factors), bent_state(), MESH.edges)
 
 
+def test_a_gradient_of_another_shape_is_named():
+    class Short(Quartic):
+        def gradient(self, q):
+            return super().gradient(q)[:-1]
+
+    with pytest.raises(InputError, match=r"Short.gradient has the shape \(\d+, 1\)"):
+        check(Short(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)
+
+
 def test_an_energy_without_dofs_is_named_by_a_drape_and_by_the_check():
     for failing in (lambda: drape(FABRIC, edge=0.02, laws=Laws(others=(Aimless,))),
                     lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)):
