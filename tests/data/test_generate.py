@@ -330,7 +330,7 @@ def test_help_names_every_key(capsys):
                 "dataset=paper\n    # As in Feng",
                 "launcher=slurm\n    # Jobs of a Slurm"):
         assert key in text
-    assert "# of all that is random" in text
+    assert "# of all random numbers" in text
     assert "@package" not in text
 
 
