@@ -12,7 +12,7 @@ from common.ctrl_c import require_interruption
 from common.errors import LONGEST_LIST, InputError, one_line
 from data.cameras import Camera
 from data.captures import Capture
-from data.nuisances import at_density
+from data.nuisances import Nuisances, at_density
 from data.setups import Setups
 from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from drapenet.checkpoint import Header, load_model
@@ -148,8 +148,10 @@ def estimate_capture(
         if drapes and not drape:
             from drapenet.resimulate import EDGE, resimulate
 
+            stated = Nuisances(**at_density(known, capture.density, REFERENCE_DENSITY))
             drape = resimulate(estimate.fabric, capture.views, camera, rig=rig,
-                               edge=edge or EDGE, drapes=drapes, turns=found.turns)
+                               edge=edge or EDGE, drapes=drapes, turns=found.turns,
+                               laws=stated.laws)
             doubts += [] if drape else ["no drape of the estimate converged; the report shows none"]
         if drape:
             source["resimulation"] = drape.as_dict()

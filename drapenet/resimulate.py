@@ -14,6 +14,7 @@ import numpy as np
 from data.cameras import Camera
 from data.render import QUARTERS, DepthRenderer
 from sim.drape import DrapeResult, drape
+from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
 from sim.scene import Rig
@@ -77,6 +78,7 @@ def resimulate(
     edge: float,
     drapes: int,
     turns: Sequence[float],
+    laws: Laws | None = None,
 ) -> Resimulation | None:
     """Drape ``fabric`` as a capture shows it; None if no drape converges.
 
@@ -86,13 +88,14 @@ def resimulate(
         edge: m, at the rim of the specimen's mesh.
         turns: (K,) rad, how far the table had turned in each view.
         drapes: how many to make, at most as many as there are :data:`STARTS`.
+        laws: of cloth of 300 g/m²; None: without friction of bending.
     """
     step = max(1, round(camera.width / FIT_WIDTH))
     captured = views[:, ::step, ::step] > 0
     small = camera.resized(captured.shape[2], captured.shape[1])
     best, statuses = None, []
     for start, seed in STARTS[:drapes]:
-        result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed)
+        result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
         statuses.append(result.status.value)
         if not result.converged:
             continue

@@ -23,6 +23,7 @@ from common.errors import InputError
 from data.cameras import Intrinsics
 from data.captures import captures_in, read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
+from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, is_admissible
 
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
@@ -417,6 +418,23 @@ def test_an_interrupted_refinement_leaves_the_network_its_answer(
     with pytest.raises(KeyboardInterrupt):
         infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     assert "refined" not in json.loads((capture.parent / "out" / "estimate.json").read_text())
+
+
+def test_the_report_drapes_cloth_with_the_stated_friction(
+    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    laws = []
+
+    def recorded(*args: object, **options: object) -> object:
+        laws.append(options["laws"])
+        return drape(*args, **options)
+
+    monkeypatch.setattr("drapenet.resimulate.drape", recorded)
+    density = read_capture(capture).density
+    infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12", "friction_un=40",
+                     "membrane_n_per_m=500"))
+    assert laws[0].bending.torque == pytest.approx(40e-6 * 0.3 / density)
+    assert laws[0].membrane.stiffness == pytest.approx(500 * 0.3 / density)
 
 
 def test_a_rejected_refinement_is_not_shown_as_the_estimate(
