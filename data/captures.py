@@ -453,7 +453,7 @@ def _turns(degrees: list[float] | None, file: Path, count: int) -> np.ndarray:
         return whole_turns(count)
     if len(degrees) != count:
         raise InputError(f"{file}: turns_deg={shown(degrees)}: give one angle for each of the "
-                         f"{count} views, such as [0, 90, 180, 270]")
+                         f"{count} views, such as {[0, 90, 180, 270][:count]}")
     if 0 < (largest := max(map(abs, degrees))) <= LEAST_TURN:
         raise InputError(f"{file}: turns_deg={shown(degrees)} reach only {largest:.3g}° (a whole "
                          "turn in radians is 6.28); give degrees, of views from several sides")
