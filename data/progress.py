@@ -1,11 +1,16 @@
 """Progress bars on standard error."""
 
 import sys
+import threading
 from collections.abc import Iterable
 
 from tqdm import tqdm
 
 DELAY = 2.0  # s; what takes less has no bar
+
+# One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
+# them is killed while it holds it.
+tqdm.set_lock(threading.RLock())
 
 
 def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
