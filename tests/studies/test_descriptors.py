@@ -6,7 +6,7 @@ import pytest
 from common.errors import InputError
 from sim.mesh.specimens import Specimen, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
-from studies.descriptors import GridSpectrum, PhaseFree, RingSpectrum, interpolation
+from studies.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum, interpolation
 
 
 def waves(
@@ -52,7 +52,7 @@ def test_description_derivatives(kind: type) -> None:
     positions = np.column_stack([rest, 0.02 * np.sin(40 * rest[:, 0]) * np.cos(30 * rest[:, 1])])
     positions += rng.normal(0, 1e-3, positions.shape)
     descriptor = kind(rest, Rig())
-    objective = PhaseFree(descriptor, descriptor.describe(positions[::-1]), sigma=1e-3)
+    objective = DescriptorObjective(descriptor, descriptor.describe(positions[::-1]), sigma=1e-3)
     moves = rng.normal(0, 1.0, (3, *positions.shape))
     h = 1e-6
     expected = np.stack([(objective.residuals(positions + h * m, np.zeros(0))

@@ -17,16 +17,16 @@ THETA = to_theta(np.array([60.0, 40.0, 20.0]) * MICRO, np.array([-120.0, -80.0, 
 
 
 def test_a_fabric_s_mean_is_the_same_in_all_directions_and_between_them():
-    alpha, beta = from_theta(optimisers.isotropic(THETA))
+    alpha, beta = from_theta(optimisers.isotropic_mean(THETA))
     assert np.ptp(alpha) == np.ptp(beta) == 0 and 20 * MICRO < alpha[0] < 60 * MICRO
     assert beta / alpha == pytest.approx(-2e-3)
-    again = optimisers.isotropic(to_theta(alpha, beta))
+    again = optimisers.isotropic_mean(to_theta(alpha, beta))
     assert again == pytest.approx(to_theta(alpha, beta))
 
 
 def test_starts_lie_within_factors_of_two():
     rng = np.random.default_rng(0)
-    starts = np.array([from_theta(optimisers.disturbed(THETA, rng)) for _ in range(50)])
+    starts = np.array([from_theta(optimisers.perturb(THETA, rng)) for _ in range(50)])
     factors = starts / np.array(from_theta(THETA))
     assert factors.min() >= 0.5 - 1e-12 and factors.max() <= 2 + 1e-12
     assert np.log(factors).std() == pytest.approx(np.log(2) / np.sqrt(3), rel=0.1)
@@ -34,7 +34,7 @@ def test_starts_lie_within_factors_of_two():
 
 def test_a_drape_registered_to_its_own_mesh_stays_and_to_another_lies_on_it():
     shape = drape(Fabric([60 * MICRO] * 3), edge=8e-3, seed=1)
-    same, other = (optimisers.registered(shape, shape.positions, shape.fabric, topology, 8e-3)
+    same, other = (optimisers.register(shape, shape.positions, shape.fabric, topology, 8e-3)
                    for topology in (1, 2))
     assert np.abs(same.positions - shape.positions).max() < 1e-6
     assert not np.array_equal(other.rest, shape.rest)
@@ -50,7 +50,7 @@ def test_without_newton_its_rows_are_left_out_and_the_page_says_so(monkeypatch, 
         style3d.require()
     report = json.loads(optimisers.STUDY.report.read_text(encoding="utf-8"))
     report["targets"].pop("style3d")
-    assert "left out" in optimisers.answer(report)
+    assert "left out" in optimisers.summarise(report)
     assert not any("Style3D" in row[0] for row in optimisers.rows(report)[1])
 
 

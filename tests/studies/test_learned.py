@@ -15,7 +15,7 @@ from sim.material import Fabric
 from sim.scene import Rig
 from studies.__main__ import main
 from studies.learned import UniformPrior, stiff_first
-from studies.networks import Classes, OnNumbers, OnViews, Outline, Regression, head
+from studies.networks import Classes, FoldNetwork, Outline, Regression, ViewNetwork, output_head
 from studies.space import linear_fit
 
 RIG = Rig()
@@ -28,7 +28,7 @@ def test_regression_is_trained_by_the_papers_loss():
 
 
 def test_classes_are_those_that_targets_fall_in():
-    outputs, answer = head("classes 8", targets=2)
+    outputs, answer = output_head("classes 8", targets=2)
     assert outputs == 16
     targets = torch.tensor([[0.1, -9.0], [1.3, 2.4]])
     logits = torch.zeros(2, 2, 8)
@@ -66,19 +66,19 @@ def test_an_outline_is_the_hem_of_a_map():
 @pytest.mark.parametrize("folds", [4, 7])
 def test_numbers_are_coefficient_and_folds(folds):
     distance, weight, radius = waves(folds)
-    network = OnNumbers(rig=RIG, answer="regression", targets=6)
-    kept = []
-    network.layers.register_forward_pre_hook(lambda _, inputs: kept.append(inputs[0]))
+    network = FoldNetwork(rig=RIG, output="regression", targets=6)
+    layer_inputs = []
+    network.layers.register_forward_pre_hook(lambda _, inputs: layer_inputs.append(inputs[0]))
     network(distance, weight, torch.zeros(1, 5))
     plate = np.pi * RIG.plate_radius**2
     coefficient = (np.pi * np.mean(radius**2) - plate) / (RIG.specimen_area - plate)
-    assert kept[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
-    assert kept[0][0, 1].item() == pytest.approx(folds / 2 - 3)
+    assert layer_inputs[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
+    assert layer_inputs[0][0, 1].item() == pytest.approx(folds / 2 - 3)
 
 
 @pytest.mark.parametrize("name", ["resnet18", "alexnet", "efficientnet_b0"])
 def test_backbones_see_four_views_and_a_focal_length(name):
-    network = OnViews(name, channels=5, answer="posterior", targets=8)
+    network = ViewNetwork(name, channels=5, output="posterior", targets=8)
     answer = network(torch.rand(2, 5, 60, 80))
     assert answer.means.shape == (2, 2, 8)
 

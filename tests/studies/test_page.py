@@ -10,8 +10,17 @@ from benchmarks.common import REPORTS
 from common.command import schema_of
 from common.configs import CONFIG_DIR, group_options
 from studies.__main__ import ORDER, main, reports, study_named
-from studies.captured import bound, draped, ideal, read, rms, seen, specimen, spread
-from studies.recognition import DESCRIPTIONS, nearest
+from studies.captured import (
+    capture_drape,
+    drape_specimen,
+    ideal_setups,
+    infer,
+    posterior_bound,
+    rms,
+    specimen,
+    spread,
+)
+from studies.recognition import DESCRIPTORS, identification_rates
 from studies.study import PAGE, page
 
 
@@ -34,8 +43,8 @@ def test_every_study_has_a_config_a_report_and_a_picture(name):
 def test_errors_are_compared_with_the_bound_in_their_own_unit():
     information = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["rms"]
     absolute = information["all nuisances unknown"]["log_alpha"]
-    assert bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
-    assert reports()["views"]["bound"] == pytest.approx(bound())
+    assert posterior_bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
+    assert reports()["views"]["bound"] == pytest.approx(posterior_bound())
 
 
 def test_a_reading_is_along_the_true_warp_whatever_the_orientation():
@@ -43,18 +52,18 @@ def test_a_reading_is_along_the_true_warp_whatever_the_orientation():
     theta = plan.theta.copy()
     theta[:3] = np.log([120e-6, 40e-6, 15e-6])
     theta[3:] = -1e-3
-    shape = draped(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
+    shape = drape_specimen(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
     for number in range(3):
-        found = read(seen(shape, ideal(), np.random.default_rng(number)))
+        found = infer(capture_drape(shape, ideal_setups(), np.random.default_rng(number)))
         assert found.theta[0] > found.theta[2] + 0.5
 
 
 def test_the_nearest_of_another_sample_counts():
     fabric, sample = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 2, 3, 4])
     values = [0.0, 0.1, 5.0, 9.0, 8.9]
-    found = [{name: [value] for name in DESCRIPTIONS}
+    found = [{name: [value] for name in DESCRIPTORS}
              for value in values]
-    result = nearest(found, fabric, sample)
+    result = identification_rates(found, fabric, sample)
     assert result["drapes"] == 4  # the third fabric has no other sample
     assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's are mistaken
     assert result["chance"] == pytest.approx(1 / 4)
