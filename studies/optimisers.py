@@ -104,7 +104,7 @@ def case(
     *, number: int, target: str, edge_mm: float, seconds: float, simulations: int,
     simulations_free: int, seed: int,
 ) -> dict[str, Any]:
-    """Results of all searches for one drape; "failed" has the reason if there is no drape."""
+    """Results of all searches for one drape; "failed" has the reason without one."""
     plan = specimen(number, seed=seed)
     truth = isotropic_mean(plan.theta)
     if target.startswith("style3d"):
@@ -276,7 +276,7 @@ STUDY = Study(
     "modulus is the hinge modulus divided by the ratio in [exports](exports.md); for Style3D, β/α "
     "= 0. Vertices are known exactly, and springs of 0.05 of the cloth's weight at 1 mm hold the "
     "cloth to them. Style3D starts from this project's drape of twice the stiffness, without "
-    "friction on the cylinder: with its one projection per step, a coefficient of 0.4 changed "
-    "none of three drapes, and more projections double the time. *drape*: displacement of cloth "
-    "with the estimated moduli after release at the registered drape. Drape, simulations and CPU "
-    "time are medians over fabrics.")
+    "friction on the cylinder: with its one projection per step, a coefficient of 0.4 left "
+    "three drapes bitwise unchanged, and more projections double the time. *drape*: displacement "
+    "of cloth with the estimated moduli after release at the registered drape. Drape, simulations "
+    "and CPU time are medians over fabrics.")

@@ -85,7 +85,7 @@ STUDY = Study(
     "scaling", "Amount of training data", "002, section 5.2",
     "How much do more fabrics, more drapes per fabric, and longer training reduce the error?",
     run, summarise, rows, draw,
-    "uses 6 000 fabrics, eight drapes of each and twelve captures of each drape, and does not vary "
-    "these numbers.",
+    "uses 6 000 fabrics, eight drapes of each and twelve captures of each drape, and reports no "
+    "learning curve.",
     "Sets are small and trained with one seed; intervals are over unseen fabrics, not over "
     "trainings. 16 000 and 48 000 fabrics were not tried.")

@@ -1,4 +1,4 @@
-"""Views stacked as channels, as their specimens are turned and reflected."""
+"""Stacked views under rotation and reflection of specimens, and downsampling."""
 
 from itertools import product
 
@@ -15,7 +15,7 @@ from sim.scene import Rig
 from studies import stacked_views
 
 
-def test_stacked_views_are_turned_and_reflected_as_their_specimen():
+def test_symmetries_of_views_are_those_of_the_specimen():
     specimen = make_specimen(Rig(), edge=0.015).mesh
     cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=0.015, start="", seed=0,
                   offset=(0.0, 0.0), laws=None)
@@ -34,7 +34,7 @@ def test_stacked_views_are_turned_and_reflected_as_their_specimen():
         assert torch.isclose(found, views(shown), atol=1e-3).float().mean() > 0.99
 
 
-def test_stacked_views_are_means_of_cloth():
+def test_downsampled_views_are_means_over_cloth_pixels():
     views = np.zeros((1, 6, 6), np.float32)
     views[0, :3, :3], views[0, 0, 0] = 0.65, 0.0
     views[0, 3, 3:] = 0.6

@@ -1,4 +1,4 @@
-"""What the study of Table 3 makes of its cases; the cases themselves are checked elsewhere."""
+"""Summary of the cases of the study of Table 3; the cases are tested elsewhere."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ CONFIG = {"scanned": 9, "samples": 2, "workers": 1, "cases": "", "refined": True
 
 
 def _report(scans=()):
-    """Three fabrics, the second with friction; of the third, one drape has not settled."""
+    """Report of fabrics without and with friction, one drape and one case without convergence."""
     def ways(*drapes):
         return {NETWORK: {"error": [0.3, 0.0, 0.0], "drape": drapes[0], "hung": [1.0, 9.0]},
                 OTHER_DRAPE: {"drape": drapes[1], "hung": None}}
@@ -31,7 +31,7 @@ def _report(scans=()):
         "fabric_03": {"group": "with", "failed": "it did not converge"}}}
 
 
-def test_medians_are_over_the_drapes_that_settled_of_one_group():
+def test_medians_are_over_the_converged_drapes_of_one_group():
     report = _report()
     head, lines = table3.rows(report)
     network, truth = lines
@@ -53,7 +53,7 @@ def test_scans_add_columns_and_panels():
 
 
 @pytest.mark.parametrize("folder", ["", "nowhere"])
-def test_without_scans_their_columns_are_left_out(folder, tmp_path, capsys):
+def test_without_scans_their_columns_are_omitted(folder, tmp_path, capsys):
     assert table3._release_at_scans(CONFIG | {"scans": folder and str(tmp_path / folder)}) == {}
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -63,10 +63,10 @@ def test_a_scan_gets_the_moduli_of_another_sample_along_its_own_yarns(tmp_path, 
                  "fabric_1_sample_3_capture_1", "fabric_1_sample_4_capture_1",
                  "fabric_2_sample_1_capture_1"):
         (tmp_path / f"{name}.npz").touch()
-    asked = []
+    calls = []
 
     def run_cases(work, cases, **_):
-        asked.append(cases)
+        calls.append(cases)
         if work is table3.estimate_scan:
             return {name: {method: {"theta": [float(k)] * 6, "friction": 0.0, "warp": 10.0 + k}
                            for method in (NETWORK, REFINED, REFINED_FRICTION)}
@@ -77,11 +77,11 @@ def test_a_scan_gets_the_moduli_of_another_sample_along_its_own_yarns(tmp_path, 
 
     monkeypatch.setattr(table3, "run_cases", run_cases)
     found = table3._release_at_scans(CONFIG | {"scans": str(tmp_path)})
-    # Two samples of the first fabric, and no second of the other.
+    # Two samples of the first fabric; the other has only one.
     assert list(found) == ["fabric_1_sample_1_capture_1", "fabric_1_sample_3_capture_1"]
     first = found["fabric_1_sample_1_capture_1"]
     assert first["other"][REFINED] == [1.0, 10.0] and first["own"][REFINED] == [0.0, 10.0]
     assert first["other"][PRIOR][1] == 10.0 and first["own"][PRIOR] is None
     assert first["other"][OTHER_DRAPE] == [5.0, 50.0] and first["other"][TRUE_MODULI] is None
-    assert np.shape(asked[1]["fabric_1_sample_1_capture_1"]["cloths"]["other network"]["theta"]) \
+    assert np.shape(calls[1]["fabric_1_sample_1_capture_1"]["cloths"]["other network"]["theta"]) \
         == (6,)
