@@ -65,7 +65,7 @@ def test_identification_uses_the_nearest_drape_of_another_sample():
              for value in values]
     result = identification_rates(found, fabric, sample)
     assert result["drapes"] == 4  # the third fabric has no other sample
-    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's are not identified
+    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's fail
     assert result["chance"] == pytest.approx(1 / 4)
 
 
