@@ -1,1 +1,1 @@
-"""Replication of experiments of the papers: ``python -m studies NAME``; see docs/studies.md."""
+"""Replications of published experiments: ``python -m studies NAME``; see docs/studies.md."""

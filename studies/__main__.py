@@ -2,7 +2,7 @@
 
     python -m studies NAME [key=value ...]  # configs/study/NAME.yaml; NAME --help lists the keys
     python -m studies all [key=value ...]
-    python -m studies page                  # only write the page and the figures from the reports
+    python -m studies page                  # write the page and the figures from stored reports
 """
 
 import benchmarks.one_thread  # noqa: F401
@@ -24,31 +24,31 @@ from studies.study import PAGE, Report, Study, page
 
 ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
          "transfer", "recognition", "optimisers", "curves", "hung", "friction")
-"""Of the sections."""
+"""Names of the studies in the order of the page."""
 
 
 def study_named(name: str) -> Study:
-    """The study ``name``."""
+    """Return the study ``name``."""
     return import_module(f"studies.{name}").STUDY
 
 
 def reports() -> dict[str, Report]:
-    """Existing reports by name."""
+    """Stored reports by name of the study."""
     return {name: json.loads(study_named(name).report.read_text(encoding="utf-8"))
             for name in ORDER if study_named(name).report.exists()}
 
 
-def write_page(*, pictures: bool = False) -> None:
+def write_page(*, figures: bool = False) -> None:
     """Write the page, and optionally the figures, from the existing reports."""
-    known = reports()
-    for name in known if pictures else ():
+    stored = reports()
+    for name in stored if figures else ():
         study = study_named(name)
-        write_figure(study.report.with_suffix(".png"), study.draw(known[name]))
-    replace_file(PAGE, page([study_named(name) for name in ORDER], known).encode())
+        write_figure(study.report.with_suffix(".png"), study.draw(stored[name]))
+    replace_file(PAGE, page([study_named(name) for name in ORDER], stored).encode())
 
 
 def run_study(name: str, words: list[str]) -> None:
-    """Run the study ``name`` under the overrides ``words``; write its report and picture."""
+    """Run the study ``name`` with the overrides ``words``; write its report and figure."""
 
     @command(f"study/{name}", schema_of(f"study/{name}"), swept_out=f"{name}.json")
     def run(settings: Any) -> None:
@@ -58,7 +58,7 @@ def run_study(name: str, words: list[str]) -> None:
         report = {"settings": config, **study.run(config)}
         write_report(out, report)
         write_figure(out.with_suffix(".png"), study.draw(report))
-        print(study.answer(report), file=sys.stderr)
+        print(study.summarise(report), file=sys.stderr)
         if out == study.report:
             write_page()
 
@@ -66,16 +66,16 @@ def run_study(name: str, words: list[str]) -> None:
 
 
 def run_all(words: list[str]) -> None:
-    """Run all studies, each under the overrides ``words``."""
+    """Run all studies with the overrides ``words``."""
     for name in ORDER:
         run_study(name, words)
 
 
 def draw_page(words: list[str]) -> None:
-    """Write the page and all figures; takes no ``words``."""
+    """Write the page and all figures; accepts no ``words``."""
     if words:
         raise InputError(f"'{words[0]}': page takes no other words")
-    write_page(pictures=True)
+    write_page(figures=True)
 
 
 main = commands({**{name: partial(run_study, name) for name in ORDER}, "all": run_all,

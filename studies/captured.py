@@ -1,4 +1,4 @@
-"""Drapes and captures of known fabrics, and the estimates of the bundled network."""
+"""Simulated drapes and captures of known fabrics, with estimates by the bundled network."""
 
 import json
 import re
@@ -29,17 +29,17 @@ from sim.material import REFERENCE_DENSITY
 RIG = "square300_cylinder100"
 IDEAL = known.CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
                  "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
-"""Set-up without faults: smooth sensor, nominal camera pose, exact quarter turns."""
+"""Changes to a set-up that remove all faults: smooth sensor, nominal pose, exact quarter turns."""
 
 
 @dataclass(frozen=True)
-class Reading:
-    """Estimate of the network from a capture.
+class NetworkEstimate:
+    """Estimate by the network from a capture.
 
     Attributes:
-        theta: (6,) posterior mean, along the true warp (:mod:`data.fabrics`).
-        samples: (S, 6) posterior samples, along the true warp.
-        inferred: complete result; capture: its input.
+        theta: (6,) posterior mean in the true warp's frame (:mod:`data.fabrics`).
+        samples: (S, 6) posterior samples in the same frame.
+        inferred: result of the network. capture: its input.
     """
 
     theta: np.ndarray
@@ -48,8 +48,8 @@ class Reading:
     capture: Capture
 
     @property
-    def doubts(self) -> list[str]:
-        """Warnings, as ``infer.py`` gives them."""
+    def warnings(self) -> list[str]:
+        """Warnings of ``infer.py``."""
         one = self.inferred
         return [*one.estimate.warnings,
                 *capture_doubts(self.capture, header().setups, one.camera, one.found)]
@@ -62,74 +62,85 @@ def header() -> Header:
 
 
 def spread() -> np.ndarray:
-    """(6,) spread of theta over fabrics."""
+    """(6,) standard deviation of theta over fabrics."""
     return header().scale.std[:6]
 
 
-def bound() -> float:
-    """Posterior bound of log alpha with all nuisances, in units of :func:`spread`: root mean square
-    over the fabrics of docs/validation/information.json and the directions."""
-    known = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["fabrics"]
-    least = np.array([fabric["bounds"]["all nuisances unknown"] for fabric in known])
-    return rms(least[:, LINEAR] / spread()[LINEAR])
+def posterior_bound() -> float:
+    """Posterior bound of log alpha with all nuisances unknown, in units of :func:`spread`.
+
+    Root mean square over directions and the fabrics of docs/validation/information.json.
+    """
+    fabrics = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["fabrics"]
+    bounds = np.array([fabric["bounds"]["all nuisances unknown"] for fabric in fabrics])
+    return rms(bounds[:, LINEAR] / spread()[LINEAR])
 
 
 def specimen(number: int, *, seed: int, nuisances: str = "none") -> DrapePlan:
-    """Plan of fabric ``number`` from the prior and a specimen."""
+    """Plan of a specimen of fabric ``number`` of the prior."""
     return known.plan_specimen(number, rig=RIG, nuisances=nuisances, seed=seed)
 
 
-def draped(
+def drape_specimen(
     plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
     laws: Laws | None = None,
 ) -> DrapeResult:
-    """A centred drape of the specimen; from another start, by other laws where they are given.
+    """Simulate a drape of the specimen.
+
+    Args:
+        edge: m, at the rim.
+        start, seed, laws: instead of those of the plan.
+        offset: m, of the specimen's centre from the plate's axis.
 
     Raises:
-        InputError: it does not converge.
+        InputError: the simulation does not converge.
     """
     return known.drape_plan(plan, rig=RIG, edge=edge, start=start or plan.fallback, seed=seed,
                         offset=offset, nuisances=nuisances, laws=laws)
 
 
-def ideal(**changes: object) -> Setups:
-    """The set-up without faults, with ``changes``."""
+def ideal_setups(**changes: object) -> Setups:
+    """Set-up without faults, with ``changes``."""
     return replace(Setups.load("real"), **IDEAL | changes)
 
 
-def seen(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
-    """Capture a drape."""
+def capture_drape(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
+    """Capture a drape with a random set-up."""
     return setups.capture(shape.positions, shape.faces, rng,
                           nominal=CameraRig.load(RIG).intrinsics)
 
 
-def read(found: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
-         friction: float | None = None) -> Reading:
-    """Estimate a capture with the network.
+def infer(synthetic: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
+          friction: float | None = None) -> NetworkEstimate:
+    """Estimate the moduli from a capture with the network.
 
     Args:
         density: kg/m², as stated by the user.
-        friction: N·m per metre, if known to the user.
+        friction: N·m per metre, if known.
     """
-    capture = Capture(found.views, found.intrinsics, found.turns, density, None, RIG, Path(), ())
+    capture = Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, density, None, RIG,
+                      Path(), ())
     inferred = infer_capture(capture, header(), friction=friction)
-    samples = along_warp(inferred.estimate, found.orientation)
-    return Reading(samples.mean(axis=0), samples, inferred, capture)
+    samples = along_warp(inferred.estimate, synthetic.orientation)
+    return NetworkEstimate(samples.mean(axis=0), samples, inferred, capture)
 
 
 def along_warp(estimate: Estimate, orientation: float) -> np.ndarray:
-    """Samples (S, 6) of theta along the true warp, whose direction is ``orientation``, rad."""
+    """Samples (S, 6) of theta in the frame of the true warp at angle ``orientation``, rad."""
     along = np.cos(2 * (estimate.axis - orientation)) >= 0
     return estimate.samples if along else estimate.samples[:, SWAPPED]
 
 
-def over_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, dict]:
-    """Results of ``case(path=..., seed=...)`` for every scan on the disc rig, by its file's name:
-    ``fabric_F_sample_S`` and perhaps ``_capture_C``, in the folder ``config["scans"]``.
+def run_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, dict]:
+    """Run ``case(path=..., seed=...)`` for every scan in the folder ``config["scans"]``.
+
+    Returns:
+        Results by file name without suffix, ``fabric_F_sample_S`` or
+        ``fabric_F_sample_S_capture_C``.
 
     Raises:
-        InputError: there are none.
+        InputError: the folder has no scans.
     """
     files = sorted(Path(config["scans"]).glob("*.npz"))
     if not files:
@@ -142,7 +153,7 @@ def over_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, d
 
 
 def fabric_and_sample(name: str) -> tuple[int, int]:
-    """Numbers of fabric and sample of a scan, by its name."""
+    """Numbers of fabric and sample in the name of a scan."""
     fabric, sample = re.match(r"fabric_(\d+)_sample_(\d+)", name).groups()
     return int(fabric), int(sample)
 

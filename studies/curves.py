@@ -23,23 +23,23 @@ from sim.material import Fabric, torque
 from sim.scene import GRAVITY, Rig
 from sim.sensitivity import follow
 from studies.captured import RIG, rms, specimen
-from studies.study import Report, Study, over_fabrics
+from studies.study import Report, Study, run_fabrics
 
 FITS = {"parabola": "parabola (α, β)", "spline": "spline"}
 KINDS = {"parabola": "parabola", "yielding": "stiff at first, then yielding",
          "stiffening": "stiffening"}
-"""Of true torque: the simulator's own law; yarns that stick and slip, ``_SLIP`` times alpha beside
-the linear part; a cloth that jams at ``_JAM``."""
+"""Kinds of true torque: the law of the simulator; yarns that stick and slip, with a torque of
+``_SLIP`` times alpha in addition to the linear part; cloth that jams at a curvature of ``_JAM``."""
 _SLIP, _STICK, _JAM = 30.0, 15.0, 100.0  # 1/m; 30 is HB/B of denims (docs/physics.md)
-_OTHER = 3.5  # bending lengths of the strip that is predicted
-_POINTS = 81  # of a strip's curve
-_CURVATURE = np.linspace(0, 600, 1201)  # 1/m, at which laws are tabulated
+_LONG_STRIP = 3.5  # bending lengths, of the strip whose shape is predicted
+_STRIP_POINTS = 81  # of a strip's curve
+_CURVATURES = np.linspace(0, 600, 1201)  # 1/m, at which laws are tabulated
 
 Torque = Callable[[np.ndarray], np.ndarray]
 
 
 def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
-    """Torque, N, as a function of curvature, 1/m, for a cloth of about this alpha, beta/alpha."""
+    """Torque, N, as a function of curvature, 1/m, for approximate alpha, N·m, and beta/alpha, m."""
     if kind == "yielding":
         return lambda k: alpha * (0.6 * k + 0.6 * _SLIP * np.tanh(k / _STICK))
     if kind == "stiffening":
@@ -47,10 +47,10 @@ def true_torque(kind: str, alpha: float, ratio: float) -> Torque:
     return lambda k: torque(k, alpha, ratio * alpha)
 
 
-def fitted(
+def fit_torque(
     name: str, strips: list[np.ndarray], *, weight: float, knots: int
 ) -> tuple[Torque, float] | None:
-    """Fitted torque as a function of curvature, and the largest curvature; None if it fails."""
+    """Fit torque over curvature; return it and the largest curvature, 1/m, or None if it fails."""
     try:
         if name == "parabola":
             found = match(strips, weight=weight)
@@ -64,7 +64,7 @@ def fitted(
 def case(
     *, number: int, edge_mm: float, noise_mm: list[float], knots: int, seed: int
 ) -> dict[str, Any]:
-    """Errors of both fits of one fabric, by kind of torque and noise; None for failures."""
+    """Errors of both fits of one fabric, by kind of torque and noise; None where a fit failed."""
     plan = specimen(number, seed=seed)
     plate = fabric_from_theta(plan.theta)
     alpha, ratio = float(np.exp(plan.theta[:3].mean())), float(plan.theta[3:].mean())
@@ -72,11 +72,11 @@ def case(
     fabric, result = Fabric(np.full(3, alpha)), {}
 
     def law(one: Torque) -> TorqueLaw:
-        return TorqueLaw(_CURVATURE, one(_CURVATURE))
+        return TorqueLaw(_CURVATURES, one(_CURVATURES))
 
     def strip(one: Torque, lengths: float) -> np.ndarray:
-        return strip_shape(tabulated_law(_CURVATURE, one(_CURVATURE)), weight=weight,
-                           length=lengths * unit, points=_POINTS)
+        return strip_shape(tabulated_law(_CURVATURES, one(_CURVATURES)), weight=weight,
+                           length=lengths * unit, points=_STRIP_POINTS)
 
     for kind in KINDS:
         true = true_torque(kind, alpha, ratio)
@@ -88,7 +88,7 @@ def case(
             rng = np.random.default_rng([seed, number])
             strips = add_noise(clean, 1e-3 * noise, rng)["strips"]
             for name in FITS:
-                fit = fitted(name, strips, weight=weight, knots=knots)
+                fit = fit_torque(name, strips, weight=weight, knots=knots)
                 result[kind][f"{name}, {noise:g} mm"] = None
                 if fit is None:
                     continue
@@ -96,27 +96,27 @@ def case(
                 bent = np.linspace(0, reached, 26)[1:]
                 other = follow(shape, fabric, laws=Laws(bending=law(found)))
                 apart = compare(shape, other) if shape.converged and other.converged else None
-                gap = np.linalg.norm(strip(found, _OTHER) - strip(true, _OTHER), axis=1)
+                gap = np.linalg.norm(strip(found, _LONG_STRIP) - strip(true, _LONG_STRIP), axis=1)
                 result[kind][f"{name}, {noise:g} mm"] = {
                     "curvature": bent.tolist(), "ratio": (found(bent) / true(bent)).tolist(),
-                    "torque": _relative(found(bent), true(bent)),
+                    "torque": _relative_error(found(bent), true(bent)),
                     "strip_mm": 1e3 * rms(gap),
                     "drape": apart and [1e3 * apart.displacement, 100 * apart.curvature]}
     return result
 
 
-def _relative(values: np.ndarray, true: np.ndarray) -> float:
-    """Root mean square of the error over that of the truth, %."""
+def _relative_error(values: np.ndarray, true: np.ndarray) -> float:
+    """Root mean square of the error, relative to that of the truth, %."""
     return 100 * rms(values - true) / rms(true)
 
 
 def run(config: dict[str, Any]) -> Report:
     """Run all fabrics."""
-    return {"fabrics": over_fabrics(case, config, sources=("sim", "drapenet"))}
+    return {"fabrics": run_fabrics(case, config, sources=("sim", "drapenet"))}
 
 
-def _figures(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
-    """Medians over fabrics by kind of torque, fit and noise, mm."""
+def _medians(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
+    """Medians of errors over fabrics by kind of torque, fit and noise in mm."""
     found = {}
     for kind, name, noise in product(KINDS, FITS, report["settings"]["noise_mm"]):
         every = [fit for one in report["fabrics"].values()
@@ -129,9 +129,9 @@ def _figures(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
     return found
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
-    found, noises = _figures(report), report["settings"]["noise_mm"]
+    found, noises = _medians(report), report["settings"]["noise_mm"]
 
     def better(noise: float) -> int:
         return sum(found[kind, "spline", noise]["drape"][0]
@@ -148,12 +148,12 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """By kind of torque, fit and noise."""
+    """Table of errors by kind of torque, fit and noise."""
     return (["true torque", "fitted", "noise, mm", "torque, %", "longer strip, mm", "drape, mm",
              "curvature, %"],
             [[KINDS[kind], FITS[name], f"{noise:g}", f"{one['torque']:.1f}", f"{one['strip']:.2f}",
               *(f"{x:.2f}" if k == 0 else f"{x:.1f}" for k, x in enumerate(one["drape"]))]
-             for (kind, name, noise), one in _figures(report).items()])
+             for (kind, name, noise), one in _medians(report).items()])
 
 
 def draw(report: Report) -> Figure:
@@ -183,7 +183,7 @@ def draw(report: Report) -> Figure:
                       "o" if noise else "x", ms=3.5, color=colours[name],
                       label=f"{FITS[name]}, {noise:g} mm" if place == 0 else None)
     axes.set(yscale="log", ylabel="drape's displacement [mm]", xlim=(-0.5, len(KINDS) - 0.5))
-    axes.set_ylim(bottom=1e-3)  # those of the exact law lie below
+    axes.set_ylim(bottom=1e-3)  # omits those of the exact law
     axes.set_xticks(range(len(KINDS)), KINDS)
     axes.legend(fontsize=7, loc="lower right")
     label_log_axes(axes.yaxis)
@@ -191,14 +191,14 @@ def draw(report: Report) -> Figure:
 
 
 STUDY = Study(
-    "curves", "A free curve of torque", "004, section 5",
-    "Is the parabola of α and β sufficient, or does a spline of torque over curvature, fitted to "
-    "the same noisy strips, give better drapes?",
-    run, answer, rows, draw,
-    "fits splines of up to five points to every component and leaves 21 and 22 mm (root mean "
-    "square) of a knit's bent strips in warp and weft; not comparable, because its strips are "
-    "real, 100 mm long, pushed over a table's edge, with hysteresis.",
-    "Fabrics are isotropic, because the spline has no anisotropic law. Strips bend as cylinders "
-    "and have 1.5 and 2.5 bending lengths; the predicted *longer strip* has 3.5. Drapes are "
-    "equilibria nearest to the true one, so that folds are the same. Torques are compared up to "
-    "the largest curvature in the strips.")
+    "curves", "Torque spline and parabola", "004, section 5",
+    "Is the parabola of α and β sufficient, or are drapes more accurate with a spline of torque "
+    "over curvature fitted to the same noisy strips?",
+    run, summarise, rows, draw,
+    "fits splines of up to five points to every component, with residuals of 21 and 22 mm (root "
+    "mean square) for bent strips of a knit in warp and weft; not comparable, because its strips "
+    "are real, 100 mm long, pushed over the edge of a table, with hysteresis.",
+    "Fabrics are isotropic, because the spline has no anisotropic law. Strips bend cylindrically "
+    "and have lengths of 1.5 and 2.5 bending lengths; the predicted *longer strip* has 3.5. Drapes "
+    "are the equilibria nearest to the true drape, so that folds are the same. Torques are "
+    "compared up to the largest curvature in the strips.")

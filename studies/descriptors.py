@@ -22,7 +22,7 @@ from common.threads import one_blas_thread
 from drapenet.refine.objective import Linearised
 from sim.scene import Rig
 
-_SMALLEST = 1e-9  # m²: powers below have no root to speak of (0.03 mm), and a smooth one
+_MIN_POWER = 1e-9  # m², added to powers for a smooth square root; (0.03 mm)²
 
 
 class Descriptor(Protocol):
@@ -30,7 +30,7 @@ class Descriptor(Protocol):
 
     def describe(self, positions: np.ndarray) -> np.ndarray: ...
 
-    def along(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    def derivatives(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """(D, P) derivatives along moves (P, V, 3) of the vertices."""
 
 
@@ -42,9 +42,9 @@ class RingSpectrum:
     Args:
         rest: (V, 2) m, origin on the plate's axis.
         rig: with a plate.
-        rings: circles, evenly from the rim to the specimen's nearest border.
-        points: on each. harmonics: that count, beside the mean.
-        blur: harmonics over which powers are blurred, standard deviation; 0 for none.
+        rings: number of circles, evenly spaced from the rim to the nearest border of the specimen.
+        points: per circle. harmonics: number of harmonics, without the mean.
+        blur: standard deviation, in harmonics, of the smoothing of powers; 0 for none.
 
     Raises:
         InputError: a rig without plate.
@@ -74,7 +74,7 @@ class RingSpectrum:
         signals = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
         return self._amplitudes(self._transform(signals))[0].ravel()
 
-    def along(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    def derivatives(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """(D, P) derivatives along moves (P, V, 3)."""
         points = self._interpolate @ positions
         radius = np.hypot(points[:, 0], points[:, 1])
@@ -95,7 +95,7 @@ class RingSpectrum:
         return np.fft.rfft(signals.reshape(2, rings, points))[..., : self._count] / points
 
     def _amplitudes(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        powers = np.abs(coefficients) ** 2 @ self._blur.T + _SMALLEST
+        powers = np.abs(coefficients) ** 2 @ self._blur.T + _MIN_POWER
         return np.sqrt(powers) * self._weight, powers
 
 
@@ -103,8 +103,8 @@ class GridSpectrum:
     """Amplitudes of the displacements' two-dimensional Fourier transform (Larionov et al., Eq. 9).
 
     Args:
-        rest: (V, 2) m. rig: of the specimen; of a disc, the largest square in it.
-        points: a side of the grid.
+        rest: (V, 2) m. rig: of the specimen; the grid of a disc is its inscribed square.
+        points: along a side of the grid.
     """
 
     def __init__(self, rest: np.ndarray, rig: Rig, *, points: int = 48) -> None:
@@ -119,12 +119,12 @@ class GridSpectrum:
     def describe(self, positions: np.ndarray) -> np.ndarray:
         """(D,) of positions (V, 3)."""
         coefficients = self._transform(self._interpolate @ positions - self._flat)
-        return np.sqrt(np.abs(coefficients) ** 2 + _SMALLEST).ravel()
+        return np.sqrt(np.abs(coefficients) ** 2 + _MIN_POWER).ravel()
 
-    def along(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    def derivatives(self, positions: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """(D, P) derivatives along moves (P, V, 3)."""
         here = self._transform(self._interpolate @ positions - self._flat)
-        size = np.sqrt(np.abs(here) ** 2 + _SMALLEST)
+        size = np.sqrt(np.abs(here) ** 2 + _MIN_POWER)
         columns = [((here.conj() * self._transform(self._interpolate @ move)).real / size).ravel()
                    for move in moves]
         return np.stack(columns, axis=1)
@@ -134,13 +134,13 @@ class GridSpectrum:
         return np.fft.fft2(values.reshape(n, n, 3), axes=(0, 1)) / n**2
 
 
-class PhaseFree:
+class DescriptorObjective:
     """Objective: difference between the descriptors of a drape and of a captured one.
 
     Args:
         descriptor: of the simulated mesh.
-        target: (D,) m, description of the captured drape.
-        sigma: m, by how much descriptions of one fabric differ, as a norm.
+        target: (D,) m, descriptor of the captured drape.
+        sigma: m, norm of the difference between descriptors of drapes of one fabric.
     """
 
     nuisances = ()
@@ -154,21 +154,20 @@ class PhaseFree:
         return (self._descriptor.describe(positions) - self._target) / self._sigma
 
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
+        """Residuals with derivatives."""
         residuals = self.residuals(positions, nuisance)
 
-        def along(moves: np.ndarray) -> np.ndarray:
-            return self._descriptor.along(positions, moves) / self._sigma
+        def derivatives(moves: np.ndarray) -> np.ndarray:
+            return self._descriptor.derivatives(positions, moves) / self._sigma
 
-        return Linearised(residuals, along, np.zeros((len(residuals), 0)), len(residuals))
+        return Linearised(residuals, derivatives, np.zeros((len(residuals), 0)), len(residuals))
 
 
 @one_blas_thread
 def interpolation(rest: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
     """(N, V) matrix from values at rest points (V, 2) to linear interpolants at points (N, 2).
 
-    Points beyond the border take the values of the nearest point on it, along the line to the
-    middle.
+    Points beyond the border have the values of the border point on the line to the centre.
     """
     triangulation = Delaunay(rest)
     middle = (rest.min(axis=0) + rest.max(axis=0)) / 2
@@ -189,10 +188,10 @@ def interpolation(rest: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
 
 
 def _blur(count: int, width: float) -> np.ndarray:
-    """(count, count) matrix that blurs powers over harmonics; the mean, harmonic 0, stays apart."""
+    """(count, count) matrix that smooths powers over harmonics, except the mean, harmonic 0."""
     if width <= 0:
         return np.eye(count)
     step = np.arange(count)[:, None] - np.arange(count)
     matrix = np.exp(-0.5 * (step / width) ** 2)
     matrix[0, 1:] = matrix[1:, 0] = 0.0
-    return matrix / matrix.sum(axis=0)  # each harmonic's power is shared out, none is lost
+    return matrix / matrix.sum(axis=0)  # preserves the total power

@@ -27,8 +27,8 @@ from sim.material import DIRECTIONS, MICRO, Fabric
 from sim.measures import drape_coefficient
 from sim.scene import DISC_RIG, Rig
 from sim.sensitivity import follow
-from studies.captured import fabric_and_sample, ideal, over_scans, rms
-from studies.study import Report, Study, over_fabrics
+from studies.captured import fabric_and_sample, ideal_setups, rms, run_scans
+from studies.study import Report, Study, run_fabrics
 
 _STRIPS = (1.5, 2.5)  # lengths of the tester's strips, in bending lengths
 REPEATS = 2  # starts of each fabric
@@ -36,23 +36,27 @@ HISTORIES = ("above", "below")
 MEASURES = ("coefficient", "log_alpha")
 
 
-def measured(
+def measure_drape(
     positions: np.ndarray, faces: np.ndarray, rig: str, *, seed: list[int], torque: float = 0.0
 ) -> dict[str, float]:
-    """Drape coefficient, %, and mean log alpha (N·m) of all directions, of positions (V, 3), m: as
-    the network estimates it, and as it does given the friction ``torque``, N·m per metre.
+    """Drape coefficient, %, and mean log alpha (N·m) over directions, of positions (V, 3), m.
+
+    "log_alpha" is the network's estimate, "given" that with the known friction ``torque``, N·m per
+    metre.
     """
     nominal, header = CameraRig.load(rig).intrinsics, read_header(bundled(rig))
-    seen = ideal().capture(positions, faces, np.random.default_rng(seed), nominal=nominal)
+    capture = ideal_setups().capture(positions, faces, np.random.default_rng(seed), nominal=nominal)
     found, given = (
-        float(estimate_views(seen.views, seen.intrinsics, header, friction=friction)
+        float(estimate_views(capture.views, capture.intrinsics, header, friction=friction)
               .samples[:, LINEAR].mean()) for friction in (None, torque))
     return {"coefficient": 100 * drape_coefficient(positions, faces, Rig.from_name(rig)),
             "log_alpha": found, "given": given}
 
 
-def raised(above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: float) -> DrapeResult:
-    """Equilibrium after release from the drape under ``overshoot`` times the weight."""
+def raise_drape(
+    above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: float
+) -> DrapeResult:
+    """Equilibrium from below: release of the drape under ``overshoot`` times its weight."""
     heavy = follow(above, Fabric(fabric.alpha / overshoot, fabric.beta / overshoot), laws=Laws())
     bending = MidEdgeBending(heavy.mesh, heavy.scene.active, fabric=fabric)
     origin = bending.curvatures(heavy.state.q)
@@ -62,8 +66,8 @@ def raised(above: DrapeResult, fabric: Fabric, torque: float, *, overshoot: floa
 def case(
     *, number: int, rig: str, friction: list[float], overshoot: float, edge_mm: float, seed: int
 ) -> dict[str, Any]:
-    """Drapes of one fabric by torque and start, from above and from below; None where one of both
-    did not converge. And log alpha by the cantilever tester; None where no law's strip hangs so.
+    """Measures of drapes of one fabric by torque and start, from above and from below; None where
+    one of both did not converge. "tester" has log alpha by the cantilever tester, or None.
     """
     plan = plan_specimen(number, rig=rig, nuisances="none", seed=seed)
     fabric, result = fabric_from_theta(plan.theta), {"drapes": [], "tester": []}
@@ -72,19 +76,20 @@ def case(
         for k in range(REPEATS):
             above = drape(fabric, rig=Rig.from_name(rig), edge=1e-3 * edge_mm, start=STARTS[-1 - k],
                           seed=k, laws=laws)
-            below = raised(above, fabric, torque, overshoot=overshoot)
+            below = raise_drape(above, fabric, torque, overshoot=overshoot)
             ends = {"above": above, "below": below}
             repeats.append({"apart_mm": 1e3 * compare(above, below).displacement} | {
-                name: measured(one.positions, one.faces, rig, seed=[seed, number, k], torque=torque)
+                name: measure_drape(one.positions, one.faces, rig, seed=[seed, number, k],
+                                    torque=torque)
                 for name, one in ends.items()}
                 if all(one.converged for one in ends.values()) else None)
         result["drapes"].append(repeats)
-        result["tester"].append(tested(fabric, laws))
+        result["tester"].append(tester_log_alpha(fabric, laws))
     return result
 
 
-def tested(fabric: Fabric, laws: Laws) -> float | None:
-    """Mean log alpha, N·m, that the virtual cantilever tester reads; None where it refuses."""
+def tester_log_alpha(fabric: Fabric, laws: Laws) -> float | None:
+    """Mean log alpha, N·m, by the simulated cantilever tester; None where it has no estimate."""
     lengths = {direction: [share * bending_length(alpha, fabric.density) for share in _STRIPS]
                for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     try:
@@ -95,36 +100,36 @@ def tested(fabric: Fabric, laws: Laws) -> float | None:
     return float(np.mean([np.log(one.alpha) for one in found.values()]))
 
 
-def scanned(*, path: str, seed: int) -> dict[str, float]:
-    """The same measures of one scan."""
+def scan_case(*, path: str, seed: int) -> dict[str, float]:
+    """Measures of one scan."""
     scan = read_scan(Path(path), DISC_RIG)
-    return measured(scan.positions, scan.faces, DISC_RIG.name,
+    return measure_drape(scan.positions, scan.faces, DISC_RIG.name,
                     seed=[seed, *map(ord, scan.name)])
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All rigs, and scans where there are some."""
+    """Run all rigs, and the scans if their folder is given."""
     settings = {key: value for key, value in config.items() if key != "rigs"}
     report: Report = {"rigs": {
-        rig: over_fabrics(case, settings | {"rig": rig, "fabrics": count},
-                          sources=ESTIMATOR_SOURCES, inside=rig)
+        rig: run_fabrics(case, settings | {"rig": rig, "fabrics": count},
+                          sources=ESTIMATOR_SOURCES, subfolder=rig)
         for rig, count in config["rigs"].items()}}
     if config["scans"]:
-        report["scans"] = over_scans(scanned, config)
+        report["scans"] = run_scans(scan_case, config)
     return report
 
 
 def _values(report: Report, rig: str, history: str, measure: str) -> np.ndarray:
-    """(F, torques, REPEATS) of a measure, without ``history`` of both drapes; NaN: not there."""
+    """(F, torques, REPEATS) of a measure; empty ``history``: of both drapes; NaN: missing."""
     return np.array([[[np.nan if one is None else (one[history] if history else one)[measure]
                        for one in repeats]
                       for repeats in fabric["drapes"]]
                      for fabric in report["rigs"][rig].values()], float)
 
 
-def _estimates(report: Report, rig: str) -> dict[str, np.ndarray]:
-    """(F, torques) log alpha of drapes from above and below, as the network estimates it without
-    and with the friction, and by the tester; less that from above without friction.
+def _log_ratios(report: Report, rig: str) -> dict[str, np.ndarray]:
+    """Log alpha (F, torques) of drapes from above and below, estimated by the network with unknown
+    and known friction, and by the tester, minus the estimate from above without friction.
     """
     found = {}
     for measure in ("log_alpha", "given"):
@@ -137,31 +142,31 @@ def _estimates(report: Report, rig: str) -> dict[str, np.ndarray]:
 
 
 def _differences(report: Report, rig: str, measure: str) -> dict[str, np.ndarray]:
-    """Differences (F, torques) of two drapes: from above and below in the same folds, from another
-    start, and both.
+    """Differences (F, torques) between drapes: from above and below with the same folds, from
+    different starts, and both.
     """
     above, below = (_values(report, rig, history, measure) for history in HISTORIES)
     return {"history": (above - below).mean(axis=2), "start": above[..., 0] - above[..., 1],
             "both": above[..., 0] - below[..., 1]}
 
 
-def _size(values: np.ndarray) -> float:
-    """Root mean square of those that are there."""
+def _finite_rms(values: np.ndarray) -> float:
+    """Root mean square of the finite values."""
     return rms(values[np.isfinite(values)])
 
 
 def precision(report: Report, rig: str, measure: str) -> float:
-    """Standard deviation, µN·m per metre, of friction by one drape from above and one from below.
+    """Standard deviation, µN·m per metre, of friction identified from two drapes, above and below.
 
-    That of the measure between starts, at all torques, over its median slope.
+    It is the standard deviation of the measure between starts divided by its median slope.
     """
     torque, found = np.array(report["settings"]["friction"]), _differences(report, rig, measure)
     slope = np.nanmedian(found["history"][:, 1:] / torque[1:])
-    return _size(found["start"]) / float(slope)
+    return _finite_rms(found["start"]) / float(slope)
 
 
 def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
-    """Differences of captures of one sample, and of samples of one fabric, of a measure's mean."""
+    """Differences of a measure between captures of a sample and between samples of a fabric."""
     samples: dict[tuple[int, int], list[float]] = {}
     for name, one in report["scans"].items():
         samples.setdefault(fabric_and_sample(name), []).append(one[measure])
@@ -171,12 +176,12 @@ def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
     return {"captures": np.array(own), "samples": np.array(other)}
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
     last = torque.index(100.0) if 100.0 in torque else len(torque) - 1
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
-             for name, values in _estimates(report, rig).items()}
+             for name, values in _log_ratios(report, rig).items()}
     by = {name: precision(report, rig, name) for name in MEASURES}
     sentences = [
         f"{torque[last]:g} µN·m per metre change the network's α of a drape lowered from flat by "
@@ -189,7 +194,8 @@ def answer(report: Report) -> str:
     if "scans" in report and DISC_RIG.name in report["rigs"]:
         scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
         both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
-        sizes = {name: [_size(column) for column in values.T] for name, values in both.items()}
+        sizes = {name: [_finite_rms(column) for column in values.T]
+                 for name, values in both.items()}
         simulated = [f"{sizes['coefficient'][k]:.1f} points and a factor of "
                      f"{np.exp(sizes['log_alpha'][k]):.2f} with {torque[k]:g} µN·m per metre"
                      for k in (0, last)]
@@ -204,15 +210,15 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """By rig and torque; then the scans."""
+    """Table by rig and torque, and of the scans."""
     head = ["specimen", "friction, µN·m per metre", "α from above, times (friction known)",
             "α from below (friction known)", "α by cantilever", "above and below: mm", "points",
             "α, times", "other start: points", "α, times"]
     lines = []
     for rig in report["rigs"]:
-        estimates = _estimates(report, rig)
+        estimates = _log_ratios(report, rig)
         differences = {measure: _differences(report, rig, measure) for measure in MEASURES}
-        apart = _values(report, rig, "", "apart_mm")
+        displacement = _values(report, rig, "", "apart_mm")
         for k, torque in enumerate(report["settings"]["friction"]):
             times = {name: f"{np.exp(np.nanmedian(one[:, k])):.2f}"
                      for name, one in estimates.items()}
@@ -220,29 +226,29 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
                 rig, f"{torque:g}",
                 *(f"{times[f'{history}, log_alpha']} ({times[f'{history}, given']})"
                   for history in HISTORIES),
-                times["tester"], f"{np.nanmedian(apart[:, k]):.2f}",
-                *_written(*(np.nanmedian(one["history"][:, k]) for one in differences.values())),
-                *_written(*(_size(one["start"][:, k]) for one in differences.values()))])
+                times["tester"], f"{np.nanmedian(displacement[:, k]):.2f}",
+                *_cells(*(np.nanmedian(one["history"][:, k]) for one in differences.values())),
+                *_cells(*(_finite_rms(one["start"][:, k]) for one in differences.values()))])
     for name in ("captures", "samples") if "scans" in report else ():
         found = (rms(scan_differences(report, measure)[name]) for measure in MEASURES)
-        lines.append([f"scans, {name}", *["–"] * 7, *_written(*found)])
+        lines.append([f"scans, {name}", *["–"] * 7, *_cells(*found)])
     return head, lines
 
 
-def _written(points: float, log_alpha: float) -> tuple[str, str]:
-    """Differences of the coefficient and of log alpha, for the table."""
+def _cells(points: float, log_alpha: float) -> tuple[str, str]:
+    """Table cells of differences of the drape coefficient, points, and of log alpha."""
     return f"{points:.1f}", f"{np.exp(log_alpha):.2f}"
 
 
 def draw(report: Report) -> Figure:
-    """Alpha over torque; from above over from below; repeats, simulated and scanned."""
+    """Plot alpha over torque, its ratio between histories, and repeats."""
     torque, rigs = np.array(report["settings"]["friction"]), list(report["rigs"])
     figure = Figure(figsize=(4 + 4 * len(rigs), 3.8), layout="constrained")
     first, *others = figure.subplots(1, 1 + len(rigs))
     names = {"above, log_alpha": "from above", "above, given": "from above, friction given",
              "below, log_alpha": "from below", "tester": "cantilever tester"}
     for k, (name, label) in enumerate(names.items()):
-        low, middle, high = np.exp(np.nanpercentile(_estimates(report, rigs[0])[name],
+        low, middle, high = np.exp(np.nanpercentile(_log_ratios(report, rigs[0])[name],
                                                     [16, 50, 84], axis=0))
         first.plot(torque, middle, "o-", ms=3.5, color=f"C{k}", label=label)
         first.fill_between(torque, low, high, color=f"C{k}", alpha=0.12, lw=0)
@@ -270,8 +276,8 @@ def draw(report: Report) -> Figure:
 STUDY = Study(
     "friction", "Friction", "002, section 7.7 (hysteresis as a main source of errors)",
     "How does bending friction change an estimate, and can it be identified from a lowered and a "
-    "raised drape, or from repeats of real drapes?",
-    run, answer, rows, draw,
+    "raised drape, or from repeated captures of real drapes?",
+    run, summarise, rows, draw,
     "names hysteresis as a main source of errors, without a figure; not comparable.",
     "Friction is one step of Coulomb friction "
     "([physics](physics.md#natural-curvature-and-friction)), from the flat specimen for a drape "

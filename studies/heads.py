@@ -5,22 +5,22 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from studies.learned import Training, train_all
-from studies.study import Report, Study, error_cell, error_picture
+from studies.study import Report, Study, error_cell, error_figure
 
 
 def run(config: dict[str, Any]) -> Report:
-    """Train networks with all outputs, with the same trunk and captures."""
+    """Train networks that differ in the output only."""
     names = ["posterior", "regression", *(f"classes {count}" for count in config["classes"])]
-    return {"heads": train_all({name: Training(steps=config["steps"], answer=name)
+    return {"heads": train_all({name: Training(steps=config["steps"], output=name)
                                 for name in names}, config)}
 
 
-def _shown(name: str) -> str:
+def _label(name: str) -> str:
     return {"posterior": "posterior (mean)", "regression": "regression, Eq. 10"}.get(
-        name, name.replace("classes ", "classification, ") + " classes a modulus")
+        name, name.replace("classes ", "classification, ") + " classes per modulus")
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     found = {name: one["unseen"]["fabrics"]["log_alpha"]["rmse"]
              for name, one in report["heads"].items()}
@@ -34,23 +34,24 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Errors by answer."""
-    return (["answer", "log α (95 %)", "β/α (95 %)"],
-            [[_shown(name), error_cell(one, "log_alpha", interval=True),
+    """Table of errors by output."""
+    return (["output", "log α (95 %)", "β/α (95 %)"],
+            [[_label(name), error_cell(one, "log_alpha", interval=True),
               error_cell(one, "beta_over_alpha", interval=True)]
              for name, one in report["heads"].items()])
 
 
 def draw(report: Report) -> Figure:
-    """Errors by answer."""
-    return error_picture({"": {_shown(name): one for name, one in report["heads"].items()}})
+    """Plot errors by output."""
+    return error_figure({"": {_label(name): one for name, one in report["heads"].items()}})
 
 
 STUDY = Study(
-    "heads", "Output of a network", "002, Figure 18 and Eq. 10",
-    "Should a network predict classes, numbers or a posterior?", run, answer, rows, draw,
+    "heads", "Network output", "002, Figure 18 and Eq. 10",
+    "Which output is most accurate: classes, a regression or a posterior?",
+    run, summarise, rows, draw,
     "finds regression better than classification with 8 to 64 classes (Figure 18); figures are "
     "not comparable.",
     "Trainings are short, with one seed each. Classes divide five standard deviations of a "
-    "modulus evenly, and the estimate is the middle of the likeliest class. Intervals are over "
+    "modulus evenly, and the estimate is the centre of the most probable class. Intervals are over "
     "unseen fabrics.")

@@ -23,113 +23,114 @@ from sim.scene import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.sensitivity.forward import tangent_sensitivities
 from studies.captured import header, rms, specimen
-from studies.study import Report, Study, over_fabrics
+from studies.study import Report, Study, run_fabrics
 
 UNKNOWNS = ("warp", "weft", "shear", "Poisson's ratio")
 FITS = {"same mesh, bending known": (True, False), "other mesh, bending known": (False, False),
         "other mesh, bending unknown": (False, True)}
-"""By name, whether the captured square has the mesh of the fit, and whether bending is free."""
-OTHER_FOLDS = 2.0  # residual, in units of the noise, from which a fit is one of other folds
+"""By name: whether capture and fit have the same mesh, and whether bending is unknown."""
+MAX_NOISE_RATIO = 2.0  # residual over noise; fits with a larger one have other folds
 _STEP = 1e-4  # of an unknown, in central differences of the forces
 _POISSON = (0.0, 0.4)
 
 
 @cache
-def specimens() -> NuisanceConfig:
+def specimen_nuisances() -> NuisanceConfig:
     """Distribution of the nuisances of specimens."""
     return specimen_spread()
 
 
 def prior() -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation (4,) of the unknowns over fabrics, as specimens have them.
+    """Mean and standard deviation (4,) of the unknowns over specimens of all fabrics.
 
     Warp and weft have independent membranes, and shear is relative to their geometric mean.
     """
-    of = specimens()
-    (membrane, shear), (spread, more) = ([of_all[name] for name in ("membrane", "shear")]
-                                         for of_all in (of.means, of.deviations))
+    nuisances = specimen_nuisances()
+    (membrane, shear), (spread, more) = ([table[name] for name in ("membrane", "shear")]
+                                         for table in (nuisances.means, nuisances.deviations))
     poisson = np.mean(_POISSON)
     return (np.array([membrane, membrane, membrane + shear - math.log(2 * (1 + poisson)), poisson]),
             np.array([spread, spread, math.hypot(spread / 2**0.5, more),
                       np.ptp(_POISSON) / 12**0.5]))
 
 
-def drawn(rng: np.random.Generator) -> np.ndarray:
-    """Unknowns (4,) of one fabric."""
-    of = specimens()
-    low, high = np.log(of.shear)
+def sample_unknowns(rng: np.random.Generator) -> np.ndarray:
+    """Draw unknowns (4,) of one fabric."""
+    nuisances = specimen_nuisances()
+    low, high = np.log(nuisances.shear)
     while True:
-        yarns = of.means["membrane"] + of.deviations["membrane"] * rng.standard_normal(2)
+        yarns = (nuisances.means["membrane"]
+                 + nuisances.deviations["membrane"] * rng.standard_normal(2))
         poisson = rng.uniform(*_POISSON)
         shear = yarns.mean() - math.log(2 * (1 + poisson)) + rng.uniform(low, high)
-        own = np.array([*yarns, shear, poisson])
-        if is_stable(own):
-            return own
+        unknowns = np.array([*yarns, shear, poisson])
+        if is_stable(unknowns):
+            return unknowns
 
 
-def is_stable(own: np.ndarray) -> bool:
+def is_stable(unknowns: np.ndarray) -> bool:
     """Whether a membrane with these unknowns is stable."""
-    return bool(own[3] ** 2 * np.exp(own[1] - own[0]) < 1)
+    return bool(unknowns[3] ** 2 * np.exp(unknowns[1] - unknowns[0]) < 1)
 
 
-def membrane_of(own: np.ndarray) -> OrthotropicStVK:
-    """The membrane with these unknowns: logarithms of N/m, and Poisson's ratio; others follow."""
-    warp, weft, shear = np.exp(own[:3])
-    return OrthotropicStVK(warp=warp, weft=weft, shear=shear, poisson=own[3])
+def membrane_of(unknowns: np.ndarray) -> OrthotropicStVK:
+    """Membrane of the unknowns (4 or more,): logarithms of N/m, then Poisson's ratio."""
+    warp, weft, shear = np.exp(unknowns[:3])
+    return OrthotropicStVK(warp=warp, weft=weft, shear=shear, poisson=unknowns[3])
 
 
 class HungFit:
-    """Unknowns of a hung square (:class:`drapenet.refine.optimisers.LeastSquares`), in units of
-    their spread over fabrics: :data:`UNKNOWNS` and, where ``free``, the theta of bending.
+    """Fit of a hung square (:class:`drapenet.refine.optimisers.LeastSquares`).
 
-    Residuals are those of the points, in units of ``sigma``, and the unknowns: a fit is the mode of
-    the posterior.
+    Unknowns are :data:`UNKNOWNS` and, if ``free``, the theta of bending, in units of their standard
+    deviation over fabrics. Residuals are those of the points, in units of ``sigma``, and of the
+    prior; a fit is the mode of the posterior.
 
     Args:
-        near: a square hung on the mesh; points: (V, 3) m, where its vertices were seen.
+        reference: a hung square on the mesh of the fit. points: (V, 3) m, captured vertices.
         theta: (6,) of bending.
-        sigma: m, error of a point along each axis.
+        sigma: m, standard deviation of the noise of each coordinate.
     """
 
-    def __init__(self, near: DrapeResult, points: np.ndarray, theta: np.ndarray, *, free: bool,
+    def __init__(self, reference: DrapeResult, points: np.ndarray, theta: np.ndarray, *, free: bool,
                  sigma: float) -> None:
         bending = header().scale
         self._points, self._theta, self._sigma = points, theta, sigma
-        self._near, self._last, self._least = near.at(points), near, math.inf
+        self._reference, self._last, self._least = reference.at(points), reference, math.inf
         count = 10 if free else 4
-        self._middle, self._unit = (np.concatenate(pair)[:count] for pair in zip(
+        self._mean, self._spread = (np.concatenate(pair)[:count] for pair in zip(
             prior(), (bending.mean[:6], bending.std[:6]), strict=True))
         self.start = np.zeros(count)
         self.low, self.high = self.start - 4.0, self.start + 4.0
-        low, high = (np.array(_POISSON) - self._middle[3]) / self._unit[3]
+        low, high = (np.array(_POISSON) - self._mean[3]) / self._spread[3]
         self.low[3], self.high[3] = low, high
 
-    def own(self, x: np.ndarray) -> np.ndarray:
-        """Unknowns in their own units."""
-        return self._middle + self._unit * x
+    def unknowns(self, x: np.ndarray) -> np.ndarray:
+        """Unknowns in physical units, see :func:`membrane_of`."""
+        return self._mean + self._spread * x
 
     def value(self, x: np.ndarray) -> float:
         """Half the sum of squares, infinite where there is no equilibrium."""
-        own = self.own(x)
-        alpha, beta = from_theta(own[4:] if len(own) > 4 else self._theta)
-        if not (is_stable(own) and is_admissible(alpha, beta)):
+        unknowns = self.unknowns(x)
+        alpha, beta = from_theta(unknowns[4:] if len(unknowns) > 4 else self._theta)
+        if not (is_stable(unknowns) and is_admissible(alpha, beta)):
             return math.inf
-        found = follow(self._near, Fabric(alpha, beta), laws=Laws(membrane=membrane_of(own)),
-                       keep=True)
+        laws = Laws(membrane=membrane_of(unknowns))
+        found = follow(self._reference, Fabric(alpha, beta), laws=laws, keep=True)
         if not found.converged:
             return math.inf
         self._last, total = found, value(self._residuals(found, x))
         if total < self._least:
-            self._near, self._least = found, total
+            self._reference, self._least = found, total
         return total
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Residuals and derivatives where :meth:`value` was asked last."""
+        """Residuals and Jacobian at the last ``x`` of :meth:`value`, None without a tangent."""
         tangent = Tangent.of(self._last)
         if not tangent.ok:
             return None
-        moves = hung_moves(tangent, self._last.fabric, self.own(x))[:, ~self._last.held]
-        jacobian = moves.reshape(len(x), -1).T * self._unit / self._sigma
+        moves = hung_sensitivities(tangent, self._last.fabric, self.unknowns(x))
+        jacobian = moves[:, ~self._last.held].reshape(len(x), -1).T * self._spread / self._sigma
         return self._residuals(self._last, x), np.vstack([jacobian, np.eye(len(x))])
 
     def _residuals(self, found: DrapeResult, x: np.ndarray) -> np.ndarray:
@@ -137,32 +138,33 @@ class HungFit:
         return np.concatenate([gap.ravel(), x])
 
 
-def hung_moves(tangent: Tangent, fabric: Fabric, own: np.ndarray) -> np.ndarray:
-    """(N, V, 3) derivatives of an equilibrium by its unknowns (N,), m per unit."""
+def hung_sensitivities(tangent: Tangent, fabric: Fabric, unknowns: np.ndarray) -> np.ndarray:
+    """Derivatives (N, V, 3) of equilibrium positions with respect to unknowns (N,), m per unit."""
     scene, size = tangent.cloth.scene, tangent.cloth.potential.unknowns
 
-    def pull(own: np.ndarray) -> np.ndarray:
-        return forces([membrane_of(own).energy(scene.mesh, scene.active)], tangent.q, size)
+    def inner_forces(unknowns: np.ndarray) -> np.ndarray:
+        return forces([membrane_of(unknowns).energy(scene.mesh, scene.active)], tangent.q, size)
 
-    steps = _STEP * np.eye(len(own))[:4]
-    moves = [-tangent.response((pull(own + step) - pull(own - step)) / (2 * _STEP))
+    steps = _STEP * np.eye(len(unknowns))[:4]
+    moves = [-tangent.response(
+        (inner_forces(unknowns + step) - inner_forces(unknowns - step)) / (2 * _STEP))
              for step in steps]
-    if len(own) > 4:
+    if len(unknowns) > 4:
         moves += [*tangent_sensitivities(tangent, fabric, ("log_alpha", "ratio")).moves]
-    return np.array(moves)[:, : tangent.coordinates].reshape(len(own), -1, 3)
+    return np.array(moves)[:, : tangent.coordinates].reshape(len(unknowns), -1, 3)
 
 
 def case(
     *, number: int, edge_mm: float, truth_mm: float, noise_mm: float, evaluations: int, seed: int
 ) -> dict[str, Any]:
-    """Unknowns of one fabric, and of each fit what it found, in units of the spread over fabrics,
-    and its own standard deviations; a fit that failed is not there.
+    """True unknowns of one fabric, and the estimates and standard deviations of each fit that
+    succeeded, in units of the standard deviation over fabrics.
     """
     theta, rng = specimen(number, seed=seed).theta, np.random.default_rng([seed, number])
-    own, sigma, fabric = drawn(rng), 1e-3 * noise_mm, fabric_from_theta(theta)
+    unknowns, sigma, fabric = sample_unknowns(rng), 1e-3 * noise_mm, fabric_from_theta(theta)
     mean, spread = prior()
-    result: dict[str, Any] = {"true": ((own - mean) / spread).tolist(), "fits": {}}
-    laws = Laws(membrane=membrane_of(own))
+    result: dict[str, Any] = {"true": ((unknowns - mean) / spread).tolist(), "fits": {}}
+    laws = Laws(membrane=membrane_of(unknowns))
     coarse, fine = (drape(fabric, rig=HUNG_SQUARE, edge=1e-3 * edge, seed=number, laws=laws)
                     for edge in (edge_mm, truth_mm))
     if not (coarse.converged and fine.converged):
@@ -187,23 +189,22 @@ def case(
 def run(config: dict[str, Any]) -> Report:
     """Run all fabrics."""
     return {"spread": prior()[1].tolist(),
-            "fabrics": over_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
+            "fabrics": run_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
 
 
-def _fitting(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
-    """True unknowns and fit of the fabrics whose residual is that of noise, and not of other folds.
-    """
-    limit = OTHER_FOLDS * report["settings"]["noise_mm"]
+def _accepted_fits(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
+    """True unknowns and fits of the fabrics with residuals below :data:`MAX_NOISE_RATIO`."""
+    limit = MAX_NOISE_RATIO * report["settings"]["noise_mm"]
     return [(one["true"], fit) for one in report["fabrics"].values()
             if (fit := one["fits"].get(name)) and fit["left_mm"] < limit]
 
 
 def _errors(report: Report, name: str) -> np.ndarray:
-    """(N, 4) errors of the fits that fit, in units of the spread over fabrics."""
-    return np.array([np.subtract(fit["x"], true) for true, fit in _fitting(report, name)])
+    """Errors (N, 4) of accepted fits, in units of the standard deviation over fabrics."""
+    return np.array([np.subtract(fit["x"], true) for true, fit in _accepted_fits(report, name)])
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     def errors(name: str) -> tuple[list[float], str]:
         found = _errors(report, name)
@@ -212,19 +213,20 @@ def answer(report: Report) -> str:
                 f"{len(report['fabrics'])} fits)")
 
     first, *_, last = FITS
-    good = [name for name, error in zip(UNKNOWNS, errors(last)[0], strict=False) if error < 1 / 3]
-    return (f"With {report['settings']['noise_mm']:g} mm of noise a point, the errors of warp, "
-            "weft, shear and Poisson's ratio, in units of the spread over fabrics, are "
+    identified = [name for name, error in zip(UNKNOWNS, errors(last)[0], strict=False)
+                  if error < 1 / 3]
+    return (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate, the errors of "
+            "warp, weft, shear and Poisson's ratio, in units of the spread over fabrics, are "
             f"{errors(first)[1]} in the case \"{first}\" and {errors(last)[1]} in the case "
-            f"\"{last}\"; below a third in the latter: {', '.join(good) or 'none'}. The "
+            f"\"{last}\"; below a third in the latter: {', '.join(identified) or 'none'}. The "
             "remaining fits ended in other folds, which their residuals reveal.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """By fit and unknown."""
+    """Table of errors by fit and unknown."""
     lines = []
     for name in FITS:
-        errors, fits = _errors(report, name), [fit for _, fit in _fitting(report, name)]
+        errors, fits = _errors(report, name), [fit for _, fit in _accepted_fits(report, name)]
         for k, unknown in enumerate(UNKNOWNS) if fits else ():
             middle = np.median(np.abs(errors[:, k])) * report["spread"][k]
             lines.append([
@@ -239,13 +241,13 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Found over true, by unknown, in their own units."""
+    """Plot estimates over true values, a panel per unknown."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     middle, spread = prior()[0], np.array(report["spread"])
     for k, (axes, unknown) in enumerate(zip(figure.subplots(1, 4), UNKNOWNS, strict=True)):
         for colour, name in zip(("C0", "C1", "C3"), FITS, strict=True):
             pairs = np.array([(true[k], fit["x"][k])
-                              for true, fit in _fitting(report, name)]).reshape(-1, 2)
+                              for true, fit in _accepted_fits(report, name)]).reshape(-1, 2)
             pairs = middle[k] + spread[k] * pairs
             axes.plot(*(np.exp(pairs) if k < 3 else pairs).T, "o", ms=4, alpha=0.7, color=colour,
                       label=name)
@@ -265,9 +267,9 @@ def draw(report: Report) -> Figure:
 
 STUDY = Study(
     "hung", "Membrane from a hung square", "004, section 5",
-    "Which stiffnesses of an orthotropic membrane do the points of a square that hangs by two "
-    "corners identify?",
-    run, answer, rows, draw,
+    "Which stiffnesses of an orthotropic membrane can be identified from the vertices of a square "
+    "hung by two corners?",
+    run, summarise, rows, draw,
     "fits stress curves of warp, weft and shear to measured forces, without Poisson's ratio, with "
     "residuals of 0.2 to 0.6 N for a knit; not comparable, because here only weight acts and no "
     "force is measured.",

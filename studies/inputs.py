@@ -5,9 +5,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from studies.learned import Training, train_all
-from studies.study import Report, Study, error_cell, error_picture
+from studies.study import Report, Study, error_cell, error_figure
 
-SEEN: dict[str, tuple[str, str, str]] = {
+INPUTS: dict[str, tuple[str, str, str]] = {
     "map, width 16": ("canonical map", "map", "16"),
     "map, width 8": ("canonical map", "map", "8"),
     "map, width 32": ("canonical map", "map", "32"),
@@ -19,27 +19,27 @@ SEEN: dict[str, tuple[str, str, str]] = {
     "EfficientNet-B0": ("four depth views", "views", "efficientnet_b0"),
     "VGG-16": ("four depth views", "views", "vgg16"),
 }
-"""By name: label of the input, and the fields ``sees`` and ``network`` of :class:`Training`."""
+"""By name: label of the input, and the fields ``input`` and ``network`` of :class:`Training`."""
 BASE = "map, width 16"
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All networks, for equal steps and for equal processor time."""
+    """Train all networks for equal steps and for equal processor time."""
     def trainings(**length: float) -> dict[str, Training]:
-        return {name: Training(sees=sees, network=network, **length)
-                for name, (_, sees, network) in SEEN.items()}
+        return {name: Training(input=kind, network=network, **length)
+                for name, (_, kind, network) in INPUTS.items()}
 
     steps = trainings(steps=config["steps"])
-    del steps["VGG-16"]  # half an hour and more
+    del steps["VGG-16"]  # takes more than half an hour
     clock = trainings(cpu_seconds=config["cpu_seconds"])
     return {"steps": train_all(steps, config), "clock": train_all(clock, config)}
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     by_clock = {name: one["unseen"]["fabrics"]["log_alpha"]["rmse"]
                 for name, one in report["clock"].items()}
-    views = {name: by_clock[name] for name, (_, sees, _) in SEEN.items() if sees == "views"}
+    views = {name: by_clock[name] for name, (_, kind, _) in INPUTS.items() if kind == "views"}
     best = min(views, key=views.__getitem__)
     small = min((name for name in by_clock if name.startswith("map")), key=by_clock.__getitem__)
     return ("After the same processor time the error of log α is "
@@ -51,32 +51,32 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Networks, by what they see."""
+    """Table of errors by input and network."""
     found = []
-    for name, (shown, _, _) in SEEN.items():
+    for name, (label, _, _) in INPUTS.items():
         by_steps, by_clock = report["steps"].get(name), report["clock"][name]
         seconds = by_clock["cpu_seconds"] / by_clock["steps"]
-        found.append([shown, name.removeprefix("map, ") if shown != name else "",
+        found.append([label, name.removeprefix("map, ") if label != name else "",
                       f"{by_clock['parameters'] / 1e6:.2f}", f"{seconds:.2f}",
                       error_cell(by_steps, "log_alpha"), error_cell(by_steps, "beta_over_alpha"),
                       by_clock["steps"], error_cell(by_clock, "log_alpha"),
                       error_cell(by_clock, "beta_over_alpha")])
-    return (["input", "network", "parameters, millions", "CPU s a step", "log α, equal steps",
+    return (["input", "network", "parameters, millions", "CPU s per step", "log α, equal steps",
              "β/α", "steps in equal time", "log α, equal time", "β/α"], found)
 
 
 def draw(report: Report) -> Figure:
-    """Errors by network, both ways."""
-    return error_picture({"equal steps": report["steps"], "equal processor time": report["clock"]})
+    """Plot errors by network, for equal steps and equal time."""
+    return error_figure({"equal steps": report["steps"], "equal processor time": report["clock"]})
 
 
 STUDY = Study(
     "inputs", "Inputs and backbones", "002, Figure 20 and Table 2",
-    "Which input and which network estimate the moduli best?", run, answer, rows, draw,
+    "Which input and which network estimate the moduli best?", run, summarise, rows, draw,
     "finds ResNet-18 0.127, EfficientNet-B0 0.142, VGG-16 0.122, AlexNet 0.224 (Table 2), trained "
     "for 12 to 101 hours on 2.3 million images; the boundary curve is worse than depth (Figure "
-    "20). Only the order of inputs is comparable: these networks learn for minutes from some 1 "
-    "700 captures, so that the order of backbones is one of cost, not of final quality.",
+    "20). Only the order of inputs is comparable: these networks are trained for minutes on about "
+    "1 700 captures, so that backbones are ranked by cost, not by final accuracy.",
     "Each network has one seed, few fabrics, the same learning rate and a posterior of two "
     "Gaussians. The boundary curve is that of the merged map, better than that of one picture. "
     "VGG-16 was not trained for equal steps, which would take half an hour.")

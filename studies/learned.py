@@ -32,11 +32,11 @@ from drapenet.maps import Maps, make_maps
 from drapenet.targets import MODULI, TargetScale
 from drapenet.training import CaptureSet
 from sim.scene import Rig
-from studies.networks import COMPONENTS, OnMaps, OnNumbers, OnOutlines, OnViews
-from studies.stacked_views import CHANNELS, TARGETS, StackedSet, pictures, setups
+from studies.networks import COMPONENTS, FoldNetwork, MapNetwork, OutlineNetwork, ViewNetwork
+from studies.stacked_views import CHANNELS, TARGETS, StackedSet, capture_views, setups
 
 RIG = "square300_cylinder100"
-HELD_OUT = {"train": 0.88, "unseen": 0.12}  # of the fabrics of DATASETS' first
+HELD_OUT = {"train": 0.88, "unseen": 0.12}  # fractions of the fabrics of the first dataset
 DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "fabrics": ("drapes", 0, ()),
     "starts": ("start_drapes", 1, ("dataset.starts_per_fabric=4",
@@ -46,10 +46,10 @@ DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "uniform": ("other_drapes", 4, ("dataset.soft_share=0",)),
     "table": ("table_drapes", 5, ("dataset.soft_share=0",)),
 }
-"""Sets of drapes: the key of the config that counts them, what is added to its seed, and words for
+"""Sets of drapes by name: config key of their number, increment of the seed, and overrides of
 ``configs/generate.yaml``."""
-_AROUND = 20_000  # samples of the prior that the box of "uniform" is taken around
-_AT_ONCE = 64  # captures
+_BOX_SAMPLES = 20_000  # samples of the prior for the bounds of "uniform"
+_PREDICTION_BATCH = 64  # captures per batch of an evaluation
 
 
 @dataclass(frozen=True)
@@ -58,31 +58,31 @@ class Training:
 
     Attributes:
         drapes: a key of :data:`DATASETS`.
-        fabrics: how many of its fabrics; 0: all that are not held out.
-        starts: how many drapes of each; 0: all.
-        start: only drapes from this initial state; empty: from all.
-        sees: "map", "outline", "numbers" or "views".
+        fabrics: number of fabrics; 0: all that are not held out.
+        starts: number of drapes of each; 0: all.
+        start: initial state of the drapes; empty: any.
+        input: "map", "outline", "numbers" or "views".
         network: for views, the name of a network of torchvision; else the width of the first stage.
-        answer: see :func:`studies.networks.head`.
-        fixed: whether specimens lie in one orientation, and are not shown turned.
-        steps: of the training; 0: by the clock.
-        cpu_seconds: of the training, where ``steps`` is 0.
-        keep: whether the weights are kept.
-        table: whether it is also judged on the fabrics of "table".
+        output: see :func:`studies.networks.output_head`.
+        fixed: whether all specimens have one orientation, without augmentation by symmetries.
+        steps: of the training; 0: limited by ``cpu_seconds``.
+        cpu_seconds: processor time of the training, where ``steps`` is 0.
+        keep_weights: whether to store the weights.
+        evaluate_table: whether to evaluate also on the fabrics of "table".
     """
 
     drapes: str = "fabrics"
     fabrics: int = 0
     starts: int = 0
     start: str = ""
-    sees: str = "map"
+    input: str = "map"
     network: str = "16"
-    answer: str = "posterior"
+    output: str = "posterior"
     fixed: bool = False
     steps: int = 0
     cpu_seconds: float = 0.0
-    keep: bool = False
-    table: bool = False
+    keep_weights: bool = False
+    evaluate_table: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class UniformPrior(Stored):
 
     @classmethod
     def around(cls, theta: np.ndarray, *, tail: float = 0.01) -> "UniformPrior":
-        """Between the quantiles ``tail`` and 1 - ``tail`` of each entry of theta (F, 6)."""
+        """Bounds at the quantiles ``tail`` and 1 - ``tail`` of each entry of theta (F, 6)."""
         return cls(*np.quantile(theta, [tail, 1 - tail], axis=0))
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -104,68 +104,69 @@ class UniformPrior(Stored):
 
 
 def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[str, dict]:
-    """Results of all trainings by name, see :func:`learn`; finished ones are not repeated."""
+    """Results by name of all trainings, see :func:`train`; run those without a stored result."""
     used = {"fabrics"} | {one.drapes for one in trainings.values()}
-    used |= {"table"} if any(one.table for one in trainings.values()) else set()
+    used |= {"table"} if any(one.evaluate_table for one in trainings.values()) else set()
     digests = {name: make_drapes(name, config) for name in DATASETS if name in used}
     for name in used:
-        captured(name, config)
-    for fixed in {one.fixed for one in trainings.values() if one.sees == "views"}:
-        seen(config, fixed=fixed)
+        load_maps(name, config)
+    for fixed in {one.fixed for one in trainings.values() if one.input == "views"}:
+        load_views(config, fixed=fixed)
     settings = {key: config[key] for key in ("captures", "batch", "seed", "work", "data_seed")}
     cases = {}
     for name, one in trainings.items():
         case = {"training": asdict(one), "settings": settings, "dataset": digests[one.drapes]}
         cases[name] = (f"training_{json_digest(case)[:12]}", case)
-    found = run_cases(learn, dict(cases.values()), folder=Path(config["work"]),
+    found = run_cases(train, dict(cases.values()), folder=Path(config["work"]),
                       workers=config["workers"], sources=ESTIMATOR_SOURCES)
     return {name: found[key] | {"key": key} for name, (key, _) in cases.items()}
 
 
 def make_drapes(name: str, config: dict[str, Any]) -> str:
-    """Make a set of drapes where it is missing; its digest."""
+    """Simulate a set of drapes unless it is stored; return its digest."""
     size, step, words = DATASETS[name]
     options = compose_config("generate", [
         f"drapes={config[size]}", f"seed={config['data_seed'] + step}",
         f"edge_mm={config['edge_mm']}", *words], schema=Options)
     dataset = config_from_options(options)
     if name == "uniform":
-        fabrics = load_prior("vae").sample(_AROUND, np.random.default_rng(0))
+        fabrics = load_prior("vae").sample(_BOX_SAMPLES, np.random.default_rng(0))
         dataset = replace(dataset, prior=UniformPrior.around(fabrics))
     if name == "table":
         fabrics = read_fabric_table(config["table"]).theta
         dataset = replace(dataset, prior=TablePrior(fabrics))
-    return generate_dataset(dataset, folder(name, config), workers=config["workers"])["hash"]
+    return generate_dataset(dataset, drapes_folder(name, config), workers=config["workers"])["hash"]
 
 
-def folder(name: str, config: dict[str, Any]) -> Path:
-    """Of a set of drapes."""
+def drapes_folder(name: str, config: dict[str, Any]) -> Path:
+    """Path of a set of drapes."""
     return Path(config["work"]) / f"drapes_{name}"
 
 
-def captured(name: str, config: dict[str, Any]) -> Maps:
-    """Maps of a set's captures, made where they are missing."""
-    return make_maps(folder(name, config), Path(config["work"]), rig=Rig.from_name(RIG),
+def load_maps(name: str, config: dict[str, Any]) -> Maps:
+    """Maps of the captures of a set, computed unless they are stored."""
+    return make_maps(drapes_folder(name, config), Path(config["work"]), rig=Rig.from_name(RIG),
                      setups=setups(), captures=config["captures"], seed=config["seed"],
                      workers=config.get("workers", 1))
 
 
-def seen(config: dict[str, Any], *, fixed: bool) -> list[np.ndarray]:
-    """Views, focal lengths and orientations of the captures of "fabrics", see :func:`pictures`."""
-    root, work = folder("fabrics", config), Path(config["work"])
+def load_views(config: dict[str, Any], *, fixed: bool) -> list[np.ndarray]:
+    """Views, focal lengths, orientations of the set "fabrics", see :func:`capture_views`."""
+    root, work = drapes_folder("fabrics", config), Path(config["work"])
     manifest = finished_manifest(root)
     cases = {f"{Path(name).stem}{'_fixed' if fixed else ''}": {
         "shard": str(root / name), "rig": RIG, "captures": config["captures"],
         "seed": config["seed"], "dataset": manifest["hash"], "fixed": fixed}
         for name in manifest["shards"]}
-    run_cases(pictures, cases, folder=work, workers=config.get("workers", 1), sources=("data",))
+    run_cases(capture_views, cases, folder=work, workers=config.get("workers", 1),
+              sources=("data",))
     parts = [load_arrays(work, name) for name in cases]
     return [np.concatenate([part[key] for part in parts])
             for key in ("views", "focal", "orientation")]
 
 
 @dataclass(frozen=True)
-class Learner:
+class Experiment:
     """Training and test captures, target scale and network of a training."""
 
     training: CaptureSet
@@ -174,93 +175,100 @@ class Learner:
     network: torch.nn.Module
 
 
-def learner(one: Training, config: dict[str, Any]) -> Learner:
-    """The captures and the untrained network of a training."""
-    rig, maps = Rig.from_name(RIG), captured("fabrics", config)
+def make_experiment(one: Training, config: dict[str, Any]) -> Experiment:
+    """Load the captures of a training and initialise its network."""
+    rig, maps = Rig.from_name(RIG), load_maps("fabrics", config)
     held = split_by_fabric(maps.fabric, fractions=HELD_OUT) == "unseen"
-    if one.sees == "views":
-        parts, other = seen(config, fixed=one.fixed), seen(config, fixed=False)
+    if one.input == "views":
+        parts, other = load_views(config, fixed=one.fixed), load_views(config, fixed=False)
         stacked = StackedSet(maps.chosen(~held), *(part[~held] for part in parts))
         rest = StackedSet(maps.chosen(held), *(part[held] for part in other), scale=stacked.scale)
-        return Learner(stacked, {"fabrics": rest}, stacked.scale, OnViews(
-            one.network, channels=CHANNELS, answer=one.answer, targets=TARGETS))
+        return Experiment(stacked, {"fabrics": rest}, stacked.scale, ViewNetwork(
+            one.network, channels=CHANNELS, output=one.output, targets=TARGETS))
     scale = CaptureSet(maps.chosen(~held), disc=False).scale
     unseen = {"fabrics": maps.chosen(held)}
-    if one.table:
-        unseen["table"] = captured("table", config)
-    chosen = maps.chosen(~held) if one.drapes == "fabrics" else captured(one.drapes, config)
-    chosen = chosen.chosen(_wanted(chosen, one, config))
+    if one.evaluate_table:
+        unseen["table"] = load_maps("table", config)
+    chosen = maps.chosen(~held) if one.drapes == "fabrics" else load_maps(one.drapes, config)
+    chosen = chosen.chosen(_selected(chosen, one, config))
     captures = CaptureSet(chosen, scale=scale, disc=False)
     shape = captures.network(ModelConfig(width=1, components=COMPONENTS))
-    kinds = {"map": OnMaps, "outline": OnOutlines}
+    kinds = {"map": MapNetwork, "outline": OutlineNetwork}
     network: torch.nn.Module
-    if one.sees == "numbers":
-        network = OnNumbers(rig=rig, answer=one.answer, targets=shape["targets"])
+    if one.input == "numbers":
+        network = FoldNetwork(rig=rig, output=one.output, targets=shape["targets"])
     else:
-        network = kinds[one.sees](answer=one.answer, **shape | {"width": int(one.network)}, **(
-            {"rig": rig} if one.sees == "outline" else {}))
-    return Learner(captures, {name: CaptureSet(part, scale=scale, disc=False)
+        network = kinds[one.input](output=one.output, **shape | {"width": int(one.network)}, **(
+            {"rig": rig} if one.input == "outline" else {}))
+    return Experiment(captures, {name: CaptureSet(part, scale=scale, disc=False)
                               for name, part in unseen.items()}, scale, network)
 
 
-def _wanted(maps: Maps, one: Training, config: dict[str, Any]) -> np.ndarray:
+def _selected(maps: Maps, one: Training, config: dict[str, Any]) -> np.ndarray:
     """Mask (N,) of the captures used by a training."""
-    sampling = finished_manifest(folder(one.drapes, config))["config"]["sampling"]
-    number = maps.index % sampling["starts_per_fabric"]  # of the drape among its fabric's
+    sampling = finished_manifest(drapes_folder(one.drapes, config))["config"]["sampling"]
+    number = maps.index % sampling["starts_per_fabric"]  # of the drape among those of its fabric
     names = np.array(sampling["starts"])[(maps.fabric + number) % len(sampling["starts"])]
-    wanted = np.ones(len(maps), bool)
+    selected = np.ones(len(maps), bool)
     if one.fabrics:
-        wanted &= np.isin(maps.fabric, np.unique(maps.fabric)[: one.fabrics])
+        selected &= np.isin(maps.fabric, np.unique(maps.fabric)[: one.fabrics])
     if one.starts:
-        wanted &= number < one.starts
+        selected &= number < one.starts
     if one.start:
         first = [index for fabric in np.unique(maps.fabric)
                  for index in maps.index[(maps.fabric == fabric) & (names == one.start)][:1]]
-        wanted &= np.isin(maps.index, first)
-    return wanted
+        selected &= np.isin(maps.index, first)
+    return selected
 
 
-def learn(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
-    """Train and judge one network; ``dataset`` says what it learned from.
+def train(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
+    """Train and evaluate one network.
+
+    Args:
+        dataset: digest of the training drapes, a part of the key of the stored result.
 
     Returns:
-        ``unseen``: by set, ``log_alpha`` and ``beta_over_alpha`` (:func:`rms_with_interval`) in
-        deviations of the training's fabrics, stiffer yarns first, and of a posterior ``inside``,
-        shares of moduli in its intervals; ``steps``, ``cpu_seconds``, ``captures``, ``parameters``.
+        ``unseen``: by test set, ``log_alpha`` and ``beta_over_alpha`` (:func:`rms_with_interval`)
+        in standard deviations over the training fabrics, stiffer yarns first, and for a posterior
+        ``inside``, the coverage of its intervals; ``steps``, ``cpu_seconds``, ``captures``,
+        ``parameters``.
     """
     one = Training(**training)
     torch.manual_seed(settings["seed"])
-    made = learner(one, settings)
+    experiment = make_experiment(one, settings)
     began = time.process_time()
-    steps = fit(made.network, made.training, one, batch=settings["batch"], seed=settings["seed"])
+    steps = fit(experiment.network, experiment.training, one, batch=settings["batch"],
+                seed=settings["seed"])
     seconds = time.process_time() - began
-    spread = stiff_first(captured("fabrics", settings).theta).std(axis=0)
-    result = {"unseen": {}, "steps": steps, "cpu_seconds": seconds, "captures": len(made.training),
-              "parameters": sum(part.numel() for part in made.network.parameters())}
-    for name, captures in made.unseen.items():
-        estimates, places = judged(made, captures, posterior=one.answer == "posterior")
+    spread = stiff_first(load_maps("fabrics", settings).theta).std(axis=0)
+    result = {"unseen": {}, "steps": steps, "cpu_seconds": seconds,
+              "captures": len(experiment.training),
+              "parameters": sum(part.numel() for part in experiment.network.parameters())}
+    for name, captures in experiment.unseen.items():
+        estimates, all_ranks = predict(experiment, captures, posterior=one.output == "posterior")
         errors = (estimates - stiff_first(captures.maps.theta)) / spread
         result["unseen"][name] = {
             "log_alpha": rms_with_interval(errors[:, :3], captures.maps.fabric),
             "beta_over_alpha": rms_with_interval(errors[:, 3:], captures.maps.fabric),
-            **({"inside": inside(places)} if places is not None else {})}
-    if one.keep:
+            **({"inside": inside(all_ranks)} if all_ranks is not None else {})}
+    if one.keep_weights:
         result["arrays"] = {name: value.numpy()
-                            for name, value in made.network.state_dict().items()}
+                            for name, value in experiment.network.state_dict().items()}
     return result
 
 
 def fit(
     network: torch.nn.Module, captures: CaptureSet, one: Training, *, batch: int, seed: int
 ) -> int:
-    """Train as ``train.py`` does, without epochs; the number of steps. The network is left in
-    evaluation mode.
+    """Train like ``train.py`` but without epochs; return the number of steps.
+
+    The network is in evaluation mode afterwards.
     """
     optim = compose_config("train", [f"optim.batch_size={batch}"], schema=TrainConfig).optim
     began, done = time.process_time(), 0
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=optim.weight_decay)
     network.train()
-    batches = chain.from_iterable(_shown(captures, one, size=batch, seed=seed, epoch=epoch)
+    batches = chain.from_iterable(_batches(captures, one, size=batch, seed=seed, epoch=epoch)
                                   for epoch in count())
     while True:
         progress = (done / one.steps if one.steps
@@ -280,10 +288,10 @@ def fit(
     return done
 
 
-def _shown(
+def _batches(
     captures: CaptureSet, one: Training, *, size: int, seed: int, epoch: int
 ) -> Iterator[Any]:
-    """Batches of an epoch; of specimens in one orientation without turns."""
+    """Batches of an epoch; without augmentation where the orientation is fixed."""
     if not one.fixed:
         yield from captures.epoch(seed=seed, epoch=epoch, size=size)
         return
@@ -293,32 +301,32 @@ def _shown(
 
 
 @torch.no_grad()
-def judged(
-    made: Learner, captures: CaptureSet, *, posterior: bool
+def predict(
+    experiment: Experiment, captures: CaptureSet, *, posterior: bool
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """(N, 6) estimates of theta, stiffer yarns first, and of a posterior (N, 6) ranks of the truth
-    along the targets' own yarns.
+    """Estimates (N, 6) of theta, stiffer yarns first, and for a posterior ranks (N, 6) of the truth
+    in the yarn order of the targets.
     """
-    means, places = [], []
-    for _, part in captures.in_order(_AT_ONCE):
-        answer = part.through(made.network)
-        means.append(made.scale.decode(answer.mean.numpy())[:, :MODULI])
+    means, all_ranks = [], []
+    for _, part in captures.in_order(_PREDICTION_BATCH):
+        output = part.through(experiment.network)
+        means.append(experiment.scale.decode(output.mean.numpy())[:, :MODULI])
         if posterior:
-            draws = answer.sample(400, torch.Generator().manual_seed(0))
-            places.append(ranks(draws.numpy(), part.targets.numpy())[:, :MODULI])
-    return stiff_first(np.concatenate(means)), np.concatenate(places) if posterior else None
+            draws = output.sample(400, torch.Generator().manual_seed(0))
+            all_ranks.append(ranks(draws.numpy(), part.targets.numpy())[:, :MODULI])
+    return stiff_first(np.concatenate(means)), np.concatenate(all_ranks) if posterior else None
 
 
-def kept(one: Training, result: dict, config: dict[str, Any]) -> Learner:
+def load_trained(one: Training, result: dict, config: dict[str, Any]) -> Experiment:
     """Load the trained network of a result of :func:`train_all` with stored weights."""
-    made = learner(one, config)
+    experiment = make_experiment(one, config)
     weights = load_arrays(Path(config["work"]), result["key"])
-    made.network.load_state_dict({name: torch.from_numpy(value)
+    experiment.network.load_state_dict({name: torch.from_numpy(value)
                                   for name, value in weights.items()})
-    made.network.eval()
-    return made
+    experiment.network.eval()
+    return experiment
 
 
 def stiff_first(theta: np.ndarray) -> np.ndarray:
-    """theta (N, 6) with the stiffer yarns first."""
+    """Theta (N, 6) with the stiffer yarns first."""
     return np.where(theta[:, [FIRST]] < theta[:, [SECOND]], theta[:, SWAPPED], theta)

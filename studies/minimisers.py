@@ -1,6 +1,6 @@
 """Optimisers for comparison with Levenberg-Marquardt in :mod:`drapenet.refine.optimisers`.
 
-L-BFGS-B uses the gradient only, CMA-ES values only.
+L-BFGS-B uses values and gradients, CMA-ES values only.
 """
 
 import math
@@ -10,9 +10,9 @@ from scipy.optimize import minimize as scipy_minimise
 
 from drapenet.refine.optimisers import Method, Run, Status, levenberg_marquardt
 
-SIGMA = 0.3  # first deviation of the evolution strategy, in the problem's units
-SEED = 0  # of the evolution strategy
-_FAILED = 1e30  # stands for an infinite value where a method needs a number
+SIGMA = 0.3  # initial standard deviation of CMA-ES, in units of the problem
+SEED = 0  # of CMA-ES
+_INFEASIBLE_VALUE = 1e30  # replaces an infinite value where a method requires a finite one
 
 
 def lbfgs(run: Run) -> tuple[Status, str]:
@@ -37,8 +37,8 @@ def lbfgs(run: Run) -> tuple[Status, str]:
 
 
 def cma_es(run: Run) -> tuple[Status, str]:
-    """CMA-ES of the package cma, with its own size of population."""
-    import cma  # takes a while
+    """CMA-ES of the package cma, with its default population size."""
+    import cma  # slow import
 
     problem, limits = run.problem, run.limits
     strategy = cma.CMAEvolutionStrategy(run.best.x, SIGMA, {
@@ -47,7 +47,7 @@ def cma_es(run: Run) -> tuple[Status, str]:
     })
     while not strategy.stop():
         points = strategy.ask()
-        strategy.tell(points, [min(run.value(np.asarray(x)), _FAILED) for x in points])
+        strategy.tell(points, [min(run.value(np.asarray(x)), _INFEASIBLE_VALUE) for x in points])
     return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
 
 

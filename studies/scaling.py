@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from studies.captured import bound
+from studies.captured import posterior_bound
 from studies.learned import Training, train_all
 from studies.study import Report, Study, error_cell
 
-_PER_FABRIC = (1, 2, 4)
+_PER_FABRIC = (1, 2, 4)  # drapes
 
 
 def run(config: dict[str, Any]) -> Report:
-    """By fabrics, by drapes of each, by steps."""
+    """Train with different numbers of fabrics, of drapes per fabric, and of steps."""
     steps = config["steps"]
     groups = {
         "fabrics": {str(n): Training(fabrics=n, steps=steps) for n in config["fabrics"]},
@@ -30,7 +30,7 @@ def _errors(report: Report, group: str) -> dict[int, float]:
             for size, one in report[group].items()}
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     def change(group: str) -> tuple[int, float, int, float]:
         found = _errors(report, group)
@@ -45,14 +45,14 @@ def answer(report: Report) -> str:
             f"from {one} to {four} drapes of each of {per_fabric} fabrics from {single:.2f} to "
             f"{several:.2f}; from {short} to {long} steps on all fabrics from {early:.2f} to "
             f"{late:.2f}. The bundled network (3 051 fabrics, 4 500 steps of five times as many "
-            f"captures) has 0.17, the posterior bound is {bound():.2f}.")
+            f"captures) has 0.17, the posterior bound is {posterior_bound():.2f}.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """All trainings."""
-    names = {"fabrics": "{} fabrics, a drape of each", "drapes": "{} drapes of each fabric",
+    """Table of errors of all trainings."""
+    names = {"fabrics": "{} fabrics, one drape each", "drapes": "{} drapes per fabric",
              "steps": "{} steps on all fabrics"}
-    return (["learned from", "captures", "steps", "log α (95 %)", "β/α (95 %)"],
+    return (["training data", "captures", "steps", "log α (95 %)", "β/α (95 %)"],
             [[names[group].format(size), one["captures"], one["steps"],
               error_cell(one, "log_alpha", interval=True),
               error_cell(one, "beta_over_alpha", interval=True)]
@@ -60,7 +60,7 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Errors of log alpha against each quantity."""
+    """Plot errors of log alpha over each quantity."""
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     labels = {"fabrics": "fabrics, one drape of each", "drapes": "drapes of each fabric",
               "steps": "steps"}
@@ -71,20 +71,21 @@ def draw(report: Report) -> Figure:
         low, high = np.transpose([one["interval_95"] for one in found])
         axes.errorbar([int(size) for size in report[group]], middle,
                       [middle - low, high - middle], fmt="o-")
-        axes.axhline(bound(), color="0.5", ls=":")
+        axes.axhline(posterior_bound(), color="0.5", ls=":")
         axes.set(xscale="log", xlabel=label, ylim=(0, None))
         axes.set_xticks([int(size) for size in report[group]], list(report[group]))
         axes.minorticks_off()
     figure.axes[0].set_ylabel("error of log α")
-    figure.axes[0].annotate("posterior bound", (0.04, bound()), (0, 3), fontsize=8,
+    figure.axes[0].annotate("posterior bound", (0.04, posterior_bound()), (0, 3), fontsize=8,
                             xycoords=("axes fraction", "data"), textcoords="offset points")
     return figure
 
 
 STUDY = Study(
     "scaling", "Amount of training data", "002, section 5.2",
-    "How much do more fabrics, more drapes of each, and longer training reduce the error?",
-    run, answer, rows, draw,
-    "uses 6 000 fabrics, eight drapes of each, twelve captures of each drape, without a curve.",
+    "How much do more fabrics, more drapes per fabric, and longer training reduce the error?",
+    run, summarise, rows, draw,
+    "uses 6 000 fabrics, eight drapes of each and twelve captures of each drape, and reports no "
+    "learning curve.",
     "Sets are small and trained with one seed; intervals are over unseen fabrics, not over "
     "trainings. 16 000 and 48 000 fabrics were not tried.")

@@ -19,107 +19,107 @@ PAGE = ROOT / "docs" / "studies.md"
 REPORTS = ROOT / "docs" / "studies"
 _HEAD = """# Studies
 
-Experiments of published papers, repeated with this system. Each has a command that can be resumed
-and writes its section of this page; `make studies` runs all, `python -m studies page` writes page
-and pictures from the stored reports. Unless stated otherwise, errors of log α and β/α are root mean
-squares of posterior mean minus truth, in units of the standard deviation over fabrics, and
-displacements are distances between the positions of the same material point in two drapes, averaged
-over the specimen including its part on the plate.
+Experiments of published papers, repeated with this system. The command of a study resumes after an
+interruption and writes its section of this page; `make studies` runs all studies, and
+`python -m studies page` writes page and figures from the stored reports. Unless stated otherwise,
+errors of log α and β/α are root mean squares of posterior mean minus truth, in units of the
+standard deviation over fabrics, and displacements are distances between the positions of the same
+material point in two drapes, averaged over the specimen including its part on the plate.
 002 is Feng et al. 2022, 000 Larionov et al., 001 DiffCloth, 004 Miguel et al. 2012.
 [validation.md](validation.md) validates and times the simulator.
 """
 
 Report = dict[str, Any]
 
-
 _EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "scans", "learned")
 
 
-def over_fabrics(
-    case: Callable[..., dict], config: dict[str, Any], *, sources: Sequence[str], inside: str = ""
+def run_fabrics(
+    case: Callable[..., dict], config: dict[str, Any], *, sources: Sequence[str],
+    subfolder: str = "",
 ) -> dict[str, dict]:
-    """Results of ``case(number=k, ...)`` for every fabric; finished ones are not repeated.
+    """Run ``case(number=k, ...)`` for every fabric that has no stored result.
 
     Args:
-        config: of the study; all keys but those of the run itself go to ``case``.
-        sources: that the results depend on, :func:`benchmarks.common.run_cases`.
-        inside: folder for them in that of the config.
+        config: of the study; all keys except :data:`_EXECUTION_KEYS` are passed to ``case``.
+        sources: of the results, see :func:`benchmarks.common.run_cases`.
+        subfolder: of the config's ``cases``, for the results.
     """
     settings = {key: value for key, value in config.items() if key not in _EXECUTION_KEYS}
     return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
                             for k in range(config["fabrics"])},
-                     folder=Path(config["cases"]) / inside, workers=config["workers"],
+                     folder=Path(config["cases"]) / subfolder, workers=config["workers"],
                      sources=sources)
 
 
 @dataclass(frozen=True)
 class Study:
-    """An experiment.
+    """Definition of a study.
 
     Attributes:
-        name: of its module, its config in ``configs/study`` and its report.
-        title: of its section.
-        after: the experiment that it repeats.
+        name: of the module, the config in ``configs/study`` and the report.
+        title: of the section.
+        source: paper and section of the repeated experiment.
         question: in one sentence.
-        run: from the config to the report, in JSON's types.
-        answer: sentences, from the report.
-        rows: head and rows of the table, from the report.
-        draw: its picture, from the report.
-        paper: what the paper has found, and whether it can be compared.
-        limits: of the answer.
-        given: what each method knows, where they differ.
-        more: another table, from the report.
+        run: computes the report, of JSON types, from the config.
+        summarise: text with the main results, from the report.
+        rows: header and rows of the table, from the report.
+        draw: figure, from the report.
+        paper: results of the paper, and whether they are comparable.
+        limits: limits of validity of the results.
+        assumptions: inputs of each method, where they differ.
+        second_table: from the report.
     """
 
     name: str
     title: str
-    after: str
+    source: str
     question: str
     run: Callable[[dict[str, Any]], Report]
-    answer: Callable[[Report], str]
+    summarise: Callable[[Report], str]
     rows: Callable[[Report], tuple[Sequence[str], list[list[object]]]]
     draw: Callable[[Report], Figure]
     paper: str
     limits: str
-    given: str = ""
-    more: Callable[[Report], str] | None = None
+    assumptions: str = ""
+    second_table: Callable[[Report], str] | None = None
 
     @property
     def report(self) -> Path:
-        """Its JSON; the picture is beside it."""
+        """Path of the report; the figure is beside it."""
         return REPORTS / f"{self.name}.json"
 
     def section(self, report: Report) -> str:
-        """Section of the page."""
+        """Section of the page, from the report."""
         return "\n\n".join(filter(None, [
-            f"## {self.title}", f"*After* {self.after}. {self.question} "
-            f"*Command*: `python -m studies {self.name}`.", self.answer(report),
-            table(*self.rows(report)), *([self.more(report)] if self.more else []),
+            f"## {self.title}", f"*Source*: {self.source}. {self.question} "
+            f"*Command*: `python -m studies {self.name}`.", self.summarise(report),
+            table(*self.rows(report)), *([self.second_table(report)] if self.second_table else []),
             f"![{self.title}](studies/{self.name}.png)",
-            self.given and f"*Given*: {self.given}",
+            self.assumptions and f"*Inputs*: {self.assumptions}",
             f"*Paper*: {self.paper}", f"*Limits*: {self.limits}"]))
 
 
 def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
-    """The page with a section for every study that has a report."""
-    there = [study for study in studies if study.name in reports]
-    contents = table(["study", "after"], [[f"[{study.title}](#{slug(study.title)})", study.after]
-                                          for study in there])
-    sections = [study.section(reports[study.name]) for study in there]
+    """Text of the page, with a section for every study that has a report."""
+    available = [study for study in studies if study.name in reports]
+    contents = table(["study", "source"], [[f"[{study.title}](#{slug(study.title)})", study.source]
+                                          for study in available])
+    sections = [study.section(reports[study.name]) for study in available]
     return "\n".join([_HEAD, contents, "", "\n\n".join(sections), ""])
 
 
 def error_cell(result: dict[str, Any] | None, name: str, *, interval: bool = False) -> str:
-    """An error of a training (:func:`studies.learned.learn`) on unseen fabrics, for a table."""
+    """Error of a training (:func:`studies.learned.train`) on unseen fabrics, as a table cell."""
     if result is None:
         return "–"
-    found = result["unseen"]["fabrics"][name]
-    low, high = found["interval_95"]
-    return f"{found['rmse']:.3f}" + (f" ({low:.3f} to {high:.3f})" if interval else "")
+    error = result["unseen"]["fabrics"][name]
+    low, high = error["interval_95"]
+    return f"{error['rmse']:.3f}" + (f" ({low:.3f} to {high:.3f})" if interval else "")
 
 
-def error_picture(groups: dict[str, dict[str, dict[str, Any]]]) -> Figure:
-    """Errors of trainings by name, with their intervals; groups, by label, one above the other."""
+def error_figure(groups: dict[str, dict[str, dict[str, Any]]]) -> Figure:
+    """Plot errors and 95 % intervals of trainings by name; groups of trainings by label."""
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     figure = Figure(figsize=(9, 1.2 + 0.32 * len(names)), layout="constrained")
     for axes, (key, title) in zip(figure.subplots(1, 2, sharey=True), (

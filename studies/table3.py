@@ -1,4 +1,4 @@
-"""Comparison of four estimation methods by the drapes of their estimates (002, Table 3)."""
+"""Comparison of estimation methods by simulated drapes of their estimates (002, Table 3)."""
 
 import sys
 from dataclasses import replace
@@ -24,27 +24,37 @@ from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
 from sim.scene import DISC_RIG, HUNG_SQUARE
 from sim.sensitivity import follow
-from studies.captured import along_warp, draped, header, ideal, read, rms, seen, specimen, spread
-from studies.study import Report, Study, over_fabrics
+from studies.captured import (
+    along_warp,
+    capture_drape,
+    drape_specimen,
+    header,
+    ideal_setups,
+    infer,
+    rms,
+    specimen,
+    spread,
+)
+from studies.study import Report, Study, run_fabrics
 
 TABLE, NETWORK, KNOWN_FRICTION = "strips, table", "network", "network, friction known"
-REFINED, OWN_FRICTION = "refined", "refined, with its friction"
-PRIOR, PLAIN = "mean of the prior", "true moduli, no friction"
-TRUTH = "another drape of the fabric"
-WAYS = ("strips, regression", TABLE, NETWORK, KNOWN_FRICTION, REFINED, OWN_FRICTION, PRIOR, PLAIN,
-        TRUTH)
+REFINED, REFINED_FRICTION = "refined", "refined, with its friction"
+PRIOR, TRUE_MODULI = "mean of the prior", "true moduli, no friction"
+OTHER_DRAPE = "another drape of the fabric"
+METHODS = ("strips, regression", TABLE, NETWORK, KNOWN_FRICTION, REFINED, REFINED_FRICTION, PRIOR,
+           TRUE_MODULI, OTHER_DRAPE)
 GROUPS = ("without", "with")
-"""Fabrics by friction, in turn."""
+"""Groups of fabrics without and with friction, at even and odd numbers."""
 SHAPES = {"drape": "cylinder", "hung": "hung"}
 SCANS = {"other": "scan of another sample", "own": "the same scan"}
-Apart = list[float] | None
-"""Mean displacement, mm, and difference of mean curvature, %; None where cloth did not settle."""
+Difference = list[float] | None
+"""Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
 
 
-def strips_of(
+def estimate_strips(
     fabric: Fabric, *, laws: Laws, noise: float, cells: int, seed: int
 ) -> dict[str, Fabric]:
-    """The fabric as free cantilever strips with noise show it; ways that fail are left out."""
+    """Fabrics estimated from noisy free cantilever strips, by method that did not fail."""
     lengths = {direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
                for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     found: dict[str, Fabric] = {}
@@ -52,11 +62,11 @@ def strips_of(
         strips = simulate_strips(fabric, lengths, cells=cells, seed=seed, laws=laws)
     except InputError:
         return found
-    shaken = add_noise(strips, noise, np.random.default_rng(seed))
+    noisy = add_noise(strips, noise, np.random.default_rng(seed))
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
-                estimate(shaken, density=fabric.density, method=method), fabric.density)
+                estimate(noisy, density=fabric.density, method=method), fabric.density)
         except InputError:
             continue
     return found
@@ -66,28 +76,28 @@ def case(
     *, number: int, friction_un: float, edge_mm: float, hung_mm: float, noise_mm: float,
     cells: int, refine: bool, seed: int
 ) -> dict[str, Any]:
-    """All ways of one fabric, of every other one with friction: errors of log alpha, and distances
-    of drapes; "failed" where it does not drape.
+    """Errors of log alpha and differences of drapes of one fabric by method; fabrics of odd numbers
+    have friction. "failed" has the reason if the drape did not converge.
     """
     edge, friction = 1e-3 * edge_mm, MICRO * friction_un * (number % 2)
     plan, cloth = specimen(number, seed=seed), Nuisances(friction=friction)
     fabric = fabric_from_theta(plan.theta)
-    try:  # finer than what is simulated from it
-        shape = draped(plan, edge=0.5 * edge, nuisances=cloth)
+    try:  # finer than the drapes of the estimates
+        shape = drape_specimen(plan, edge=0.5 * edge, nuisances=cloth)
     except InputError as error:
         return {"group": GROUPS[number % 2], "failed": str(error)}
-    captured = seen(shape, ideal(), np.random.default_rng([seed, number]))
-    strips = strips_of(fabric, laws=cloth.laws, noise=1e-3 * noise_mm, cells=cells,
+    captured = capture_drape(shape, ideal_setups(), np.random.default_rng([seed, number]))
+    strips = estimate_strips(fabric, laws=cloth.laws, noise=1e-3 * noise_mm, cells=cells,
                        seed=seed + number)
-    found = {name: (one, 0.0) for name, one in strips.items()} | _from_views(
+    found = {name: (one, 0.0) for name, one in strips.items()} | _estimate_from_views(
         captured, friction=friction, refine=refine)
     found[PRIOR] = fabric_from_theta(header().scale.mean[:6]), 0.0
     if friction:
-        found[PLAIN] = fabric, 0.0
+        found[TRUE_MODULI] = fabric, 0.0
     result: dict[str, Any] = {"group": GROUPS[number % 2], "ways": {}}
     if refine:
-        result["friction_un"] = found[OWN_FRICTION][1] / MICRO
-    # Another start than that of the captured drape, and other folds.
+        result["friction_un"] = found[REFINED_FRICTION][1] / MICRO
+    # Start and folds differ from those of the captured drape.
     start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}
     true = drape(fabric, laws=cloth.laws, **start)
     hung = drape(fabric, laws=cloth.laws, rig=HUNG_SQUARE, edge=1e-3 * hung_mm)
@@ -95,22 +105,23 @@ def case(
         laws = Nuisances(friction=assumed).laws
         error = np.log(one.at_density(REFERENCE_DENSITY).alpha / fabric.alpha) / spread()[:3]
         result["ways"][name] = {"error": error.tolist(),
-                                "drape": _apart(true, drape(one, laws=laws, **start)),
-                                "hung": _apart(hung, follow(hung, one, laws=laws))}
-    again = drape(fabric, laws=cloth.laws, **start | {"seed": plan.seed + 2})
-    hung_again = drape(fabric, laws=cloth.laws, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
-    result["ways"][TRUTH] = {"drape": _apart(true, again, align="turn"),
-                             "hung": _apart(hung, hung_again)}
+                                "drape": _difference(true, drape(one, laws=laws, **start)),
+                                "hung": _difference(hung, follow(hung, one, laws=laws))}
+    other_drape = drape(fabric, laws=cloth.laws, **start | {"seed": plan.seed + 2})
+    other_hung = drape(fabric, laws=cloth.laws, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
+    result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, align="turn"),
+                             "hung": _difference(hung, other_hung)}
     return result
 
 
-def _from_views(
+def _estimate_from_views(
     captured: SyntheticCapture, *, friction: float, refine: bool
 ) -> dict[str, tuple[Fabric, float]]:
-    """Fabrics by the ways that see depth views, and friction to simulate with; the true
-    ``friction``, N·m per metre, is given to one of them only.
+    """Fabrics estimated from depth views by method, with the friction of their simulation.
+
+    The true ``friction``, N·m per metre, is an input of :data:`KNOWN_FRICTION` only.
     """
-    reading, known = read(captured), read(captured, friction=friction)
+    reading, known = infer(captured), infer(captured, friction=friction)
     found = {NETWORK: (fabric_from_theta(reading.theta), 0.0),
              KNOWN_FRICTION: (fabric_from_theta(known.theta), friction)}
     if refine:
@@ -119,30 +130,29 @@ def _from_views(
         refined = estimate_capture(reading.capture, header(), refine=True, drapes=0)
         theta = along_warp(refined.estimate, captured.orientation).mean(axis=0)
         found[REFINED] = fabric_from_theta(theta), 0.0
-        found[OWN_FRICTION] = fabric_from_theta(theta), _friction(refined.content)
+        found[REFINED_FRICTION] = fabric_from_theta(theta), _friction(refined.content)
     return found
 
 
 def _friction(content: dict[str, Any]) -> float:
-    """N·m per metre, the refinement's estimate of a capture in its ``estimate.json``."""
+    """Friction, N·m per metre, estimated by refinement, from a content of ``estimate.json``."""
     specimen = content.get("refined", {}).get("specimen", {})
     return MICRO * max(specimen.get("friction_un", {}).get("median", 0.0), 0.0)
 
 
-def _apart(reference: DrapeResult, other: DrapeResult, *, align: str = "none") -> Apart:
-    settled = reference.converged and other.converged
-    return _distance(reference, other, align=align) if settled else None
+def _difference(reference: DrapeResult, other: DrapeResult, *, align: str = "none") -> Difference:
+    converged = reference.converged and other.converged
+    return _compare(reference, other, align=align) if converged else None
 
 
-def _distance(reference: Draped, other: Draped, *, align: str = "none") -> list[float]:
+def _compare(reference: Draped, other: Draped, *, align: str = "none") -> list[float]:
     found = compare(reference, other, align=align)
     return [1e3 * found.displacement, 100 * found.curvature]
 
 
-def estimated(*, path: str, refine: bool) -> dict[str, Any]:
-    """Estimates of one scan, as ``infer.py scan=FILE`` gives them: theta, friction, N·m per metre,
-    and direction of the stiff yarns in the axes of the rest points, rad, by way; none where the
-    specimen cannot be laid on it.
+def estimate_scan(*, path: str, refine: bool) -> dict[str, Any]:
+    """Estimates from one scan by method, as by ``infer.py scan=FILE``: theta, friction, N·m per
+    metre, and warp direction in the axes of the rest points, rad; empty if registration fails.
     """
     from drapenet.inference import estimate_capture, infer_capture
     from drapenet.refine.scans import flat_turn, read_shape, scan_capture
@@ -160,7 +170,7 @@ def estimated(*, path: str, refine: bool) -> dict[str, Any]:
         refined = estimate_capture(capture, _disc(), seen=CapturedScan(shape), refine=True,
                                    drapes=0)
         found[REFINED] = refined.estimate, 0.0
-        found[OWN_FRICTION] = refined.estimate, _friction(refined.content)
+        found[REFINED_FRICTION] = refined.estimate, _friction(refined.content)
     return {name: {"theta": one.samples.mean(axis=0).tolist(), "friction": friction,
                    "warp": one.axis - flat_turn(shape)}
             for name, (one, friction) in found.items()}
@@ -171,29 +181,30 @@ def _disc() -> Header:
     return read_header(bundled(DISC_RIG.name))
 
 
-def released(*, path: str, cloths: dict[str, dict[str, Any]], other: str) -> dict[str, Apart]:
-    """How far each of ``cloths`` moves when it is let go at a scan, and how far from it the scan
-    ``other`` lies.
+def release_at_scan(
+    *, path: str, cloths: dict[str, dict[str, Any]], other: str
+) -> dict[str, Difference]:
+    """Differences from a scan of each of ``cloths`` after release at it, and of the scan ``other``.
     """
     from drapenet.refine.cloth import Cloth
     from drapenet.refine.scans import read_shape
     from drapenet.refine.search import RELEASE
 
     shape = read_shape(Path(path), DISC_RIG).shape
-    result: dict[str, Apart] = {
-        TRUTH: _distance(shape, read_shape(Path(other), DISC_RIG).shape, align="turn")}
+    result: dict[str, Difference] = {
+        OTHER_DRAPE: _compare(shape, read_shape(Path(other), DISC_RIG).shape, align="turn")}
     for name, one in cloths.items():
         cloth = Cloth.of(np.array(one["theta"]), Nuisances(friction=one["friction"]),
                          warp=one["warp"])
         start = replace(shape, rest=cloth.rest(shape.rest, DISC_RIG)).as_drape(cloth.fabric)
         rest = follow(start, cloth.fabric, laws=cloth.laws, options=RELEASE)
-        result[name] = (_distance(shape, replace(shape, positions=rest.positions))
+        result[name] = (_compare(shape, replace(shape, positions=rest.positions))
                         if rest.converged else None)
     return result
 
 
-def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
-    """Displacements of cloth released at each scan, with estimates of another and of its sample."""
+def _release_at_scans(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Difference]]]:
+    """Release cloth at each scan with estimates of another sample and of the same scan."""
     chosen: dict[int, dict[int, Path]] = {}
     for path in sorted(Path(config["scans"]).glob("*.npz")) if config["scans"] else ():
         one = Specimen.from_scan_name(path.stem)
@@ -208,7 +219,7 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
         return {}
     work = {"workers": config["workers"], "sources": ESTIMATOR_SOURCES}
     folder = Path(config["cases"])
-    estimates = run_cases(estimated, {
+    estimates = run_cases(estimate_scan, {
         path.stem: {"path": str(path), "refine": config["refined"]} for path, _ in pairs},
         folder=folder / "estimated", **work)
     prior = {"theta": _disc().scale.mean[:6].tolist(), "friction": 0.0}
@@ -217,49 +228,50 @@ def _let_go(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Apart]]]:
         own = estimates[path.stem]
         if not (own and estimates[other.stem]):
             continue
-        # Scans do not mark the yarns: their direction is that of the scan's own estimate.
-        cloths = {f"other {way}": one | {"warp": own[way]["warp"]}
-                  for way, one in estimates[other.stem].items()}
-        cloths |= {f"own {way}": one for way, one in own.items()}
+        # Scans do not show the yarns: their direction is estimated from the same scan.
+        cloths = {f"other {method}": one | {"warp": own[method]["warp"]}
+                  for method, one in estimates[other.stem].items()}
+        cloths |= {f"own {method}": one for method, one in own.items()}
         cloths[f"other {PRIOR}"] = prior | {"warp": own[NETWORK]["warp"]}
         cases[path.stem] = {"path": str(path), "cloths": cloths, "other": str(other)}
-    found = run_cases(released, cases, folder=folder / "released", **work)
-    return {name: {at: {way: one.get(f"{at} {way}", one[TRUTH] if (at, way) == ("other", TRUTH)
-                                     else None) for way in WAYS}
+    found = run_cases(release_at_scan, cases, folder=folder / "released", **work)
+    return {name: {at: {method: one[OTHER_DRAPE] if (at, method) == ("other", OTHER_DRAPE)
+                        else one.get(f"{at} {method}") for method in METHODS}
                    for at in SCANS} for name, one in found.items()}
 
 
 def run(config: dict[str, Any]) -> Report:
-    """All fabrics, and scans where there are some."""
+    """Run all fabrics, and the scans if their folder is given."""
     simulated = {{"refined": "refine"}.get(key, key): value for key, value in config.items()
                  if key not in ("scanned", "samples")}
-    return {"fabrics": over_fabrics(case, simulated, sources=ESTIMATOR_SOURCES, inside="simulated"),
-            "scans": _let_go(config)}
+    return {"fabrics": run_fabrics(case, simulated, sources=ESTIMATOR_SOURCES,
+                                   subfolder="simulated"),
+            "scans": _release_at_scans(config)}
 
 
-def _simulated(report: Report, group: str, way: str) -> list[dict[str, Any]]:
-    """Results of a way, of all fabrics of a group of :data:`GROUPS`."""
-    return [one["ways"][way] for one in report["fabrics"].values()
-            if one["group"] == group and way in one.get("ways", {})]
+def _simulated(report: Report, group: str, method: str) -> list[dict[str, Any]]:
+    """Results of a method for all fabrics of a group of :data:`GROUPS`."""
+    return [one["ways"][method] for one in report["fabrics"].values()
+            if one["group"] == group and method in one.get("ways", {})]
 
 
-def _distances(report: Report, where: str, way: str) -> np.ndarray:
-    """(N, 2) displacements, mm, and differences of curvature, %, of a way.
+def _distances(report: Report, where: str, method: str) -> np.ndarray:
+    """Displacements, mm, and differences of curvature, %, (N, 2) of a method.
 
     Args:
-        where: "without drape" and the like, or one of :data:`SCANS`.
+        where: group and shape, such as "without drape", or one of :data:`SCANS`.
     """
     if where in SCANS:
-        found = [one[where][way] for one in report["scans"].values()]
+        found = [one[where][method] for one in report["scans"].values()]
     else:
         group, shape = where.split()
-        found = [one[shape] for one in _simulated(report, group, way)]
+        found = [one[shape] for one in _simulated(report, group, method)]
     return np.array([one for one in found if one is not None]).reshape(-1, 2)
 
 
-def _median(report: Report, where: str, way: str) -> str:
-    """Median displacement, mm, with its 95 % interval from resampled drapes."""
-    values = _distances(report, where, way)[:, 0]
+def _median(report: Report, where: str, method: str) -> str:
+    """Median displacement, mm, with its 95 % bootstrap interval over drapes."""
+    values = _distances(report, where, method)[:, 0]
     if not len(values):
         return "–"
     drawn = np.random.default_rng(0).integers(len(values), size=(1000, len(values)))
@@ -267,24 +279,25 @@ def _median(report: Report, where: str, way: str) -> str:
     return f"{np.median(values):.2f} mm ({low:.2f} to {high:.2f})"
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     parts = ["Displacements are medians with 95 % intervals."]
     friction = f"{report['settings']['friction_un']:g} µN·m per metre"
     for group, name in zip(GROUPS, ("Without bending friction", f"With {friction}"), strict=True):
-        by = {way: _median(report, f"{group} drape", way) for way in WAYS}
+        by = {method: _median(report, f"{group} drape", method) for method in METHODS}
         parts.append(f"{name}, on the cylinder: network {by[NETWORK]}, refined {by[REFINED]}, "
                      f"strips by table {by[TABLE]}, mean of the prior {by[PRIOR]}; another drape "
-                     f"of the true fabric {by[TRUTH]}.")
+                     f"of the true fabric {by[OTHER_DRAPE]}.")
     found = [np.median(values) for group in GROUPS
              if (values := [one["friction_un"] for one in report["fabrics"].values()
                             if one["group"] == group and "friction_un" in one])]
     if len(found) == len(GROUPS):
-        parts.append(f"There, the true moduli without friction give {by[PLAIN]}, the refined "
-                     f"estimate with its estimated friction {by[OWN_FRICTION]} (median "
+        parts.append(f"There, the true moduli without friction give {by[TRUE_MODULI]}, the refined "
+                     f"estimate with its estimated friction {by[REFINED_FRICTION]} (median "
                      f"{found[1]:.0f} µN·m per metre; {found[0]:.0f} where there is none).")
     if report["scans"]:
-        at = {f"{where} {way}": _median(report, where, way) for where in SCANS for way in WAYS}
+        at = {f"{where} {method}": _median(report, where, method)
+              for where in SCANS for method in METHODS}
         parts.append(f"Cloth released at the shapes of {len(report['scans'])} scans of real "
                      f"fabrics moves by {at[f'other {NETWORK}']} with the network's estimate of "
                      f"another sample, {at[f'other {REFINED}']} with the refined one, "
@@ -303,23 +316,23 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
                  *(f"{shape}, mm (%)" for shape in SHAPES.values())]
     head += [f"{name}, mm (%)" for name in SCANS.values()] if report["scans"] else []
     lines = []
-    for way in WAYS:
-        line: list[object] = [way]
+    for method in METHODS:
+        line: list[object] = [method]
         for group in groups:
-            found = _simulated(report, group, way)
+            found = _simulated(report, group, method)
             error = np.array([one["error"] for one in found if "error" in one])
             known = f", {rms(error):.2f}" if error.any() else ""
             line += [f"{len(found)}{known}" if found else "–",
-                     *(_cell(report, f"{group} {shape}", way) for shape in SHAPES)]
-        line += [_cell(report, place, way) for place in SCANS] if report["scans"] else []
+                     *(_cell(report, f"{group} {shape}", method) for shape in SHAPES)]
+        line += [_cell(report, place, method) for place in SCANS] if report["scans"] else []
         if set(line[1:]) != {"–"}:
             lines.append(line)
     return head, lines
 
 
-def _cell(report: Report, where: str, way: str) -> str:
-    """Median displacement, and in parentheses difference of curvature."""
-    values = _distances(report, where, way)
+def _cell(report: Report, where: str, method: str) -> str:
+    """Table cell of the median displacement, with the difference of curvature in parentheses."""
+    values = _distances(report, where, method)
     if not len(values):
         return "–"
     displacement, curvature = np.median(values, axis=0)
@@ -327,34 +340,34 @@ def _cell(report: Report, where: str, way: str) -> str:
 
 
 def draw(report: Report) -> Figure:
-    """Displacements of all fabrics by way."""
+    """Plot displacements of all fabrics by method."""
     friction = f"friction {report['settings']['friction_un']:g} µN·m/m"
     panels = {f"{group} {shape}": f"{title}, {name}"
               for group, name in (("without", "no friction"), ("with", friction))
               for shape, title in SHAPES.items()}
-    panels |= {at: f"let go at {name}" for at, name in SCANS.items()} if report["scans"] else {}
+    panels |= {at: f"released at {name}" for at, name in SCANS.items()} if report["scans"] else {}
     figure = Figure(figsize=(10, 1.0 + 1.3 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels) // 2, 2, sharey=True, sharex=True, squeeze=False)
     for panel, (where, title) in zip(axes.flat, panels.items(), strict=True):
-        for k, way in enumerate(WAYS):
-            values = _distances(report, where, way)[:, 0]
+        for k, method in enumerate(METHODS):
+            values = _distances(report, where, method)[:, 0]
             panel.plot(values, k + np.linspace(-0.25, 0.25, len(values)), ".", alpha=0.6)
             if len(values):
                 panel.plot([np.median(values)] * 2, [k - 0.4, k + 0.4], "k", lw=1.5)
         panel.set(xscale="log", title=title)
-        panel.set_yticks(range(len(WAYS)), WAYS)
+        panel.set_yticks(range(len(METHODS)), METHODS)
         label_log_axes(panel.xaxis)
         panel.tick_params(axis="x", labelsize=8)
     for panel in axes[-1]:
         panel.set_xlabel("mean displacement [mm]; bars: medians")
-    axes[0, 0].set_ylim(len(WAYS) - 0.5, -0.5)
+    axes[0, 0].set_ylim(len(METHODS) - 0.5, -0.5)
     return figure
 
 
 STUDY = Study(
-    "table3", "Four ways to the moduli", "002, Table 3, Figures 21 and 25",
-    "Which estimate of a fabric's moduli gives simulated cloth closest to the true fabric's?",
-    run, answer, rows, draw,
+    "table3", "Simulated drapes by estimation method", "002, Table 3, Figures 21 and 25",
+    "Which estimate of the moduli gives simulated drapes closest to those of the true fabric?",
+    run, summarise, rows, draw,
     "finds 1.36 mm and 4.0 % over ten real fabrics with VAE and non-linear law, 2.1 mm and 8.5 % "
     "with the cantilever. The columns of scans follow its procedure with other fabrics, support "
     "and scanner; only the last has estimate and shape from one specimen, as in Table 3. The "
@@ -367,8 +380,9 @@ STUDY = Study(
     "change of the moduli may change the folds, which causes the displacements of several "
     "millimetres; hung cloth starts from the true shape, so that its folds are the same. In the "
     "last row both drapes have different starts; its scan is that of the other sample.",
-    "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and read without the "
-    "simulated correction. Network and refinement have four depth views without faults. The "
-    "density is known; scans have 300 g/m² instead, and the yarn direction of their own estimate. "
+    "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and evaluated without the "
+    "simulated correction. Network and refinement use four depth views without faults. The "
+    "density is known; for scans it is set to 300 g/m², and the yarn direction is that estimated "
+    "from the scan. "
     "Membrane, shear, curl and friction are unknown except where a row says so, and estimates are "
     "simulated without friction except in those rows.")

@@ -20,18 +20,18 @@ from sim.mesh import strip
 from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
 from sim.newton import Status
 from sim.scene import Rig
-from studies.captured import RIG, draped, specimen
-from studies.study import Report, Study, over_fabrics
+from studies.captured import RIG, drape_specimen, specimen
+from studies.study import Report, Study, run_fabrics
 
-_CELLS, _SAMPLES = 30, 6  # of the strips from which the ratio of moduli is taken
+_CELLS, _SAMPLES = 30, 6  # of the strips for the ratio of moduli
 LAWS = {"hinges along the edge": "hinge_edge", "hinges, mean modulus": "hinge"}
 LINEAR, OTHER_MESH = "the plate's law without β", "the plate's law on another mesh"
-_SECANT = 50.0  # 1/m, where the secant of the torque stands for the law
+_SECANT = 50.0  # 1/m, curvature of the secant modulus
 
 
 @cache
 def ratio() -> float:
-    """Modulus of hinges on unstructured meshes over that of the plate that they hang like."""
+    """Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
     length = 0.09
     edge = length / _CELLS
     found = [equivalent_modulus(*strip(
@@ -41,24 +41,24 @@ def ratio() -> float:
 
 
 def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
-    """Displacement, mm, and difference of mean curvature, %, of the drapes of one fabric next to
-    that of the plate's law; None where there is none.
+    """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
+    nearest equilibrium of each model of one fabric; None without convergence.
     """
     plan, rig, edge = specimen(number, seed=seed), Rig.from_name(RIG), 1e-3 * edge_mm
     fabric = fabric_from_theta(plan.theta)
-    plate = draped(plan, edge=edge)
-    more = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
+    plate = drape_specimen(plan, edge=edge)
+    equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
     same = Specimen(plate.mesh, plate.held)
-    cases = {f"{name}, {way}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
-             for way, one in (("α as estimated", fabric), ("equivalent α", more))}
+    cases = {f"{name}, {model}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
+             for model, one in (("α as estimated", fabric), ("equivalent α", equivalent))}
     cases[OTHER_MESH] = (make_specimen(rig, edge=edge, topology=(plan.seed + 1) % TOPOLOGIES),
                          fabric, Laws())
     result: dict[str, Any] = {}
     for name, (mesh, one, laws) in cases.items():
-        near = equilibrium_near(plate.rest, plate.positions, mesh, rig, one, laws)
+        equilibrium = equilibrium_near(plate.rest, plate.positions, mesh, rig, one, laws)
         result[name] = None
-        if near.status is Status.CONVERGED:
-            found = compare(plate, SimpleNamespace(positions=near.state.positions,
+        if equilibrium.status is Status.CONVERGED:
+            found = compare(plate, SimpleNamespace(positions=equilibrium.state.positions,
                                                    rest=mesh.mesh.rest, faces=mesh.mesh.faces))
             result[name] = [1e3 * found.displacement, 100 * found.curvature]
     return result
@@ -67,29 +67,30 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 def style3d_case(
     *, number: int, edge_mm: float, style3d_seconds: float, seed: int
 ) -> dict[str, Any]:
-    """Differences of drapes in Style3D, each started from the previous one, the first from the
-    plate's; "motion" has the displacements in the last quarter of the simulation, mm.
+    """Differences of drapes in Style3D, each started at the previous one, the first at the plate's.
+
+    "motion" has their displacements in the last quarter of the simulation, mm.
     """
-    plate = draped(specimen(number, seed=seed), edge=1e-3 * edge_mm)
+    plate = drape_specimen(specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, Specimen(plate.mesh, plate.held)
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
     linear = equilibrium_near(plate.rest, plate.positions, mesh, plate.rig, Fabric(fabric.alpha))
     result: dict[str, Any] = {
-        "motion": [], LINEAR: (_apart(plate, linear.state.positions, mesh)
+        "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)
                                if linear.status is Status.CONVERGED else None)}
     positions = plate.positions
-    for way, modulus in moduli.items():
+    for model, modulus in moduli.items():
         found = style3d.simulate_drape(mesh, positions, plate.rig, density=fabric.density,
                                        modulus=modulus, seconds=style3d_seconds)
         positions = found.positions
-        result[f"Style3D, {way}"] = _apart(plate, found.positions, mesh)
+        result[f"Style3D, {model}"] = _difference(plate, found.positions, mesh)
         result["motion"].append(found.motion)
     return result
 
 
-def _apart(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[float]:
+def _difference(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[float]:
     """Displacement, mm, and difference of mean curvature, %, of positions (V, 3), m."""
     found = compare(plate, SimpleNamespace(positions=positions, rest=mesh.mesh.rest,
                                            faces=mesh.mesh.faces))
@@ -99,35 +100,35 @@ def _apart(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[fl
 def run(config: dict[str, Any]) -> Report:
     """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
-    own = {key: value for key, value in config.items() if key not in other}
-    report = {"ratio": ratio(), "fabrics": over_fabrics(case, own, sources=("sim",))}
+    settings = {key: value for key, value in config.items() if key not in other}
+    report = {"ratio": ratio(), "fabrics": run_fabrics(case, settings, sources=("sim",))}
     if not style3d.missing("rows of Style3D are"):
-        report["style3d"] = over_fabrics(
-            style3d_case, own | {"fabrics": other.pop("style3d_fabrics")} | other,
-            sources=("sim", "benchmarks/physics/style3d.py"), inside="style3d")
+        report["style3d"] = run_fabrics(
+            style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
+            sources=("sim", "benchmarks/physics/style3d.py"), subfolder="style3d")
     return report
 
 
-def _by_way(report: Report) -> dict[str, tuple[np.ndarray, int]]:
-    """(F, 2) displacements and differences of curvature by way, and how many were tried."""
+def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
+    """Displacements and differences of curvature (F, 2), and number of fabrics, by model."""
     found = {}
     for fabrics in (report["fabrics"], report.get("style3d", {})):
-        for way in next(iter(fabrics.values()), {}):
-            if way != "motion":
-                values = [one[way] for one in fabrics.values() if one[way] is not None]
-                found[way] = np.array(values).reshape(-1, 2), len(fabrics)
+        for model in next(iter(fabrics.values()), {}):
+            if model != "motion":
+                values = [one[model] for one in fabrics.values() if one[model] is not None]
+                found[model] = np.array(values).reshape(-1, 2), len(fabrics)
     return found
 
 
-def _median(report: Report, way: str) -> float:
-    values, _ = _by_way(report)[way]
+def _median(report: Report, model: str) -> float:
+    values, _ = _by_model(report)[model]
     return float(np.median(values[:, 0])) if len(values) else np.nan
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
-    plain, equal = (_median(report, f"hinges along the edge, {way}")
-                    for way in ("α as estimated", "equivalent α"))
+    plain, equal = (_median(report, f"hinges along the edge, {model}")
+                    for model in ("α as estimated", "equivalent α"))
     text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "
             f"(median) from those of the plate law with α as estimated and {equal:.2f} mm with the "
             f"equivalent modulus ({report['ratio']:.3f} α, [exports](exports.md)); the plate law "
@@ -135,8 +136,8 @@ def answer(report: Report) -> str:
     if "style3d" not in report:
         return text + ("Rows of Newton's Style3D are left out: it was not installed "
                        f"(`{style3d.INSTALL}`).")
-    plain, equal, secant = (_median(report, way) for way in _by_way(report)
-                            if way.startswith("Style3D"))
+    plain, equal, secant = (_median(report, model) for model in _by_model(report)
+                            if model.startswith("Style3D"))
     motion = max(max(one["motion"]) for one in report["style3d"].values())
     return text + (f"In Style3D, which has no β, drapes lie {plain:.2f} mm away with α as "
                    f"estimated, {equal:.2f} mm with the equivalent modulus and {secant:.2f} mm "
@@ -146,20 +147,20 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """By law and modulus."""
+    """Table of differences by model."""
     return (["simulated with", "converged", "displacement, mm: median, largest",
              "curvature, %: median"],
-            [[way, f"{len(values)} of {tried}",
+            [[model, f"{len(values)} of {tried}",
               f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
               f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
-             for way, (values, tried) in _by_way(report).items()])
+             for model, (values, tried) in _by_model(report).items()])
 
 
 def draw(report: Report) -> Figure:
-    """Displacements by way."""
+    """Plot displacements by model."""
     figure = Figure(figsize=(8, 3.4), layout="constrained")
     axes = figure.subplots()
-    found = _by_way(report)
+    found = _by_model(report)
     for k, (values, _) in enumerate(found.values()):
         if len(values):
             axes.plot(values[:, 0], np.full(len(values), k), "o", alpha=0.6)
@@ -174,7 +175,7 @@ def draw(report: Report) -> Figure:
 STUDY = Study(
     "transfer", "Transfer to hinges", "002, Figure 24 and section 7.4",
     "Does a fabric have the same drape in a simulator with hinges, such as ARCSim?",
-    run, answer, rows, draw,
+    run, summarise, rows, draw,
     "finds at most 0.1 mm between three simulators that share one discrete law and mesh; not "
     "comparable, because here two laws are compared.",
     "Drapes are the equilibria nearest to the plate's, so that folds are the same; Style3D starts "

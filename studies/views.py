@@ -9,23 +9,31 @@ from benchmarks.common import ESTIMATOR_SOURCES
 from data.setups import Setups
 from drapenet.calibration import inside, ranks
 from drapenet.convention import LINEAR, RATIO
-from studies.captured import bound, draped, read, rms, seen, specimen, spread
-from studies.study import Report, Study, over_fabrics
+from studies.captured import (
+    capture_drape,
+    drape_specimen,
+    infer,
+    posterior_bound,
+    rms,
+    specimen,
+    spread,
+)
+from studies.study import Report, Study, run_fabrics
 
 VIEWS = (1, 2, 3, 4, 6, 8)
 
 
 def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, Any]:
-    """Errors (captures, 6), deviations and ranks of the truth of one fabric, by number of views."""
+    """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
     from dataclasses import replace
 
     plan = specimen(number, seed=seed, nuisances="real")
-    shape = draped(plan, edge=1e-3 * edge_mm)
+    shape = drape_specimen(plan, edge=1e-3 * edge_mm)
     result = {}
     for count in VIEWS:
         setups = replace(Setups.load("real"),
                          views=tuple(float(k == count) for k in range(1, 9)))
-        found = [read(seen(shape, setups, np.random.default_rng([seed, number, k])))
+        found = [infer(capture_drape(shape, setups, np.random.default_rng([seed, number, k])))
                  for k in range(captures)]  # the same cameras for each number of views
         result[str(count)] = {
             "error": [((one.theta - plan.theta) / spread()).tolist() for one in found],
@@ -36,7 +44,7 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
 
 def run(config: dict[str, Any]) -> Report:
     """Run all fabrics."""
-    found = over_fabrics(case, config, sources=ESTIMATOR_SOURCES)
+    found = run_fabrics(case, config, sources=ESTIMATOR_SOURCES)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
@@ -50,11 +58,11 @@ def run(config: dict[str, Any]) -> Report:
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank.reshape(-1, 6))}
-    report["bound"] = bound()
+    report["bound"] = posterior_bound()
     return report
 
 
-def answer(report: Report) -> str:
+def summarise(report: Report) -> str:
     """Summary in sentences."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
     return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
@@ -65,7 +73,7 @@ def answer(report: Report) -> str:
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """By number of views."""
+    """Table of errors and coverage by number of views."""
     return (["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
              "68 %", "90 %"],
             [[count, f"{one['log_alpha']:.3f} ({one['interval_95'][0]:.3f} to "
@@ -75,7 +83,7 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
 
 
 def draw(report: Report) -> Figure:
-    """Error and the posterior's standard deviation over views."""
+    """Plot error and posterior standard deviation over views."""
     figure = Figure(figsize=(6, 3.4), layout="constrained")
     axes = figure.subplots()
     count = [int(key) for key in report["views"]]
@@ -93,9 +101,9 @@ def draw(report: Report) -> Figure:
 STUDY = Study(
     "views", "Number of views", "002, Figure 19",
     "How much does each additional view reduce the error, with realistic nuisances?",
-    run, answer, rows, draw,
-    "chooses four views (Figure 19); the order is the same, but its losses are of another network "
-    "on other data.",
-    "One network, trained with one to eight views, is used for all numbers. The fabrics are of "
-    "the prior, without the tenth of very soft ones in training and `make evaluate`; errors are "
-    "therefore smaller than there.")
+    run, summarise, rows, draw,
+    "chooses four views (Figure 19); the order of the errors is the same, but its losses are those "
+    "of another network on other data.",
+    "One network, trained with one to eight views, is used for all numbers. The fabrics are drawn "
+    "from the prior, without the 10 % of very soft fabrics in training and `make evaluate`; errors "
+    "are therefore smaller than there.")

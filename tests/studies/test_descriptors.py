@@ -1,4 +1,4 @@
-"""Phase-free descriptions of a drape: derivatives, invariances."""
+"""Descriptors of drapes: derivatives and invariances."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from common.errors import InputError
 from sim.mesh.specimens import Specimen, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
-from studies.descriptors import GridSpectrum, PhaseFree, RingSpectrum, interpolation
+from studies.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum, interpolation
 
 
 def waves(
@@ -25,7 +25,7 @@ def disc() -> Specimen:
     return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
-def test_ring_spectrum_knows_no_turn_and_no_mirror_but_the_folds(disc: Specimen) -> None:
+def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Specimen) -> None:
     rest = disc.mesh.rest
     rings = RingSpectrum(rest, DISC_RIG, blur=0.0)
     here = rings.describe(waves(rest))
@@ -45,14 +45,14 @@ def test_ring_spectrum_knows_no_turn_and_no_mirror_but_the_folds(disc: Specimen)
 
 
 @pytest.mark.parametrize("kind", [RingSpectrum, GridSpectrum])
-def test_description_derivatives(kind: type) -> None:
+def test_descriptor_derivatives(kind: type) -> None:
     specimen = make_specimen(Rig(), edge=8e-3)
     rng = np.random.default_rng(2)
     rest = specimen.mesh.rest
     positions = np.column_stack([rest, 0.02 * np.sin(40 * rest[:, 0]) * np.cos(30 * rest[:, 1])])
     positions += rng.normal(0, 1e-3, positions.shape)
     descriptor = kind(rest, Rig())
-    objective = PhaseFree(descriptor, descriptor.describe(positions[::-1]), sigma=1e-3)
+    objective = DescriptorObjective(descriptor, descriptor.describe(positions[::-1]), sigma=1e-3)
     moves = rng.normal(0, 1.0, (3, *positions.shape))
     h = 1e-6
     expected = np.stack([(objective.residuals(positions + h * m, np.zeros(0))
@@ -63,7 +63,7 @@ def test_description_derivatives(kind: type) -> None:
     assert found.by_nuisance.shape == (len(found.residuals), 0)
 
 
-def test_grid_spectrum_forgets_the_phase_only() -> None:
+def test_grid_spectrum_is_invariant_to_phase_but_not_to_amplitude() -> None:
     specimen = make_specimen(Rig(), edge=5e-3, grading=1.0)
     rest = specimen.mesh.rest
 

@@ -1,4 +1,4 @@
-"""Studies of laws: torque curves, the membrane of a hung square, friction."""
+"""Studies of torque curves, the membrane of a hung square, and friction."""
 
 import numpy as np
 import pytest
@@ -13,46 +13,46 @@ from sim.scene import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from studies import hung
 from studies.curves import KINDS, true_torque
-from studies.friction import precision, raised, scan_differences
+from studies.friction import precision, raise_drape, scan_differences
 
 THETA = np.array([*np.log([60e-6, 40e-6, 50e-6]), -2e-3, -2e-3, -2e-3])
 EXACT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=100)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_true_torque_increases_and_begins_about_alpha(kind):
+def test_true_torque_increases_with_an_initial_slope_near_alpha(kind):
     curvature = np.linspace(0, 300, 301)
     values = true_torque(kind, 40e-6, -2e-3)(curvature)
     assert values[0] == 0 and (np.diff(values) > 0).all()
     assert values[1] == pytest.approx(40e-6, rel=0.9)
 
 
-def test_drawn_membranes_have_the_spread_that_errors_are_divided_by():
+def test_sampled_membranes_have_the_mean_and_deviation_of_the_prior():
     mean, spread = hung.prior()
     rng = np.random.default_rng(0)
-    values = np.array([hung.drawn(rng) for _ in range(2000)])
+    values = np.array([hung.sample_unknowns(rng) for _ in range(2000)])
     np.testing.assert_allclose(values.mean(axis=0), mean, atol=0.1)
     np.testing.assert_allclose(values.std(axis=0), spread, rtol=0.1)
 
 
-def test_a_hung_square_moves_with_its_membrane_as_its_derivatives_say():
-    own, fabric = np.array([5.0, 5.5, 3.0, 0.2]), fabric_from_theta(THETA)
+def test_derivatives_of_a_hung_square_match_finite_differences():
+    unknowns, fabric = np.array([5.0, 5.5, 3.0, 0.2]), fabric_from_theta(THETA)
     near = follow(drape(fabric, rig=HUNG_SQUARE, edge=0.05,
-                        laws=Laws(membrane=hung.membrane_of(own))), fabric, options=EXACT)
-    moves = hung.hung_moves(Tangent.of(near), fabric, np.concatenate([own, THETA]))
+                        laws=Laws(membrane=hung.membrane_of(unknowns))), fabric, options=EXACT)
+    moves = hung.hung_sensitivities(Tangent.of(near), fabric, np.concatenate([unknowns, THETA]))
     assert moves.shape == (10, len(near.rest), 3)
     for k, step in enumerate(1e-3 * np.eye(4)):
-        ends = [follow(near, fabric, laws=Laws(membrane=hung.membrane_of(own + sign * step)),
+        ends = [follow(near, fabric, laws=Laws(membrane=hung.membrane_of(unknowns + sign * step)),
                        options=EXACT).positions for sign in (1, -1)]
         difference = (ends[0] - ends[1]) / 2e-3
         np.testing.assert_allclose(moves[k], difference, atol=2e-3 * np.abs(difference).max())
 
 
-def test_cloth_that_friction_holds_hangs_lower_from_below():
+def test_with_friction_a_drape_from_below_hangs_lower():
     fabric, heights = Fabric(np.full(3, 80e-6)), []
     for torque in (0.0, 2e-4):
         above = drape(fabric, edge=8e-3, laws=Laws(bending=BendingFriction(torque)))
-        below = raised(above, fabric, torque, overshoot=1.5)
+        below = raise_drape(above, fabric, torque, overshoot=1.5)
         assert above.converged and below.converged
         heights.append([1e3 * one.positions[:, 2].mean() for one in (above, below)])
     (free, again), (held, hanging) = heights
@@ -61,7 +61,7 @@ def test_cloth_that_friction_holds_hangs_lower_from_below():
 
 
 def report_of(slope: float, noise: float) -> dict:
-    """Two fabrics whose coefficient from above exceeds that from below by slope times torque."""
+    """Report of two fabrics; coefficients from above exceed those from below by slope * torque."""
     def drapes(sign: float) -> list:
         return [[{"apart_mm": 1.0, "above": {"coefficient": 50 + slope * m + k * sign * noise},
                   "below": {"coefficient": 50 + k * sign * noise}} for k in range(2)]
@@ -71,7 +71,7 @@ def report_of(slope: float, noise: float) -> dict:
             "rigs": {"disc": {"a": {"drapes": drapes(1)}, "b": {"drapes": drapes(-1)}}}}
 
 
-def test_friction_is_identified_by_its_effect_over_the_scatter_of_starts():
+def test_precision_is_the_deviation_between_starts_over_the_slope():
     assert precision(report_of(0.02, 1.0), "disc", "coefficient") == pytest.approx(50.0)
     found = report_of(0.02, 1.0)
     found["rigs"]["disc"]["b"]["drapes"][1][0] = None  # one that did not converge

@@ -1,4 +1,4 @@
-"""Networks that studies compare: what they see, what they answer, what they learn from."""
+"""Networks of studies: inputs, outputs and training data."""
 
 import json
 from dataclasses import fields
@@ -15,20 +15,20 @@ from sim.material import Fabric
 from sim.scene import Rig
 from studies.__main__ import main
 from studies.learned import UniformPrior, stiff_first
-from studies.networks import Classes, OnNumbers, OnViews, Outline, Regression, head
+from studies.networks import Classes, FoldNetwork, Outline, Regression, ViewNetwork, output_head
 from studies.space import linear_fit
 
 RIG = Rig()
 
 
-def test_regression_is_trained_by_the_papers_loss():
+def test_regression_has_the_loss_of_the_paper():
     target = torch.tensor([[1.0, 2.0], [0.0, -1.0]])
     answer = Regression(torch.tensor([[0.0, 0.0], [0.0, 1.0]]))
     assert answer.log_likelihood(target).item() == pytest.approx(-np.sqrt((1 + 4 + 4) / 2))
 
 
-def test_classes_are_those_that_targets_fall_in():
-    outputs, answer = head("classes 8", targets=2)
+def test_the_likelihood_is_that_of_the_classes_of_the_targets():
+    outputs, answer = output_head("classes 8", targets=2)
     assert outputs == 16
     targets = torch.tensor([[0.1, -9.0], [1.3, 2.4]])
     logits = torch.zeros(2, 2, 8)
@@ -42,7 +42,7 @@ def test_classes_are_those_that_targets_fall_in():
 
 
 def waves(folds: int) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
-    """Distance and weight (1, AZIMUTHS, ELEVATIONS) of a cone whose hem waves, and its radius."""
+    """Distance and weight (1, AZIMUTHS, ELEVATIONS) of a cone with a wavy hem, and its radius."""
     azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     radius = 0.09 + 0.02 * np.cos(folds * azimuth)
     borders = elevations(RIG)
@@ -50,7 +50,7 @@ def waves(folds: int) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
     shown = torch.from_numpy(radius).float()[:, None] / middle.cos() * torch.ones(ELEVATIONS)
     weight = torch.ones(AZIMUTHS, ELEVATIONS)
     weight[:, :10] = 0.0  # nothing below the hem
-    shown = torch.where(middle > middle[10], 0.5 * shown, shown)  # further up the cloth lies inside
+    shown = torch.where(middle > middle[10], 0.5 * shown, shown)  # smaller radius above the hem
     return shown[None], weight[None], radius
 
 
@@ -64,21 +64,21 @@ def test_an_outline_is_the_hem_of_a_map():
 
 
 @pytest.mark.parametrize("folds", [4, 7])
-def test_numbers_are_coefficient_and_folds(folds):
+def test_inputs_are_drape_coefficient_and_number_of_folds(folds):
     distance, weight, radius = waves(folds)
-    network = OnNumbers(rig=RIG, answer="regression", targets=6)
-    kept = []
-    network.layers.register_forward_pre_hook(lambda _, inputs: kept.append(inputs[0]))
+    network = FoldNetwork(rig=RIG, output="regression", targets=6)
+    layer_inputs = []
+    network.layers.register_forward_pre_hook(lambda _, inputs: layer_inputs.append(inputs[0]))
     network(distance, weight, torch.zeros(1, 5))
     plate = np.pi * RIG.plate_radius**2
     coefficient = (np.pi * np.mean(radius**2) - plate) / (RIG.specimen_area - plate)
-    assert kept[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
-    assert kept[0][0, 1].item() == pytest.approx(folds / 2 - 3)
+    assert layer_inputs[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
+    assert layer_inputs[0][0, 1].item() == pytest.approx(folds / 2 - 3)
 
 
 @pytest.mark.parametrize("name", ["resnet18", "alexnet", "efficientnet_b0"])
-def test_backbones_see_four_views_and_a_focal_length(name):
-    network = OnViews(name, channels=5, answer="posterior", targets=8)
+def test_backbones_have_inputs_of_four_views_and_a_focal_length(name):
+    network = ViewNetwork(name, channels=5, output="posterior", targets=8)
     answer = network(torch.rand(2, 5, 60, 80))
     assert answer.means.shape == (2, 2, 8)
 
@@ -88,7 +88,7 @@ def test_stiffer_yarns_come_first():
     assert stiff_first(theta).tolist() == [[3.0, 2.0, 1.0, 30.0, 20.0, 10.0]]
 
 
-def test_a_box_holds_the_fabrics_it_is_drawn_around():
+def test_the_uniform_prior_has_the_quantiles_of_the_fabrics_as_bounds():
     theta = np.random.default_rng(0).normal(size=(5000, 6))
     box = UniformPrior.around(theta)
     drawn = box.sample(2000, np.random.default_rng(1))
@@ -118,7 +118,7 @@ def test_defaults_of_a_study_are_those_of_the_files_it_names():
     (["repeatability", "learned.drapse=3"], "learned.drapse', perhaps drapes"),
     (["page", "out=a"], "page takes no other words"),
 ])
-def test_mistakes_are_one_line(words, complaint):
+def test_invalid_words_are_reported_in_one_line(words, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:
         main(words)
     assert "\n" not in str(refusal.value)
@@ -126,7 +126,7 @@ def test_mistakes_are_one_line(words, complaint):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["heads", "scaling"])
-def test_trainings_are_made_once(tmp_path, capsys, name):
+def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
     words = [name, "drapes=64", "start_drapes=64", "captures=1", "steps=2", "batch=8", "edge_mm=9",
              "workers=1", f"work={tmp_path / 'work'}", f"out={tmp_path / 'report.json'}",
              *(["fabrics=20,40", "times=2,3"] if name == "scaling" else [])]

@@ -1,4 +1,4 @@
-"""The page of studies and its reports."""
+"""Page of studies and stored reports."""
 
 import json
 from dataclasses import fields
@@ -10,18 +10,27 @@ from benchmarks.common import REPORTS
 from common.command import schema_of
 from common.configs import CONFIG_DIR, group_options
 from studies.__main__ import ORDER, main, reports, study_named
-from studies.captured import bound, draped, ideal, read, rms, seen, specimen, spread
-from studies.recognition import DESCRIPTIONS, nearest
+from studies.captured import (
+    capture_drape,
+    drape_specimen,
+    ideal_setups,
+    infer,
+    posterior_bound,
+    rms,
+    specimen,
+    spread,
+)
+from studies.recognition import DESCRIPTORS, identification_rates
 from studies.study import PAGE, page
 
 
-def test_the_page_is_what_the_reports_make():
+def test_the_page_is_generated_from_the_stored_reports():
     assert PAGE.read_text(encoding="utf-8") == page([study_named(name) for name in ORDER],
                                                     reports())
 
 
 @pytest.mark.parametrize("name", ORDER)
-def test_every_study_has_a_config_a_report_and_a_picture(name):
+def test_every_study_has_a_config_a_report_and_a_figure(name):
     study = study_named(name)
     assert study.name == name and (CONFIG_DIR / "study" / f"{name}.yaml").is_file()
     report = json.loads(study.report.read_text(encoding="utf-8"))
@@ -31,37 +40,37 @@ def test_every_study_has_a_config_a_report_and_a_picture(name):
     assert study.report.with_suffix(".png").is_file()
 
 
-def test_errors_are_compared_with_the_bound_in_their_own_unit():
+def test_the_posterior_bound_has_the_unit_of_the_errors():
     information = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["rms"]
     absolute = information["all nuisances unknown"]["log_alpha"]
-    assert bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
-    assert reports()["views"]["bound"] == pytest.approx(bound())
+    assert posterior_bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
+    assert reports()["views"]["bound"] == pytest.approx(posterior_bound())
 
 
-def test_a_reading_is_along_the_true_warp_whatever_the_orientation():
+def test_estimates_are_along_the_true_warp_for_all_orientations():
     plan = specimen(4, seed=1)
     theta = plan.theta.copy()
     theta[:3] = np.log([120e-6, 40e-6, 15e-6])
     theta[3:] = -1e-3
-    shape = draped(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
+    shape = drape_specimen(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
     for number in range(3):
-        found = read(seen(shape, ideal(), np.random.default_rng(number)))
+        found = infer(capture_drape(shape, ideal_setups(), np.random.default_rng(number)))
         assert found.theta[0] > found.theta[2] + 0.5
 
 
-def test_the_nearest_of_another_sample_counts():
+def test_identification_uses_the_nearest_drape_of_another_sample():
     fabric, sample = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 2, 3, 4])
     values = [0.0, 0.1, 5.0, 9.0, 8.9]
-    found = [{name: [value] for name in DESCRIPTIONS}
+    found = [{name: [value] for name in DESCRIPTORS}
              for value in values]
-    result = nearest(found, fabric, sample)
+    result = identification_rates(found, fabric, sample)
     assert result["drapes"] == 4  # the third fabric has no other sample
-    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's are mistaken
+    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's fail
     assert result["chance"] == pytest.approx(1 / 4)
 
 
 @pytest.mark.slow
-def test_a_study_writes_elsewhere_and_goes_on(tmp_path, capsys):
+def test_a_study_resumes_and_leaves_the_page_unchanged_with_another_output(tmp_path, capsys):
     before = PAGE.read_bytes()
     words = ["views", "fabrics=1", "captures=1", "edge_mm=8", "workers=1",
              f"cases={tmp_path / 'cases'}", f"out={tmp_path / 'views.json'}"]
