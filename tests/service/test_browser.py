@@ -113,7 +113,7 @@ def test_errors_stand_where_they_arise(page):
     page.click("#submit")
     page.wait_for_selector("#failure:not(:empty)")
     assert "depth_unit_m" in page.inner_text("#failure")
-    keep(page, "page_error.png", whole=False)
+    keep(page, "page_error.png")
     page.goto(page.url.partition("#")[0] + "#" + "x" * 22)
     page.locator("#failure", has_text="no such estimate").wait_for()
 
