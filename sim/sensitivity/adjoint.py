@@ -18,7 +18,7 @@ from sim.newton import NewtonOptions
 from sim.scene import Scene
 from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import combinations, force_derivatives
-from sim.sensitivity.rest_shape import pull_on_rest
+from sim.sensitivity.rest_shape import rest_gradient
 from sim.sensitivity.tangent import Tangent
 
 
@@ -169,7 +169,7 @@ def pulled_back(
         coordinates += clamp_levers(scene, tangent.positions).T @ turns
         held = (by_positions - coordinates.reshape(-1, 3))[scene.held]
     if by_rest:
-        rest = -pull_on_rest(tangent, weights)
+        rest = -rest_gradient(tangent, weights)
     return by_fabric[:3], by_fabric[3:6], by_fabric[6], by_fabric[7] / membrane, held, rest
 
 

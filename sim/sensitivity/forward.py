@@ -125,7 +125,7 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
 
     result = np.zeros((BASIC, size))
     result[_MEMBRANE] = forces([cloth.membrane], q, size)
-    result[_DENSITY] = forces([*cloth.outer, *cloth.others], q, size)
+    result[_DENSITY] = forces([*cloth.external, *cloth.others], q, size)
     for row in range(6):
         step = _LOG_STEP if row < 3 else _RATIO_STEP
         ahead, behind = made(_changed(cloth.fabric, row, step)), made(

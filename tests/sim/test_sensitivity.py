@@ -23,7 +23,7 @@ from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import clamp_levers, equilibria, pulled_back
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, pull_on_rest
+from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, rest_gradient
 
 TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
 MODULI = ("log_alpha", "ratio")
@@ -160,7 +160,7 @@ def test_backwards_agrees_with_forwards(draped, tangent):
 
 
 def test_a_rest_shape_that_moves_as_a_whole_is_the_same(tangent):
-    pull = pull_on_rest(tangent, np.random.default_rng(0).standard_normal(
+    pull = rest_gradient(tangent, np.random.default_rng(0).standard_normal(
         tangent.cloth.potential.unknowns))
     assert np.abs(pull.sum(axis=0)).max() < 1e-9 * np.abs(pull).sum()
 
@@ -307,7 +307,7 @@ def test_other_laws_have_derivatives_too():
     stiffer, softer = (follow(result, isotropic, laws=laws.softened(np.exp(s)), options=TIGHT)
                        for s in (1e-3, -1e-3))
     difference = (stiffer.positions - softer.positions) / 2e-3
-    assert np.isnan(pull_on_rest(Tangent.of(result), np.zeros(1))).all()
+    assert np.isnan(rest_gradient(Tangent.of(result), np.zeros(1))).all()
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
