@@ -14,8 +14,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.mesh.specimens import (
-    BORROWED_COARSEST,
-    COARSEST,
+    MAX_BORROWED_EDGE,
+    MAX_COARSE_EDGE,
     TOPOLOGIES,
     Specimen,
     coarse_to_fine,
@@ -159,7 +159,8 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     found, statuses = None, []
-    coarsest = min(COARSEST if borrowed is None else BORROWED_COARSEST, longest_edge(rig, offset))
+    coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
+    coarsest = min(coarsest, longest_edge(rig, offset))
     for level in coarse_to_fine(edge, coarsest):
         last = level == edge
         specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)

@@ -65,7 +65,7 @@ class HingeLaw:
         if self.form == "quadratic":
             return QuadraticBending(hinges, gamma=alpha / 3)
         return DihedralBending(hinges, alpha=alpha, beta=beta * (self.form == "hinge"),
-                               stop=fabric.alpha.min())
+                               barrier_modulus=fabric.alpha.min())
 
 
 HINGE_LAWS = {

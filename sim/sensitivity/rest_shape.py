@@ -27,8 +27,8 @@ def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
         step = difference_step(tangent, move)
         meshes = (scene.mesh.with_rest(scene.mesh.rest + s * move) for s in (step, -step))
         ahead, behind = (forces_in(replace(scene, mesh=mesh), tangent) for mesh in meshes)
-        push = (ahead - behind) / (2 * step)
-        result[k] = -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)
+        force = (ahead - behind) / (2 * step)
+        result[k] = -tangent.response(force)[: tangent.coordinates].reshape(-1, 3)
     return result
 
 

@@ -37,7 +37,7 @@ class Ramp:
         slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
         return np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
 
-    def bends(self, points: np.ndarray) -> np.ndarray:
+    def depth_hessians(self, points: np.ndarray) -> np.ndarray:
         return np.zeros((len(points), 3, 3))
 
 

@@ -21,7 +21,7 @@ from sim.mesh import strip
 from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
-from sim.sensitivity.adjoint import clamp_levers, equilibria, pulled_back
+from sim.sensitivity.adjoint import adjoint_gradients, clamp_levers, equilibria
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, rest_gradient
 
@@ -149,7 +149,7 @@ def test_backwards_agrees_with_forwards(draped, tangent):
     by_rest = moves_with_rest(tangent, rest_moves)[0]
     for seed in range(3):
         weights = random_weights(draped, seed)
-        *by_fabric, held, rest = pulled_back(tangent, FABRIC, weights, membrane=1.0)
+        *by_fabric, held, rest = adjoint_gradients(tangent, FABRIC, weights, membrane=1.0)
         size = np.linalg.norm(weights)
         error = np.hstack(by_fabric) - np.tensordot(moves.positions, weights, 2)
         assert (np.abs(error) < 1e-8 * size * np.linalg.norm(moves.positions, axis=(1, 2))).all()
@@ -180,7 +180,7 @@ def test_the_offset_of_the_specimen_against_drapes_with_it():
 def test_cloth_follows_a_clamp_that_moves_as_a_whole():
     tangent = hanging_strip(gamma=10.0)
     weights = np.random.default_rng(0).standard_normal(tangent.positions.shape)
-    *_, held, _ = pulled_back(tangent, tangent.cloth.fabric, weights, membrane=200.0)
+    *_, held, _ = adjoint_gradients(tangent, tangent.cloth.fabric, weights, membrane=200.0)
     assert held.sum(axis=0) == pytest.approx(weights.sum(axis=0), rel=1e-8)
 
 
@@ -260,7 +260,7 @@ def test_free_motions_are_reported():
     moves = tangent_sensitivities(tangent, fabric, MODULI)
     assert not moves.ok and moves.message == tangent.message and np.isnan(moves.positions).all()
     assert all(np.isnan(pull).all()
-               for pull in pulled_back(tangent, fabric, flag, membrane=200.0))
+               for pull in adjoint_gradients(tangent, fabric, flag, membrane=200.0))
 
 
 def test_a_column_beyond_its_buckling_load_is_no_minimum():
