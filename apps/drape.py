@@ -75,7 +75,7 @@ def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
 
     Measures that refer to a plate are None on a rig without one.
     """
-    from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
+    from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
     positions, faces, rig = result.positions, result.faces, result.rig
     return {
@@ -100,7 +100,7 @@ def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
         "seconds": round(result.seconds, 3),
         "drape_coefficient": drape_coefficient(positions, faces, rig) if rig.has_plate else None,
         "fold_count": fold_count(positions, result.rest, rig) if rig.has_plate else None,
-        "deepest_entry_mm": 1e3 * deepest_entry(positions, faces, rig),
+        "deepest_entry_mm": 1e3 * max_penetration(positions, faces, rig),
         "maximum_stretch": maximum_stretch(positions, result.rest, faces, result.held),
     }
 

@@ -12,7 +12,7 @@ from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
 from data.sampling import BORROWED, DrapePlan, SamplingConfig, choose_lender, plan_drape
 from data.shards import FACES, LENGTH_UNIT, fields, to_counts
-from sim.mesh.specimens import EDGES, default_edge
+from sim.mesh.specimens import EDGE_RANGE, default_edge
 from sim.scene import RIGS, Rig
 
 Solver = Callable[..., object]
@@ -49,9 +49,9 @@ class DatasetConfig:
         for name in ("drapes", "drapes_per_shard"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}={getattr(self, name)} must be at least 1")
-        if self.edge and not EDGES[0] <= self.edge <= EDGES[1]:
+        if self.edge and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
             raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
-                             f"fabric, or {1e3 * EDGES[0]:g} to {1e3 * EDGES[1]:g} mm")
+                             f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
         if not self.rig.has_plate:
             known = ", ".join(name for name, rig in RIGS.items() if rig.has_plate)
             raise InputError(f"rig={self.rig.name}: datasets are made of specimens on a plate; "

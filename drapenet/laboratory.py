@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from drapenet.estimate import Estimate, summary
-from sim.cantilever.elastica import LARGEST_GAMMA, aspect_ratio, elastica
+from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica
 from sim.material import MICRO, torque
 from sim.scene import GRAVITY
 
@@ -92,4 +92,4 @@ def _length(softening: float) -> float:
         shape = elastica(length**3, _POINTS, softening=softening / length, steps=_STEPS)
         return aspect_ratio(shape[-1]) - np.tan(INCLINE)
 
-    return brentq(above, 0.2, 0.99 * np.cbrt(LARGEST_GAMMA), xtol=1e-8)
+    return brentq(above, 0.2, 0.99 * np.cbrt(MAX_GAMMA), xtol=1e-8)

@@ -1,4 +1,4 @@
-"""Many drapes: each on its own, by as many worker processes as there are cores."""
+"""Simulation of many drapes in parallel worker processes, one drape per process."""
 
 import os
 from collections.abc import Sequence
@@ -24,21 +24,21 @@ def drape_batch(
     """Drape every fabric on ``rig``, as :func:`sim.drape.drape` does.
 
     Args:
-        fabrics: any number.
-        rig: of all; None for the square on its cylinder.
-        edge: m, at the plate's rim, of all meshes or one each; None chooses each as
+        fabrics: N fabrics, any number.
+        rig: rig of all drapes; None for the square on its cylinder.
+        edge: edge length at the plate's rim, m, one value or N; None chooses each by
             :func:`sim.mesh.specimens.default_edge`.
-        starts: initial shape, of all or one each; see :data:`sim.initial.STARTS`.
-        seeds: of the initial shape and topology, one each; None for 0, 1, 2, ...
-        offsets: (2,) m each, the specimens' centres from the plate's axis; None for none.
-        laws: of bending, membrane and energies of your own.
-        options: of the final minimisations.
-        workers: processes, one drape and one core each; they take a second to start, and stay for
-            a minute. None for one a core. With 1 this process does it itself.
+        starts: initial shape, one name or N; see :data:`sim.initial.STARTS`.
+        seeds: N seeds of the initial shape and the triangulation; None for 0, 1, 2, ...
+        offsets: N offsets (2,), m, of the specimen's centre from the plate's axis; None for zero.
+        laws: bending law, membrane and user-defined energies.
+        options: stopping criteria of the final minimisations.
+        workers: number of processes; each runs one drape at a time on one core, takes a second to
+            start and is kept for a minute. None for one per core; 1 runs in this process.
 
     Returns:
-        The drapes in the order of ``fabrics``; a numerical failure is in a drape's ``status``.
-        InputError for parameters that make no sense, or a worker process ended from outside.
+        The drapes in the order of ``fabrics``; numerical failures are given by their ``status``.
+        InputError for invalid parameters, or a worker process that was killed.
     """
     rig, laws, count = rig or Rig(), laws or Laws(), len(fabrics)
     workers = (os.cpu_count() or 1) if workers is None else workers
@@ -61,7 +61,7 @@ def drape_batch(
         return [drape(**task) for task in tasks]
 
     def expected_work(k: int) -> float:
-        """Only to be compared: fine meshes take long, and so do soft fabrics."""
+        """Relative cost of a drape: it grows with fine meshes and soft fabrics."""
         softest = fabrics[k].at_density(1.0).alpha.min()
         return (each["edge"][k] or default_edge(fabrics[k], rig)) ** -2 / softest**0.5
 

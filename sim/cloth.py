@@ -1,4 +1,4 @@
-"""The energies of a fabric in a scene, by name, and their sum as an optimiser sees it."""
+"""The energies of a fabric in a scene and their sum, the objective of the minimisation."""
 
 from collections.abc import Sequence
 
@@ -12,11 +12,11 @@ from sim.material import Fabric
 from sim.potential import Potential
 from sim.scene import GRAVITY, Scene
 
-STEP_UNIT = 1e-3  # m: steps are reported in mm
+STEP_UNIT = 1e-3  # m; steps are reported in mm
 
 
 class Cloth:
-    """A fabric in a scene, with ``extra`` energies beside its own, its weight and the obstacles'.
+    """A fabric in a scene, with ``extra`` energies in addition to those of laws and scene.
 
     Unknowns are the coordinates of the free vertices and the rotations that an energy depends on.
     Residuals are in units of the mean weight of a vertex under standard gravity (for rotations:
@@ -25,8 +25,8 @@ class Cloth:
     Attributes:
         scene, fabric, laws, extra: as given.
         membrane, bending, others: energies of the laws.
-        weight, obstacles: what acts from outside.
-        potential: the sum of all.
+        weight, obstacles: potential of the weight, contact energies of the obstacles.
+        potential: the sum of all energies.
     """
 
     def __init__(
@@ -46,15 +46,15 @@ class Cloth:
         self.potential = self._sum()
 
     @property
-    def outer(self) -> list[Energy]:
-        """Energies that are not the cloth's own: its weight, ``extra``, the obstacles."""
+    def external(self) -> list[Energy]:
+        """Energies of external forces: weight, ``extra`` and obstacles."""
         return [self.weight, *self.extra, *self.obstacles]
 
     def _sum(self) -> Potential:
         mesh = self.scene.mesh
-        others = [self.bending, *self.others, *self.outer]
+        others = [self.bending, *self.others, *self.external]
         coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)
-        used = np.zeros(coordinates + edges + 1, dtype=bool)  # one more, for dofs of -1
+        used = np.zeros(coordinates + edges + 1, dtype=bool)  # last entry: dofs of -1
         for energy in (self.membrane, *others):
             used[dofs_of(energy)] = True
         used[:coordinates] &= np.repeat(~self.scene.held, 3)
@@ -62,7 +62,7 @@ class Cloth:
         edge_length = mesh.edge_lengths.mean()
         per_area = self.fabric.density * GRAVITY
         weight = per_area * mesh.vertex_areas.mean()
-        # A convex membrane alone nearly always makes the whole Hessian positive definite.
+        # A convex membrane alone nearly always makes the Hessian positive definite.
         return Potential(
             [[self.membrane], others],
             mesh.edges,
@@ -74,10 +74,10 @@ class Cloth:
 
 
 def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[ObstacleContact]:
-    """Contact at the free vertices and at the middles of the edges.
+    """Contact energies at the free vertices and at the midpoints of the edges.
 
-    Edges between touching vertices cut through a convex obstacle; with points twice as dense,
-    a quarter as deep. Areas are shared out as on the mesh refined by these points.
+    Edges between touching vertices cut through a convex obstacle; points twice as dense reduce
+    the penetration to a quarter. Areas are those of the mesh refined by these points.
     """
     mesh = scene.mesh
     free = ~scene.held

@@ -1,4 +1,4 @@
-"""The public door of the simulator: fabric, rig and start in, drape out."""
+"""Public entry point of the simulator: the drape of a fabric on a rig."""
 
 import time
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.mesh.specimens import (
-    BORROWED_COARSEST,
-    COARSEST,
+    MAX_BORROWED_EDGE,
+    MAX_COARSE_EDGE,
     TOPOLOGIES,
     Specimen,
     coarse_to_fine,
@@ -29,39 +29,38 @@ from sim.self_contact import self_intersections
 from sim.state import State
 
 COARSE_MEMBRANE = 0.03
-"""Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness matters
-little for the shape but limits the length of Newton's steps (docs/physics.md)."""
+"""Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness has
+little effect on the shape but limits the length of Newton steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
-"""The same for the obstacles' pressure: most steps of falling cloth would end in the cylinder."""
+"""The same for the obstacles' pressure: most steps of falling cloth end inside the cylinder."""
 COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
 
 @dataclass(frozen=True, eq=False)
 class DrapeResult:
-    """A draped specimen, or how far it came, with what made it.
+    """A simulated drape with its inputs, or the last state of a failed simulation.
 
     Attributes:
-        fabric, rig: what was asked for.
+        fabric, rig: as given.
         mesh: of the specimen; origin on the plate's axis, without a plate at the specimen's centre.
         held: (V,) bool, vertices that the rig holds.
-        state: positions (V, 3), m, origin and axes as :class:`sim.scene.Rig` says, z up, and
-            normals of the edges.
-        laws: of bending and membrane with which it is in balance.
-        extra: more energies that it is in balance with.
-        touches: whether contact of the cloth with itself is among them.
-        edge: length of the mesh's edges at the rim, m.
-        status, message: how it ended, in one word and in a sentence.
+        state: positions (V, 3), m, in the frame of :class:`sim.scene.Rig`, z up, and edge normals.
+        laws: bending law, membrane and user-defined energies.
+        extra: further energies of the equilibrium.
+        touches: whether the equilibrium includes self-contact.
+        edge: edge length at the rim, m.
+        status, message: outcome as a keyword and as a sentence.
         residual: largest force residual, in units of a vertex's weight.
         step: last Newton step, mm.
         positive_definite: whether the exact Hessian is, so that the state is a minimum.
-        self_intersections: places where an edge passes through a triangle; 0 when converged.
+        self_intersections: number of edges that pass through a triangle; 0 when converged.
         iterations: Newton steps on all meshes together.
         seconds: wall time.
-        time_spent: seconds of all minimisations by activity.
+        time_spent: CPU seconds of all minimisations by activity.
         coarse: statuses of the minimisations on coarser meshes, coarsest first.
-        equilibrium: the last minimisation with its energies and factor, where it was asked for;
-            it does not travel between processes.
+        equilibrium: the last minimisation with its energies and factor, if requested; it is not
+            pickled.
     """
 
     fabric: Fabric
@@ -87,27 +86,27 @@ class DrapeResult:
 
     @property
     def positions(self) -> np.ndarray:
-        """(V, 3) m."""
+        """Positions (V, 3), m."""
         return self.state.positions
 
     @property
     def rest(self) -> np.ndarray:
-        """(V, 2) m, warp along +x, weft along +y."""
+        """Rest points (V, 2), m, warp along +x, weft along +y."""
         return self.mesh.rest
 
     @property
     def faces(self) -> np.ndarray:
-        """(F, 3) int64, counter-clockwise seen from above at rest."""
+        """Faces (F, 3) int64, counter-clockwise seen from above at rest."""
         return self.mesh.faces
 
     @property
     def converged(self) -> bool:
-        """Whether this is a proven equilibrium."""
+        """Whether the state is a verified equilibrium."""
         return self.status is Status.CONVERGED
 
     @property
     def simulated(self) -> Fabric:
-        """The fabric at the reference density, at which drapes are simulated."""
+        """The fabric scaled to the reference density, at which drapes are simulated."""
         return self.fabric.at_density(REFERENCE_DENSITY)
 
     @property
@@ -116,8 +115,8 @@ class DrapeResult:
         return scene_on(Specimen(self.mesh, self.held), self.rig)
 
     def at(self, positions: np.ndarray, mesh: Mesh | None = None) -> "DrapeResult":
-        """The same cloth elsewhere, not settled: positions (V, 3) m, on another ``mesh``. Where it
-        is held follows the positions."""
+        """The same cloth at other positions (V, 3), m, or on another ``mesh``, not in equilibrium.
+        Held vertices take their positions from ``positions``."""
         there = replace(self, mesh=mesh or self.mesh, equilibrium=None,
                         status=Status.MAX_ITERATIONS, message="not settled")
         return replace(there, state=there.scene.state(positions))
@@ -132,27 +131,27 @@ def drape(
     offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
     options: NewtonOptions | None = None
 ) -> DrapeResult:
-    """Drape ``fabric`` on ``rig``, coarse mesh first.
+    """Simulate the drape of ``fabric`` on ``rig``, from a coarse mesh to the final one.
 
     The shape depends on moduli/density only (section 5.1.2), so the fabric is simulated at the
-    reference density; its own density changes nothing.
+    reference density; the value of its density has no effect.
 
     Args:
-        rig: what holds the specimen; None for the square on its cylinder.
-        edge: length of the edges at the plate's rim, m, of the final mesh
+        rig: specimen and its holder; None for the square on its cylinder.
+        edge: edge length at the plate's rim, m, of the final mesh
             (:func:`sim.mesh.specimens.make_specimen`); None chooses it by the fabric
             (:func:`sim.mesh.specimens.default_edge`).
         start: initial shape, see :data:`sim.initial.STARTS`.
-        borrowed: rest (W, 2) and positions (W, 3), m, of another fabric's drape on the same rig
-            to start from, in place of ``start``; on a mesh fine enough for its folds.
-        seed: of the initial shape; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES` is the
-            triangulation.
+        borrowed: warm start in place of ``start``: rest points (W, 2) and positions (W, 3), m, of
+            another fabric's drape on the same rig, on a mesh fine enough for its folds.
+        seed: seed of the initial shape; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES`
+            selects the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        laws: of bending, membrane and energies of your own; made again on every mesh.
-        options: of the final minimisation.
+        laws: bending law, membrane and user-defined energies; evaluated for every mesh.
+        options: stopping criteria of the final minimisation.
 
     Returns:
-        The drape; look at its ``status``. Only parameters that make no sense raise an InputError.
+        The drape; ``status`` gives the outcome. Only invalid parameters raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
     check_arguments(rig, laws, start, seed, offset)
@@ -160,7 +159,8 @@ def drape(
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
     found, statuses = None, []
-    coarsest = min(COARSEST if borrowed is None else BORROWED_COARSEST, longest_edge(rig, offset))
+    coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
+    coarsest = min(coarsest, longest_edge(rig, offset))
     for level in coarse_to_fine(edge, coarsest):
         last = level == edge
         specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
@@ -179,7 +179,7 @@ def drape(
 def check_arguments(
     rig: object, laws: object, start: str, seed: int, offset: tuple[float, float]
 ) -> None:
-    """InputError for arguments of :func:`drape` that make no sense, such as the name of a rig."""
+    """InputError for invalid arguments of :func:`drape`, such as the name of a rig."""
     if not isinstance(rig, Rig):
         raise InputError(f"rig={rig!r}: give a sim.scene.Rig, such as "
                          f"Rig.from_name('{Rig().name}')")
@@ -197,8 +197,8 @@ def start_positions(
     specimen: Specimen, rig: Rig, *, coarse: Equilibrium | None,
     borrowed: tuple[np.ndarray, np.ndarray] | None, start: str, seed: int
 ) -> np.ndarray:
-    """Positions (V, 3), m, at which the minimisation on one mesh begins: those of the ``coarse``
-    drape, on the first mesh of the start."""
+    """Initial positions (V, 3), m, on one mesh: interpolated from the ``coarse`` drape; on the
+    first mesh, from ``borrowed`` or ``start``."""
     rest, held = specimen.mesh.rest, specimen.held
     if coarse is not None:
         positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.state.positions,
@@ -213,7 +213,7 @@ def start_positions(
 
 
 def scene_on(specimen: Specimen, rig: Rig, *, soft: bool = False) -> Scene:
-    """A specimen on ``rig``; with ``soft`` obstacles, as on the coarser meshes."""
+    """The scene of a specimen on ``rig``; ``soft`` obstacles are for the coarser meshes."""
     pressure = CONTACT_PRESSURE * (COARSE_CONTACT if soft else 1.0)
     return Scene(specimen.mesh, specimen.held, rig.obstacles, contact_pressure=pressure)
 
@@ -222,8 +222,8 @@ def drape_result(
     fabric: Fabric, rig: Rig, laws: Laws, found: Equilibrium, *, edge: float, seconds: float,
     extra: Sequence[Energy] = (), coarse: tuple[Status, ...] = (), keep: bool = False
 ) -> DrapeResult:
-    """The drape, on triangles with sides of ``edge``, m, whose last minimisation ended with
-    ``found``; ``keep``: with its factor."""
+    """The drape of the last minimisation ``found``, on a mesh with edges of ``edge``, m, at the
+    rim; ``keep``: with its energies and factor."""
     scene, newton = found.cloth.scene, found.newton
     return DrapeResult(
         fabric=fabric, rig=rig, mesh=scene.mesh, held=scene.held, state=found.state, laws=laws,

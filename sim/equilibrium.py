@@ -1,4 +1,4 @@
-"""Static equilibrium of a cloth in a scene: the one way to find it, whatever acts on the cloth."""
+"""Static equilibrium of a cloth in a scene, with self-contact where the cloth needs it."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -15,18 +15,18 @@ from sim.self_contact import contact_near, self_intersections, untangled
 from sim.state import State
 
 _DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
-_STEPS_A_ROUND = 25  # Newton steps after which the places of self-contact are chosen again
+_STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-contact
 
 
 @dataclass(eq=False)
 class Equilibrium:
-    """Where a cloth came to rest, or how far it came, with what made it.
+    """An equilibrium of a cloth, or the last state of a failed search.
 
     Attributes:
-        cloth: its energies, contact of cloth with itself among the ``extra`` ones.
+        cloth: its energies; self-contact is among the ``extra`` ones.
         state: positions and edge normals.
-        newton: the last minimisation, with the work of all.
-        contact: of the cloth with itself, where it acts.
+        newton: result of the last minimisation; iterations and seconds are those of all.
+        contact: self-contact, if it acts.
     """
 
     cloth: Cloth
@@ -36,30 +36,30 @@ class Equilibrium:
 
     @staticmethod
     def at(cloth: Cloth, state: State) -> "Equilibrium":
-        """A state that is taken for an equilibrium of ``cloth``, without a minimisation."""
+        """A state assumed to be an equilibrium of ``cloth``, without a minimisation."""
         return Equilibrium(cloth, state, NewtonResult(state.q, Status.MAX_ITERATIONS, "not sought"))
 
     @property
     def status(self) -> Status:
-        """How it ended."""
+        """Outcome of the search."""
         return self.newton.status
 
     @property
     def message(self) -> str:
-        """The same in a sentence."""
+        """The outcome as a sentence."""
         return self.newton.message
 
     @property
     def converged(self) -> bool:
-        """Whether this is a proven equilibrium."""
+        """Whether the state is a verified equilibrium."""
         return self.status is Status.CONVERGED
 
     def ended(self, status: Status, message: str) -> "Equilibrium":
-        """The same with another outcome."""
+        """A copy with another outcome."""
         return replace(self, newton=replace(self.newton, status=status, message=message))
 
     def after(self, earlier: "Equilibrium | None") -> "Equilibrium":
-        """The same with the work of an earlier search, if there was one, added."""
+        """A copy with iterations and seconds of an ``earlier`` search, if any, added."""
         if earlier is None:
             return self
         one, two = earlier.newton, self.newton
@@ -74,18 +74,18 @@ def find_equilibrium(
     extra: Sequence[Energy] = (), options: NewtonOptions | None = None, self_contact: bool = False,
     touching: bool = False
 ) -> Equilibrium:
-    """Equilibrium of ``fabric`` in ``scene`` next to ``start``; look at its ``status``.
+    """Find the equilibrium of ``fabric`` in ``scene`` near ``start``; ``status`` gives the outcome.
 
-    Held vertices stay where they are in ``start``. A numerical failure raises nothing.
+    Held vertices keep their positions of ``start``. Numerical failures raise no exception.
 
     Args:
-        extra: energies beside those of the cloth, its weight and the scene's obstacles.
-        self_contact: whether the cloth may not intersect itself. First the equilibrium without
-            contact between its parts is found, which is all for most drapes. Where it intersects
-            itself, it is untangled and found again with contact
-            (:class:`sim.energies.self_contact.SelfContact`), through which no step leads. Status
-            SELF_CONTACT: it could not be untangled, or is tangled again.
-        touching: with ``self_contact``, whether the cloth touches itself at the start already, so
+        extra: energies in addition to those of the cloth, its weight and the scene's obstacles.
+        self_contact: whether self-intersections are resolved. The equilibrium without
+            self-contact comes first and suffices for most drapes. If it intersects itself, it is
+            untangled and minimised again with contact
+            (:class:`sim.energies.self_contact.SelfContact`), which no step can pass. Status
+            SELF_CONTACT: untangling failed, or the result intersects itself again.
+        touching: with ``self_contact``, whether the cloth already touches itself in ``start``, so
             that contact acts from the first step.
     """
     laws, options = laws or Laws(), options or NewtonOptions()
@@ -128,13 +128,13 @@ def _with_contact(
     minimised: Callable[[State, SelfContact, NewtonOptions], Equilibrium], scene: Scene,
     state: State, density: float, options: NewtonOptions,
 ) -> Equilibrium:
-    """Equilibrium with self-contact from a ``state`` without intersections."""
+    """Equilibrium with self-contact, started from a ``state`` without intersections."""
     iterations, found = 0, None
     while True:
         contact = contact_near(scene, state.positions, density=density)
-        steps = min(_STEPS_A_ROUND, options.max_iterations - iterations)
+        steps = min(_STEPS_PER_ROUND, options.max_iterations - iterations)
         part = minimised(state, contact, replace(options, max_iterations=steps))
-        iterations += max(part.newton.iterations, 1)  # rounds without a step must end, too
+        iterations += max(part.newton.iterations, 1)  # rounds without a step count, too
         found = part.after(found)
         state = found.state
         exact = contact.is_complete(state.q)
@@ -143,5 +143,5 @@ def _with_contact(
             break
     status = found.status
     if found.converged and not exact:
-        status = Status.MAX_ITERATIONS  # a minimum only of an approximate Hessian
+        status = Status.MAX_ITERATIONS  # verified only with an approximate Hessian
     return found.ended(status, f"{found.message}; self-contact took {iterations} iterations")

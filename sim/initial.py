@@ -1,4 +1,4 @@
-"""Initial shapes of a drape. Which one decides the folds the cloth falls into (section 5.2.1)."""
+"""Initial shapes of a drape, which determine the folds of the equilibrium (section 5.2.1)."""
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
@@ -11,21 +11,21 @@ from sim.mesh.specimens import share_of_offset
 from sim.scene import Rig
 
 STARTS = ("sine", "fold", "ring")
-"""Starts made at random; a drape can also be borrowed, see :func:`borrowed_positions`."""
+"""Random initial shapes; for a warm start from another drape see :func:`borrowed_positions`."""
 
-_RING_WAVES = (4, 15)  # least number, and one more than the most
+_RING_WAVES = (4, 15)  # range of the number of waves, end exclusive
 
 
 def initial_positions(
     rest: np.ndarray, *, rig: Rig, start: str, rng: np.random.Generator
 ) -> np.ndarray:
-    """Positions (V, 3), m, of rest points (V, 2); flat on the plate, see :data:`STARTS`.
-    InputError for an unknown start, or one that the rig has not."""
+    """Initial positions (V, 3), m, of rest points (V, 2), flat on the plate; see :data:`STARTS`.
+    InputError for an unknown start, or one that the rig does not support."""
     check_start(start)
     if start == "sine" and not rig.has_plate:
         return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
     if not rig.has_plate:
-        raise InputError(f"start={start} bends the cloth over a plate, which {rig.name} has not")
+        raise InputError(f"start={start} bends the cloth over a plate, which {rig.name} lacks")
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
         return flat + _waves(rest, rig, rng, amplitude=5e-3)
@@ -42,7 +42,7 @@ def check_start(start: str) -> None:
 def _waves(
     rest: np.ndarray, rig: Rig, rng: np.random.Generator, *, amplitude: float, count: int = 8
 ) -> np.ndarray:
-    """Vertical displacements (V, 3): random plane sine waves, fading out towards the rim."""
+    """Vertical displacements (V, 3), m: random plane sine waves that vanish at the rim."""
     angle = rng.uniform(0, 2 * np.pi, count)
     wavelength = rng.uniform(0.06, 0.3, count)
     phase = rng.uniform(0, 2 * np.pi, count)
@@ -54,8 +54,8 @@ def _waves(
 
 
 def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
-    """The specimen bent down on both sides of the plate, along a random direction: beyond the plate
-    a circular arc of up to a quarter turn, then straight, without stretch and intersection."""
+    """The specimen bent down on both sides of the plate, in a random direction: beyond the plate
+    a circular arc of up to a quarter turn, then straight, without stretch or intersection."""
     angle = rng.uniform(0, np.pi)
     bend = 0.02 * rng.uniform(0.7, 1.5)  # m, radius of the arc
     turn = rng.uniform(0.5, 0.95) * np.pi / 2
@@ -72,8 +72,8 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
 
 
 def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
-    """Waves all around the plate, as of cloth that is let down evenly: their number stays where the
-    drape can be in balance with it. Real discs hang in more folds than other starts lead to.
+    """Waves around the plate, as of cloth lowered evenly. Their number is preserved where an
+    equilibrium with it exists. Real discs have more folds than the other starts lead to.
     """
     waves, phase = rng.integers(*_RING_WAVES), rng.uniform(0, 2 * np.pi)
     angle = np.arctan2(rest[:, 1], rest[:, 0])
@@ -82,7 +82,7 @@ def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
 
 
 def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:
-    """A square held by its upper corners, its rows bent to circular arcs between them."""
+    """A square held at its upper corners, its rows bent to circular arcs between them."""
     chord = rig.corners_apart / rig.specimen_size
     turn = brentq(lambda t: np.sin(t) / t - chord, 1e-6, np.pi)
     radius = rig.specimen_size / 2 / turn
@@ -94,14 +94,14 @@ def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:
 def borrowed_positions(
     rest: np.ndarray, *, rig: Rig, borrowed: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Positions (V, 3), m, of rest points (V, 2) in a previous drape of another fabric.
+    """Positions (V, 3), m, of rest points (V, 2) interpolated from a drape of another fabric.
 
-    Where the two specimens lie differently on the plate, points of the plate and points of the
-    border still belong together, and those between are shifted in proportion.
+    If the offsets of the specimens differ, points on the plate correspond to points on the plate,
+    the border to the border, and points between are shifted in proportion.
 
     Args:
-        rest: points of this specimen, its border among them.
-        rig: of both drapes; InputError where the other's specimen is not such a one.
+        rest: points of this specimen, its border included.
+        rig: of both drapes; InputError if the other specimen's area differs from the rig's.
         borrowed: rest points (W, 2) and positions (W, 3) of the other drape, m.
     """
     other_rest, other_positions = (np.asarray(array, np.float64) for array in borrowed)
@@ -126,8 +126,8 @@ def borrowed_positions(
 def interpolate_positions(
     coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Positions (V, 3) at rest points (V, 2) of a smooth surface through coarser vertices (W, 2)
-    at (W, 3), which cover the same specimen."""
+    """Positions (V, 3) at rest points (V, 2) of a smooth surface through the coarser rest points
+    (W, 2) at positions (W, 3) of the same specimen, m."""
     surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull
@@ -141,8 +141,8 @@ def interpolate_positions(
 def _beyond_border(
     surface: CloughTocher2DInterpolator, rest: np.ndarray, centre: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Values (N, 3) of ``surface``, by its slope, at points (N, 2) beyond the hull of ``rest``:
-    the border of a disc has more corners on a finer mesh, which lie outside."""
+    """Linear extrapolation (N, 3) of ``surface`` to points (N, 2) outside the hull of ``rest``:
+    the border of a disc has more corners on a finer mesh, some of them outside."""
     equations = ConvexHull(rest).equations
     ray = points - centre
     rise = ray @ equations[:, :2].T

@@ -1,4 +1,4 @@
-"""The laws of a simulated cloth: which bending energy, which membrane, what else acts on it."""
+"""The laws of a simulated cloth: bending energy, membrane and user-defined energies."""
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -15,14 +15,14 @@ from sim.mesh import Mesh
 
 
 class Law(Protocol):
-    """Makes an energy of a cloth on any mesh: a bending law, or one of your own. A drape is solved
-    on several meshes and calls it on each, so it keeps no mesh."""
+    """Creates an energy of a cloth on a mesh: a bending law, or a user-defined one. A drape is
+    solved on several meshes and calls the law for each, so it must not store a mesh."""
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
         """The energy of the triangles ``active`` (F,) bool of ``mesh``.
 
-        Drapes are simulated at the reference density: so ``fabric`` is, and loads and stiffnesses
-        are those of cloth of 300 g/m².
+        Drapes are simulated at the reference density: ``fabric`` is scaled to it, and loads and
+        stiffnesses must be those of cloth of 300 g/m².
         """
 
 
@@ -32,12 +32,12 @@ BENDING: dict[str, Law] = {"midedge": MidEdgeBending, **HINGE_LAWS}
 
 @dataclass(frozen=True)
 class Laws:
-    """What stands for the cloth in the total energy.
+    """The laws of the cloth's energies.
 
     Attributes:
-        bending: a key of :data:`BENDING`, or a law itself.
+        bending: a key of :data:`BENDING`, or a law.
         membrane: in-plane law.
-        others: laws of energies beside those, such as a foundation or a load.
+        others: laws of further energies, such as a foundation or a load.
     """
 
     bending: str | Law = "midedge"
@@ -59,9 +59,9 @@ class Laws:
 
     @property
     def bending_law(self) -> Law:
-        """The bending law that ``bending`` names or is."""
+        """The bending law given by ``bending``."""
         return BENDING[self.bending] if isinstance(self.bending, str) else self.bending
 
     def softened(self, factor: float) -> "Laws":
-        """The same laws with ``factor`` times the membrane's stiffness."""
+        """A copy with ``factor`` times the membrane's stiffness."""
         return replace(self, membrane=self.membrane.scaled(factor))

@@ -1,12 +1,12 @@
-"""Fabrics: the six bending moduli, their scaling with density, and the law of bending.
+"""Fabrics: the six bending moduli, their scaling with density, and the bending law.
 
 Moduli are per unit width: a linear modulus alpha in N·m and a quadratic modulus beta in N·m²
 for each of the directions warp, bias (45°) and weft. The torque per width of cloth bent to the
 curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.2.1).
 
 Nearly all measured fabrics have beta < 0, so that the parabola peaks at
-``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. It is followed up to the
-fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continued with the slope it has there; see
+``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. The law follows it up to
+the fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continues with its slope there; see
 :func:`softening_shape` and ``docs/physics.md``.
 """
 
@@ -24,25 +24,24 @@ REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (secti
 MICRO = 1e-6  # N·m per µN·m
 NANO = 1e-9  # N·m² per nN·m²
 
-DENSITIES = (5e-3, 5.0)
-"""kg/m², of what people drape or measure; beyond these limits and the next, a unit is wrong."""
-ALPHAS = (1e-9, 1.0)
-"""N·m, as :data:`DENSITIES`."""
-LARGEST_RATIO = 0.5
-"""m, of |beta|/alpha, which is about 2 mm in fabrics."""
+DENSITY_RANGE = (5e-3, 5.0)
+"""kg/m²; values beyond this limit or the next two indicate a wrong unit."""
+ALPHA_RANGE = (1e-9, 1.0)  # N·m
+MAX_RATIO = 0.5
+"""Largest |beta|/alpha, m; in fabrics it is about 2 mm."""
 
 SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
-the slope 1 - 2*u_c of the parabola at u_c, so that a fabric never loses all stiffness."""
+the slope 1 - 2*u_c of the parabola at u_c, so that the tangent stiffness stays positive."""
 
 TWIST_FLOOR = 0.05
-"""Least twisting stiffness A66 as a fraction of sqrt(A11*A22), see :func:`plate_constants`."""
+"""Smallest twisting stiffness A66 as a fraction of sqrt(A11*A22), see :func:`plate_constants`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fabric:
-    """Bending moduli and density of a fabric; two are equal when all their values are.
-    InputError where no elastic plate has such moduli, or a value is off by a unit.
+    """Bending moduli and density of a fabric; two fabrics are equal when all their values are.
+    InputError if no elastic plate has such moduli, or a value indicates a wrong unit.
 
     Attributes:
         alpha: (3,) linear moduli, N·m, in the order warp, bias, weft; read-only, as beta is.
@@ -81,9 +80,9 @@ class Fabric:
         return (*self.alpha.tolist(), *self.beta.tolist(), self.density)
 
     def at_density(self, density: float) -> "Fabric":
-        """The fabric of another density (kg/m²) that drapes the same: moduli scale with it."""
+        """The fabric of another density (kg/m²) with the same drape: moduli scale with it."""
         scale, scaled = density / self.density, copy(self)
-        scaled._set(self.alpha * scale, self.beta * scale, density)  # its unit was checked before
+        scaled._set(self.alpha * scale, self.beta * scale, density)  # units checked before
         return scaled
 
     def _set(self, alpha: np.ndarray, beta: np.ndarray, density: float) -> None:
@@ -95,26 +94,26 @@ class Fabric:
 
 
 def check_density(density: float) -> None:
-    """InputError for a density in kg/m² that no fabric has, such as one in g/m²."""
-    low, high = DENSITIES
+    """InputError for a density in kg/m² outside :data:`DENSITY_RANGE`, such as one in g/m²."""
+    low, high = DENSITY_RANGE
     if not low <= density <= high:
         raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is outside the "
                          f"range of fabrics, {1e3 * low:g} to {1e3 * high:g} g/m²; check the unit")
 
 
 def _check_units(alpha: np.ndarray, beta: np.ndarray) -> None:
-    low, high = ALPHAS
+    low, high = ALPHA_RANGE
     for value in alpha[(alpha < low) | (alpha > high)].tolist():
         raise InputError(f"alpha={value / MICRO:g} µN·m ({value:g} N·m) is outside the range of "
                          f"fabrics, {low / MICRO:g} to {high / MICRO:g} µN·m; check the unit")
-    for value in beta[np.abs(beta) > LARGEST_RATIO * alpha].tolist():
+    for value in beta[np.abs(beta) > MAX_RATIO * alpha].tolist():
         raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is outside the range of "
-                         f"fabrics: |beta|/alpha exceeds {LARGEST_RATIO:g} m; check the unit")
+                         f"fabrics: |beta|/alpha exceeds {MAX_RATIO:g} m; check the unit")
 
 
 def bias_limit(alpha: np.ndarray) -> np.ndarray:
-    """Least alpha_bias (...,), N·m, for which a positive-definite plate exists with ``alpha``
-    (..., 3); see :func:`plate_constants`."""
+    """Lower bound of alpha_bias (...,), N·m, for a positive-definite plate with ``alpha`` (..., 3);
+    see :func:`plate_constants`."""
     return (np.sqrt(alpha[..., WARP]) - np.sqrt(alpha[..., WEFT])) ** 2 / 4
 
 
@@ -138,10 +137,10 @@ def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
 
         2 A12 + 4 A66 = c,  c = 4 alpha_bias - alpha_warp - alpha_weft,
 
-    which leaves one constant free. The rule: A12 = 0 and A66 = c/4, unless that falls below a
-    small positive floor; then A66 is the floor and A12 = (c - 4 A66)/2 is negative. The floor,
-    ``TWIST_FLOOR`` * sqrt(A11 A22), shrinks where it must for the form to stay positive
-    definite. Everything is continuous in alpha.
+    which does not determine one constant. The rule: A12 = 0 and A66 = c/4, unless that falls below
+    a small positive floor; then A66 is the floor and A12 = (c - 4 A66)/2 is negative. The floor is
+    ``TWIST_FLOOR`` * sqrt(A11 A22), or less where the form would not be positive definite.
+    All constants are continuous in alpha.
     """
     a11, a22 = float(alpha[WARP]), float(alpha[WEFT])
     c = 4 * float(alpha[BIAS]) - a11 - a22
@@ -154,9 +153,9 @@ def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
 def softening_shape(u, limit):
     """H, dH/du and d²H/du² at the reduced curvature u, a number or an array.
 
-    The energy per area of cloth bent to the curvature kappa is alpha kappa² H(u)/2. Up to the
-    ``limit`` H = 1 - 2 u/3, the energy of a parabola of torque; beyond it the torque grows with the
-    slope that the parabola has there, for which H gains 2 (u - limit)³/(3 u²).
+    The energy per area of cloth bent to the curvature kappa is alpha kappa² H(u)/2. Up to
+    ``limit``, H = 1 - 2 u/3, the energy of a parabolic torque; beyond it the torque grows with the
+    slope of the parabola at ``limit``, which adds 2 (u - limit)³/(3 u²) to H.
     """
     over = np.maximum(u, limit)
     beyond = over - limit
@@ -184,6 +183,6 @@ def bending_work(
 def torque(
     curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> np.ndarray:
-    """Torque per width (N): alpha kappa + beta kappa², which goes on straight beyond its limit.
+    """Torque per width (N): alpha kappa + beta kappa², linear beyond the softening limit.
     Arguments as for :func:`bending_work`."""
     return bending_work(curvature, alpha, beta)[1]

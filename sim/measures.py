@@ -1,4 +1,4 @@
-"""Figures that describe a drape."""
+"""Measures of a drape: drape coefficient, folds, stretch, penetration of obstacles."""
 
 from collections.abc import Callable
 
@@ -14,23 +14,23 @@ from sim.membranes import Corotational
 from sim.mesh import Mesh
 from sim.scene import Rig
 
-_PIXEL = 5e-4  # m, of the top view that is measured
-_LEAST_FOLD = 3e-3  # m, depth of the shallowest fold that is counted
-_OUTLINE = 720  # points of an outline
+_PIXEL = 5e-4  # m, of the rasterised top view
+_MIN_FOLD_DEPTH = 3e-3  # m
+_OUTLINE_POINTS = 720
 
 
 def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
     """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9).
 
-    Of positions (V, 3) m and faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight
-    down. Good to 0.3 %.
+    For positions (V, 3) m and faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight
+    down. Accurate to 0.3 %.
     """
     plate = np.pi * rig.plate_radius**2
     return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
 
 
 def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Area of the shadow straight below, m², of positions (V, 3) m and faces (F, 3)."""
+    """Area of the vertical projection, m², of positions (V, 3) m and faces (F, 3)."""
     corner = positions[:, :2].min(0) - _PIXEL
     pixels = (positions[:, :2] - corner) / _PIXEL
     shape = np.ceil(pixels.max(0)).astype(int) + 2
@@ -39,31 +39,31 @@ def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
 
 @one_blas_thread
 def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarray:
-    """The drape's edge seen from above: (720, 2) x and y, m, of a material circle.
+    """Outline of the drape seen from above: (720, 2) x and y, m, of a material circle.
 
-    The circle has 90 % of the specimen's inradius, around its centre; its points are every half
-    degree, from the warp axis towards the weft. positions (V, 3) and rest (V, 2) in m.
+    The circle has 90 % of the specimen's inradius, around its centre; its points are half a degree
+    apart, from the warp axis towards the weft. positions (V, 3) and rest (V, 2) in m.
     """
-    angle = np.linspace(0, 2 * np.pi, _OUTLINE, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)
     circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     centre = (rest.min(axis=0) + rest.max(axis=0)) / 2
     return LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
 
 
 def fold_angles(outline: np.ndarray) -> np.ndarray:
-    """Where the folds are: angles (n,) on the material circle, radians, ascending. A fold is a peak
-    of the distance from the axis along ``outline`` (:func:`fold_outline`) of at least 3 mm."""
+    """Angles (n,) of the folds on the material circle, radians, ascending. A fold is a peak of the
+    distance from the axis along ``outline`` (:func:`fold_outline`), at least 3 mm high."""
     return folds_around(np.linalg.norm(outline, axis=1), 6.0) * (2 * np.pi / len(outline))
 
 
 def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
-    """Where the folds are among distances from the axis around a drape, (N,) m, smoothed over
-    ``sigma`` of them: indices (n,) of the peaks of at least 3 mm, ascending.
+    """Indices (n,) of the folds among distances from the axis around a drape, (N,) m, smoothed with
+    a standard deviation of ``sigma`` samples: peaks at least 3 mm high, ascending.
     """
     smooth = gaussian_filter1d(radius, sigma, mode="wrap")
-    seam = int(smooth.argmin())  # there is no peak
+    seam = int(smooth.argmin())  # a minimum is not a peak
     smooth = np.roll(smooth, -seam)
-    peaks, _ = find_peaks(np.append(smooth, smooth[0]), prominence=_LEAST_FOLD)
+    peaks, _ = find_peaks(np.append(smooth, smooth[0]), prominence=_MIN_FOLD_DEPTH)
     return np.sort((peaks + seam) % len(radius))
 
 
@@ -82,15 +82,15 @@ def maximum_stretch(
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
 
 
-def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """How deep cloth (V, 3) m of faces (F, 3) enters the rig's obstacles anywhere, between its
-    vertices too, m. Exact to a micrometre; 0 where nothing enters."""
+def max_penetration(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
+    """Largest penetration, m, of cloth (V, 3) m with faces (F, 3) into the rig's obstacles, also
+    between vertices. Exact to a micrometre; 0 without penetration."""
     corners = positions[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     deepest = 0.0
     for obstacle in rig.obstacles:
         at_corners = obstacle.depths(positions)[faces].max(axis=1)
-        near = corners[at_corners > -longest]  # no point of a triangle is further from a corner
+        near = corners[at_corners > -longest]  # depth changes by at most the distance
         if len(near):
             deepest = max(deepest, float(_largest_depths(obstacle, near).max()))
     return deepest
@@ -99,8 +99,8 @@ def deepest_entry(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
 def _largest_depths(obstacle: Cylinder, triangles: np.ndarray) -> np.ndarray:
     """(N,) largest depths on triangles (N, 3, 3), m.
 
-    Depth is concave: it has one maximum along any line, and so has that maximum as the line moves
-    across the triangle. Two nested searches find it.
+    Depth is concave: it has one maximum along any line, and that maximum is concave in the line's
+    position across the triangle. Two nested searches find it.
     """
     a, b, c = triangles.transpose(1, 0, 2)
 

@@ -1,4 +1,4 @@
-"""In-plane materials: parameters in SI units, with the law that they make.
+"""In-plane materials: parameters in SI units and their stress-strain laws.
 
 Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated. A material is a law
 (:class:`sim.energies.membrane.StrainLaw`) of its strain measure: the Green strain in warp and weft
@@ -16,7 +16,7 @@ from sim.energies.base import Energy
 from sim.energies.membrane import OfStretches, StrainLaw, StrainMembrane
 from sim.mesh import Mesh
 
-_ROUNDED = 0.5  # width of the bend at each limit of a guard's band, as a share of half the band
+_ROUNDING_WIDTH = 0.5  # of the smooth transition at each limit of the band, in half bands
 
 
 class Membrane(Protocol):
@@ -26,11 +26,11 @@ class Membrane(Protocol):
         """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
 
     def scaled(self, factor: float) -> "Membrane":
-        """The same material, ``factor`` times as stiff."""
+        """A copy of the material, ``factor`` times as stiff."""
 
 
 class _Linear:
-    """Stress proportional to the strain by a symmetric ``matrix`` (K, K), N/m; of Green strains."""
+    """Stress linear in the Green strain, by a symmetric ``matrix`` (K, K), N/m."""
 
     matrix: np.ndarray
 
@@ -48,13 +48,13 @@ class _Linear:
 
     @staticmethod
     def of_green_strain(law: StrainLaw) -> StrainLaw:
-        """A law of the material's own strain as one of the Green strain."""
+        """A law of the material's strain measure as a law of the Green strain."""
         return law
 
     @staticmethod
     def band(low: float, high: float) -> np.ndarray:
-        """The material's own strains between stretches low and high: limits (2, K). For components
-        the Green strains of both, and the shear that both make together at 45° to the yarns."""
+        """Limits (2, K) of the material's strain between the stretches low and high: their Green
+        strains, and the shear strain that both cause together at 45° to the yarns."""
         below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
         return np.array([[below, below, below - above], [above, above, above - below]])
 
@@ -68,7 +68,7 @@ class Corotational(_Linear):
 
     Attributes:
         stiffness: Young's modulus times thickness, N/m.
-        poisson: Poisson's ratio in the plane, between -1 and 1.
+        poisson: in-plane Poisson's ratio, between -1 and 1.
     """
 
     stiffness: float = 200.0
@@ -81,12 +81,12 @@ class Corotational(_Linear):
 
     @property
     def mu(self) -> float:
-        """N/m, shear modulus times thickness."""
+        """Shear modulus times thickness, N/m."""
         return self.stiffness / (2 * (1 + self.poisson))
 
     @property
     def lam(self) -> float:
-        """N/m, Lamé's first constant in the plane times thickness."""
+        """Lamé's first constant in the plane times thickness, N/m."""
         return self.stiffness * self.poisson / (1 - self.poisson**2)
 
     @cached_property
@@ -114,8 +114,8 @@ class OrthotropicStVK(_Linear):
 
     Attributes:
         warp, weft: Young's moduli times thickness, N/m.
-        poisson: n, contraction along weft over extension along warp when pulled along warp; the
-            other way round it is ``poisson * weft / warp``.
+        poisson: n, contraction along weft over extension along warp under tension along warp;
+            under tension along weft it is ``poisson * weft / warp``.
         shear: shear modulus times thickness, N/m.
     """
 
@@ -144,26 +144,26 @@ class OrthotropicStVK(_Linear):
 
 @dataclass(frozen=True)
 class Guarded:
-    """Another membrane with free strain around rest, against locking.
+    """A membrane that is nearly free of stress in a band of small strains, against locking.
 
     Flat triangles cannot follow a surface bent in two directions without stretching a little. With
-    a stiff membrane that stretch outweighs the bending energy and the cloth folds less than it
-    should. Feng et al. 2022 (section 4.1) therefore let cloth deform freely between 99 % and 101 %
-    by moving its reference state along during the simulation. Where that ends, only the strain e
-    beyond the band, the *excess*, stores energy. The guard is that end as an energy,
+    a stiff membrane that stretch outweighs the bending energy and the cloth folds too little.
+    Feng et al. 2022 (section 4.1) therefore let cloth deform freely between 99 % and 101 % by
+    updating its reference state during the simulation. In their final state only the strain e
+    beyond the band, the *excess*, stores energy. Here this is an energy,
 
         r psi(e) + (1 - r) psi(excess(e)),
 
-    so that an equilibrium stays the minimum of one function, which does not depend on the path.
-    The excess has continuous second derivatives. Without the small share r, flat cloth without
-    load could flow within the band and no equilibrium would be unique.
+    so that an equilibrium is the minimum of one function, which does not depend on the path.
+    The excess has continuous second derivatives. With r = 0, flat cloth without load could deform
+    freely within the band and no equilibrium would be unique.
 
-    The corotational law is free in its principal stretches, the other in warp, weft and shear.
+    The band limits the principal stretches of a corotational membrane, else warp, weft and shear.
 
     Attributes:
-        membrane: what resists outside the band.
-        low, high: stretches between which the cloth is free; the paper's 99 % and 101 %.
-        share: r, of the membrane's stiffness that remains within the band.
+        membrane: material outside the band.
+        low, high: stretches that bound the band; 99 % and 101 % in the paper.
+        share: r, fraction of the membrane's stiffness within the band.
     """
 
     membrane: Corotational | OrthotropicStVK = field(
@@ -204,7 +204,7 @@ class Guarded:
         return self.share * self.membrane.tangent(strain) + (1 - self.share) * outer
 
     def excess(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Strain (N, K) beyond the band and its first two derivatives, component by component."""
+        """Strain (N, K) beyond the band and its first two derivatives, componentwise."""
         low, high = self.membrane.band(self.low, self.high)
         above, below = _ramp(strain / high), _ramp(strain / low)
         return (high * above[0] + low * below[0], above[1] + below[1],
@@ -212,10 +212,11 @@ class Guarded:
 
 
 def _ramp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """max(x - 1, 0), rounded over a width around 1, and its first two derivatives."""
-    u = np.clip((x - 1) / _ROUNDED + 0.5, 0.0, 1.0)
-    value = _ROUNDED * u**3 * (1 - 0.5 * u) + np.maximum(x - 1 - 0.5 * _ROUNDED, 0.0)
-    return value, u * u * (3 - 2 * u), 6 * u * (1 - u) / _ROUNDED
+    """max(x - 1, 0), smoothed over a width around 1, and its first two derivatives."""
+    width = _ROUNDING_WIDTH
+    u = np.clip((x - 1) / width + 0.5, 0.0, 1.0)
+    value = width * u**3 * (1 - 0.5 * u) + np.maximum(x - 1 - 0.5 * width, 0.0)
+    return value, u * u * (3 - 2 * u), 6 * u * (1 - u) / width
 
 
 def _check_positive(**values: float) -> None:

@@ -1,10 +1,10 @@
 """Minimisation of a smooth energy with a sparse Hessian by a globalised Newton method.
 
 Far from a minimum the Hessian is indefinite. It is blended with a positive semi-definite
-version of itself, ``convexity`` from 0 (exact) to 1, just far enough for a Cholesky
-factorisation to exist; the blend is remembered between iterations and lowered after success, so
-that the end of the iteration is exact Newton with quadratic convergence, and a factor of the
-exact Hessian at the end proves a minimum rather than a saddle.
+approximation, ``convexity`` from 0 (exact) to 1, just far enough for a Cholesky factorisation
+to exist. The blend is kept between iterations and lowered after success, so that the last steps
+are exact Newton steps with quadratic convergence. The Cholesky factor of the exact Hessian at the
+end proves a minimum rather than a saddle.
 """
 
 import time
@@ -20,7 +20,7 @@ from sim.linear import CholeskySolver, SparsePattern, make_solver
 
 
 class Status(str, Enum):
-    """How a minimisation ended; only CONVERGED is a proven minimum."""
+    """Outcome of a minimisation; only CONVERGED is a verified minimum."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "max_iterations"
@@ -32,13 +32,13 @@ class Status(str, Enum):
 
 
 class Objective(Protocol):
-    """What is minimised over states ``q``; :class:`sim.potential.Potential` is one.
+    """A function of states ``q`` to be minimised, such as :class:`sim.potential.Potential`.
 
-    A state may be any array. Derivatives are those by a step (size,) from it, and ``moved`` takes
-    the step; states need not form a linear space, steps do. ``hessian`` returns CSR data in
-    ``pattern``, with ``shift`` times a regularisation on the diagonal, where even the convex
-    Hessian is singular. ``energy_scale`` is the size of differences in energy; those below
-    :data:`NOISE` of it are rounding.
+    A state may be any array. Derivatives are with respect to a step (size,) from it, and ``moved``
+    applies the step; states need not form a linear space, steps do. ``hessian`` returns CSR data
+    in ``pattern``, with ``shift`` times a regularisation added to the diagonal for cases where even
+    the convex Hessian is singular. ``energy_scale`` is the magnitude of energy differences; those
+    below :data:`ROUNDING` of it are rounding errors.
     """
 
     size: int
@@ -56,7 +56,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """When to stop, in the units of the objective's scales.
+    """Stopping criteria, in the units of the objective's scales.
 
     Attributes:
         residual: largest residual of a converged state.
@@ -71,14 +71,14 @@ class NewtonOptions:
 
 @dataclass
 class NewtonResult:
-    """Where a minimisation ended and what it took.
+    """Final state of a minimisation and its cost.
 
     Attributes:
-        q: last state; use it only if ``status`` is CONVERGED.
-        residual, step: scaled figures of the last iteration.
+        q: last state; an equilibrium only if ``status`` is CONVERGED.
+        residual, step: scaled values of the last iteration.
         positive_definite, factor: whether the exact Hessian at ``q`` has a Cholesky factor, and the
             solver that holds it.
-        factorisations: all of them, also those that failed.
+        factorisations: number of factorisations, failed ones included.
         seconds: CPU time by activity: analyse, assemble, factorise, search, total.
     """
 
@@ -94,17 +94,16 @@ class NewtonResult:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-# The algorithm's numbers.
-CONVEXITY = (0.0, 0.1, 0.5, 1.0)  # what is tried, from the exact Hessian on
+CONVEXITIES = (0.0, 0.1, 0.5, 1.0)  # blends in increasing order; 0 is the exact Hessian
 SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
-SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
-SMALLEST_STEP = 2.0**-30
-NOISE = 1e-14  # of the energy scale: smaller differences are rounding
-NUDGES = 5
-NUDGE = 0.1  # size of the first nudge, in units of the step length
-NUDGE_GROWTH = 3.0  # of every other one: a short one may lead back to a flat saddle
-NUDGE_HALVINGS = 20
-NEAR = 1.0  # residual from which on steps of the exact Hessian are precise, for they converge fast
+ARMIJO = 1e-4  # required fraction of the predicted decrease
+MIN_STEP_FACTOR = 2.0**-30
+ROUNDING = 1e-14  # relative to the energy scale
+MAX_PERTURBATIONS = 5  # of saddle points
+PERTURBATION = 0.1  # first perturbation, in units of the step length
+PERTURBATION_GROWTH = 3.0  # a small perturbation may lead back to a flat saddle
+PERTURBATION_HALVINGS = 20
+PRECISE_RESIDUAL = 1.0  # residual below which exact Newton steps are solved accurately
 
 
 _ENDINGS = {
@@ -120,7 +119,7 @@ _ENDINGS = {
 def minimise(
     objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Never raises for a numerical failure."""
+    """Find a local minimum near the state ``start``. Numerical failures raise no exception."""
     start = np.array(start, dtype=np.float64)
     run = _Minimisation(objective, start, options or NewtonOptions())
     with run.timed("total"), np.errstate(all="ignore"):
@@ -129,12 +128,12 @@ def minimise(
 
 
 class _Minimisation:
-    """One minimisation, as far as it has come."""
+    """State of a running minimisation."""
 
     def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
         self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
-        self.hold = False  # whether the next step asks for no less convexity
+        self.hold = False  # whether the next step must not try less convexity
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.result.seconds = dict.fromkeys(
             ("analyse", "assemble", "factorise", "search", "total"), 0.0)
@@ -142,7 +141,7 @@ class _Minimisation:
         self.solver: CholeskySolver | None = None
 
     def iterate(self) -> None:
-        result, options, nudges = self.result, self.options, 0
+        result, options, perturbations = self.result, self.options, 0
         value, gradient = self._evaluate()
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
@@ -158,9 +157,9 @@ class _Minimisation:
                         result.factor = self.solver
                         return self._end(Status.CONVERGED)
                     self.convexity, self.hold = 0.0, False
-                elif nudges < NUDGES:
-                    result.q = self._nudge(nudges)
-                    nudges += 1
+                elif perturbations < MAX_PERTURBATIONS:
+                    result.q = self._perturbed(perturbations)
+                    perturbations += 1
                     value, gradient = self._evaluate()
                     self.convexity = 1.0
                     result.iterations += 1
@@ -174,8 +173,8 @@ class _Minimisation:
             with self.timed("search"):
                 found = self._search(value, gradient, step)
             if found is None:
-                # A nearly singular model points far out of its range: make it stiffer, and do
-                # not ask for less at the same place. A minimum's own model there is none stiffer.
+                # The step of a nearly singular model leaves the range in which the model is valid:
+                # use a stiffer model at this state. At a stationary point no model is stiffer.
                 stationary = result.residual < options.residual
                 if stationary or (self.convexity == 1.0 and self.shift == len(SHIFTS) - 1):
                     return self._end(Status.LINE_SEARCH)
@@ -221,16 +220,17 @@ class _Minimisation:
             return self.solver.solve(rhs, rough=rough)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
-        """Newton step with the least convexity that works; None if nothing does."""
-        now = CONVEXITY.index(self.convexity)
+        """Newton step with the smallest possible convexity; None if no factor exists."""
+        now = CONVEXITIES.index(self.convexity)
         lowest = now if self.hold else max(now - 1, 0)
         self.hold = False
-        for trial in () if self.shift else CONVEXITY[lowest:-1]:
+        for trial in () if self.shift else CONVEXITIES[lowest:-1]:
             if self._factorise(trial):
-                # Having tried in vain to need less, try again only after another step.
+                # After a failure with less convexity, try less again only after another step.
                 self.hold = trial == self.convexity and lowest < now
                 self.convexity = trial
-                return self._solve(-gradient, rough=trial > 0 or self.result.residual > NEAR)
+                rough = trial > 0 or self.result.residual > PRECISE_RESIDUAL
+                return self._solve(-gradient, rough=rough)
         self.convexity = 1.0
         while not self._factorise(1.0, SHIFTS[self.shift]):
             if self.shift == len(SHIFTS) - 1:
@@ -241,22 +241,22 @@ class _Minimisation:
     def _search(
         self, value: float, gradient: np.ndarray, step: np.ndarray
     ) -> tuple[float, np.ndarray, float, np.ndarray] | None:
-        """Step length by backtracking from 1, doubling while the energy keeps falling."""
+        """Line search: backtracking from 1, then doubling while the energy decreases."""
         objective, q = self.objective, self.result.q
         slope = float(gradient @ step)
         if not slope < 0:
             return None
-        noise = NOISE * objective.energy_scale
+        rounding = ROUNDING * objective.energy_scale
         length, best = 1.0, None
-        while length > SMALLEST_STEP:
+        while length > MIN_STEP_FACTOR:
             trial = objective.moved(q, length * step)
             if objective.allows(q, trial):
                 trial_value = objective.value(trial)
-                if trial_value <= value + SUFFICIENT * length * slope:
+                if trial_value <= value + ARMIJO * length * slope:
                     best = (length, trial, trial_value)
                     break
-                if abs(length * slope) < noise and trial_value < value + noise:
-                    # Energies differ by rounding only: let the gradient decide.
+                if abs(length * slope) < rounding and trial_value < value + rounding:
+                    # The energies differ by rounding errors only: compare the gradients.
                     trial_gradient = objective.gradient(trial)
                     if objective.residual(trial_gradient) < objective.residual(gradient):
                         return length, trial, trial_value, trial_gradient
@@ -269,20 +269,20 @@ class _Minimisation:
             if not objective.allows(q, trial):
                 break
             trial_value = objective.value(trial)
-            if not trial_value < min(best[2], value + SUFFICIENT * length * slope):
+            if not trial_value < min(best[2], value + ARMIJO * length * slope):
                 break
             best = (length, trial, trial_value)
         return *best, objective.gradient(best[1])
 
-    def _nudge(self, nudges: int) -> np.ndarray:
-        """A state near a saddle after some ``nudges``: moved at random, smoothed by the convex
-        Hessian."""
+    def _perturbed(self, earlier: int) -> np.ndarray:
+        """A random state near a saddle, smoothed by the convex Hessian; its distance grows with the
+        number of ``earlier`` perturbations."""
         objective, q = self.objective, self.result.q
         if not self._factorise(1.0, SHIFTS[1]):
             return q
         move = self._solve(self.rng.standard_normal(objective.size))
-        move *= NUDGE * NUDGE_GROWTH**nudges / objective.step_length(move)
-        for _ in range(NUDGE_HALVINGS):
+        move *= PERTURBATION * PERTURBATION_GROWTH**earlier / objective.step_length(move)
+        for _ in range(PERTURBATION_HALVINGS):
             there = objective.moved(q, move)
             if objective.allows(q, there):
                 return there

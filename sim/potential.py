@@ -1,4 +1,4 @@
-"""The total energy of a cloth as a function of its free unknowns, for an optimiser."""
+"""The total energy of a cloth as a function of its free unknowns, for the minimisation."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -16,17 +16,17 @@ class Potential:
     """A sum of energies, with derivatives by a step (n,) of the free unknowns.
 
     Args:
-        stages: the energies, in groups that are made convex one after the other: with two of
-            them, a convexity of 1/2 stands for the first group convex and the second exact.
+        stages: groups of energies that are made convex one after the other: with two groups,
+            convexity 1/2 means the first group convex and the second exact.
         edges: (E, 2) vertices of the edges whose normals are part of the state.
-        free: (U,) bool, which of the unknowns may change.
-        force_scale: (U,) forces (N, or N·m for rotations) that count as 1 in residuals.
-        length_scale: (U,) moves (m or rad) that count as 1 in step lengths and regularisation.
-        energy_scale: J, about as much as the energy changes when the cloth falls.
+        free: (U,) bool, unknowns that may change.
+        force_scale: (U,) units of residuals (N, or N·m for rotations).
+        length_scale: (U,) units of step lengths and regularisation (m or rad).
+        energy_scale: J, magnitude of the energy's change when the cloth falls.
 
     Attributes:
         size, unknowns, energies: n, U, and all energies.
-        regularisation: (n,) forces that count as 1 over moves that do.
+        regularisation: (n,) unit of force over unit of length.
     """
 
     def __init__(
@@ -43,13 +43,13 @@ class Potential:
         self._parts = StateCache(states=1)
 
     def all_unknowns(self, step: np.ndarray) -> np.ndarray:
-        """(U,) the step (n,) of the free unknowns, zero for the others."""
-        whole = np.zeros(self.unknowns)
-        whole[self._free] = step
-        return whole
+        """Step (U,) of all unknowns from that of the free ones (n,), zero for the others."""
+        full = np.zeros(self.unknowns)
+        full[self._free] = step
+        return full
 
     def free_unknowns(self, values: np.ndarray) -> np.ndarray:
-        """(n,) those of values (U,) that belong to free unknowns."""
+        """Entries (n,) of values (U,) that belong to free unknowns."""
         return values[self._free]
 
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -66,15 +66,15 @@ class Potential:
 
     @cached_property
     def pattern(self) -> SparsePattern:
-        """Of the Hessian."""
-        row = np.full(self.unknowns + 1, -1)  # one more, for dofs of -1
+        """Sparsity pattern of the Hessian."""
+        row = np.full(self.unknowns + 1, -1)  # last entry: dofs of -1
         row[self._free] = np.arange(self.size)
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
     def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
         """CSR data (nnz,) of the Hessian in :attr:`pattern`, plus ``shift`` times
         :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1 (all stages
-        convex), stages become convex one after the other, each by the mean of its two forms.
+        convex), stages become convex one after the other, each by interpolation of its two forms.
         """
         total = np.zeros(len(self.pattern.indices))
         stages = self._stage[-1] + 1
@@ -89,10 +89,10 @@ class Potential:
         return total
 
     def _part(self, q: np.ndarray, stage: int, convex: bool) -> np.ndarray:
-        """One stage's part of the Hessian, kept so that another convexity here costs little."""
+        """One stage's part of the Hessian, cached for other convexities at the same state."""
         parts = self._parts.at(q, lambda q: {})
         if (stage, convex) not in parts:
-            # One after the other: blocks are large, and fresh memory is slow.
+            # Sequentially: blocks are large, and allocating memory for all of them is slow.
             parts[stage, convex] = self.pattern.assemble(
                 energy.hessian(q, convex) if own == stage else None
                 for energy, own in zip(self.energies, self._stage, strict=True)
@@ -113,7 +113,7 @@ class Potential:
 
 
 def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
-    """(U,) derivatives of a sum of energies by all unknowns, of which there are ``size``."""
+    """(U,) derivatives of a sum of energies by all U = ``size`` unknowns."""
     total = np.zeros(size)
     for energy in energies:
         _add_elements(total, energy.dofs, energy.gradient(q))
@@ -133,7 +133,7 @@ def hessian_product(energies: Sequence[Energy], q: np.ndarray, move: np.ndarray)
 
 @numba.njit(cache=True)
 def _add_elements(total, dofs, parts):
-    """Add what elements have for their unknowns (N, K) to total (U,)."""
+    """Add the elements' contributions ``parts`` (N, K) to total (U,)."""
     for t in range(len(dofs)):
         for k in range(dofs.shape[1]):
             if dofs[t, k] >= 0:

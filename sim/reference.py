@@ -1,10 +1,10 @@
-"""The energies of the default drape once more, as plain PyTorch: values only.
+"""Reference implementation of the default drape's energies in PyTorch: values only.
 
-The twin of the fast kernels in :mod:`sim.energies`, which tests compare with it; through automatic
-differentiation also the source of derivatives that are not hot, such as those by the rest shape.
+Tests compare the fast kernels in :mod:`sim.energies` with it. By automatic differentiation it also
+gives derivatives that are rarely evaluated, such as those by the rest shape.
 
-Positions x are (V, 3) m, normals of edges n (E, 3) (:mod:`sim.state`), rest points (V, 2) m; N of
-the triangles are free.
+Positions x are (V, 3) m, edge normals n (E, 3) (:mod:`sim.state`), rest points (V, 2) m; N of the
+triangles are free.
 """
 
 import torch
@@ -20,7 +20,7 @@ from sim.membranes import Corotational
 
 
 def covers(cloth: Cloth) -> bool:
-    """Whether a cloth's energies are those of the default laws; its self-contact is left out."""
+    """Whether a cloth's energies are those of the default laws, apart from self-contact."""
     return (type(cloth.bending) is MidEdgeBending
             and type(cloth.laws.membrane) is Corotational and not cloth.others
             and all(isinstance(energy, SelfContact) for energy in cloth.extra))
@@ -30,21 +30,22 @@ def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Te
     """Normals (E, 3) after displacements (V, 3), m, and turns (E,), rad; see :mod:`sim.state`."""
     ends = (y[edges] for y in (x, x + move))
     before, after = (torch.nn.functional.normalize(y[:, 1] - y[:, 0], dim=1) for y in ends)
-    lean = (n * after).sum(-1) / (1 + (before * after).sum(-1))
-    along = n - lean[:, None] * (before + after)
+    scale = (n * after).sum(-1) / (1 + (before * after).sum(-1))
+    along = n - scale[:, None] * (before + after)
     turn = turn[:, None]
     return torch.cos(turn) * along + torch.sin(turn) * torch.linalg.cross(after, along)
 
 
-class Twin:
-    """The energies of a cloth that :func:`covers` accepts, as functions of its rest points, too.
+class ReferenceEnergy:
+    """The energy of a cloth accepted by :func:`covers`, differentiable also by its rest points.
 
     Attributes:
         edges: (E, 2).
         law: constants of the plate law.
-        softest: N·m, least alpha.
+        softest: smallest alpha, N·m.
         mu, lam: () N/m, Lamé's constants of the corotational membrane.
-        weight, pressure: () N/m², of the cloth; of the obstacle on cloth 0.1 mm deep in it.
+        weight: () N/m², of the cloth.
+        pressure: () N/m², of the obstacle at a depth of 0.1 mm.
         plate_radius: m; 0 without a plate.
     """
 
@@ -57,7 +58,7 @@ class Twin:
         self._faces, self._face_edges, self._all_faces, self._all_face_edges, self.edges = map(
             torch.from_numpy, (mesh.faces[active], mesh.face_edges[active], mesh.faces,
                                mesh.face_edges, mesh.edges))
-        # Edges of held triangles and of one triangle (N, 3), rows next to a clamp (N,), vertices
+        # Edges of held triangles and boundary edges (N, 3), rows at a clamp (N,), free vertices
         self._clamped, self._boundary, self._first, self._second, self._free = map(
             torch.from_numpy, (clamped, boundary, first, second, ~scene.held))
         self.law, self.softest = constants(cloth.fabric), float(cloth.fabric.alpha.min())
@@ -68,10 +69,10 @@ class Twin:
         self.plate_radius = scene.obstacles[0].radius if scene.obstacles else 0.0
 
     def energy(self, x: Tensor, n: Tensor, rest: Tensor) -> Tensor:
-        """() J of all of them together."""
-        return self.inner(x, n, rest) + self.outer(x, rest)
+        """() J, total energy."""
+        return self.internal(x, n, rest) + self.external(x, rest)
 
-    def inner(self, x: Tensor, n: Tensor, rest: Tensor) -> Tensor:
+    def internal(self, x: Tensor, n: Tensor, rest: Tensor) -> Tensor:
         """() J of membrane, bending and the barrier against folding."""
         corners, at_rest = x[self._faces], rest[self._faces]
         opposite = at_rest.roll(-2, 1) - at_rest.roll(-1, 1)  # edge opposite each corner
@@ -88,14 +89,14 @@ class Twin:
         return (areas * membrane + self._bending_areas(areas)
                 * plate_density(curvatures, self.law) + barrier).sum()
 
-    def outer(self, x: Tensor, rest: Tensor) -> Tensor:
-        """() J of the weight and of contact with the cylinder."""
+    def external(self, x: Tensor, rest: Tensor) -> Tensor:
+        """() J of weight and contact with the cylinder."""
         areas = _areas(rest[self._all_faces])
         at_vertices = _gathered(areas / 3, self._all_faces, len(rest))
         total = (self.weight * at_vertices * x[:, 2]).sum()
         if self.plate_radius == 0:
             return total
-        # At the vertices, and at the middles of the edges: a quarter of their areas each
+        # At the vertices and at the midpoints of the edges, with a quarter of their areas each
         at_edges = _gathered(areas, self._all_face_edges, len(self.edges))
         free = self._free[self.edges].any(1)
         for points, shares in ((x, at_vertices * self._free), (x[self.edges].mean(1),
@@ -107,14 +108,14 @@ class Twin:
     def membrane_density(self, gradients: Tensor) -> Tensor:
         """(N,) J/m² of the isotropic corotational membrane at deformation gradients (N, 3, 2).
 
-        mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, by its invariants,
-        as (mu (s1-s2)² + (mu + lambda) (s1+s2-2)²)/2.
+        mu ((s1-1)² + (s2-1)²) + lambda/2 (s1+s2-2)² of the singular values of F, computed from its
+        invariants as (mu (s1-s2)² + (mu + lambda) (s1+s2-2)²)/2.
         """
         u, v = gradients.unbind(-1)
         uu, vv, uv = (u * u).sum(-1), (v * v).sum(-1), (u * v).sum(-1)
         determinant = torch.linalg.cross(u, v).norm(dim=-1)  # s1 s2
         total = (uu + vv + 2 * determinant).sqrt()  # s1 + s2
-        # (s1 - s2)²; without this form, strains would drown in the rounding of s1² + s2².
+        # (s1 - s2)² in this form: small strains are lost in the rounding of s1² + s2².
         difference = ((uu - vv) ** 2 + 4 * uv**2) / total**2
         return 0.5 * (self.mu * difference + (self.mu + self.lam) * (total - 2) ** 2)
 
@@ -122,9 +123,9 @@ class Twin:
         """(N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""
         pole = torch.pi / 2 * (1.0 + self._clamped.to(angles))
         bent = (angles.abs() > LIMIT_START * pole) & ~self._boundary
-        angle = torch.where(bent, angles.abs(), 0.9 * pole)  # a safe place for derivatives
-        over, left = angle - LIMIT_START * pole, pole - angle
-        barrier = -(over**2) * torch.log(left / ((1 - LIMIT_START) * pole))
+        angle = torch.where(bent, angles.abs(), 0.9 * pole)  # finite derivatives
+        over, remaining = angle - LIMIT_START * pole, pole - angle
+        barrier = -(over**2) * torch.log(remaining / ((1 - LIMIT_START) * pole))
         return torch.where(bent, barrier, 0.0)
 
     def _bending_areas(self, areas: Tensor) -> Tensor:
@@ -138,7 +139,7 @@ class Twin:
 
 
 def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:
-    """Angles phi (N, 3), rad, from a triangle's normal to its edges' (N, 3, 3)."""
+    """Angles phi (N, 3), rad, from a triangle's normal to the normals (N, 3, 3) of its edges."""
     edges = corners.roll(-2, -2) - corners.roll(-1, -2)
     normal = torch.linalg.cross(edges[:, 0], edges[:, 1])[:, None]
     outwards = torch.linalg.cross(edges, normal.expand_as(edges))
@@ -157,10 +158,10 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
     warp, weft = law.A11 * xx, law.A22 * yy
     share = warp / torch.where(warp + weft > 0, warp + weft, 1.0)
     d = (x - y).abs()
-    returned = (share * _returned(d, law.A11, law.base_w, law.rho_w, law.u_c)
-                + (1 - share) * _returned(d, law.A22, law.base_f, law.rho_f, law.u_c)
-                + _returned(2 * z.abs(), law.alpha_bias, law.base_b, law.rho_b, law.u_c))
-    return torch.where(flat, 0.5 * a, 0.5 * a * _shape(u, law.u_c) + returned)
+    correction = (share * _correction(d, law.A11, law.base_w, law.rho_w, law.u_c)
+                  + (1 - share) * _correction(d, law.A22, law.base_f, law.rho_f, law.u_c)
+                  + _correction(2 * z.abs(), law.alpha_bias, law.base_b, law.rho_b, law.u_c))
+    return torch.where(flat, 0.5 * a, 0.5 * a * _shape(u, law.u_c) + correction)
 
 
 def _depths(points: Tensor, radius: float) -> Tensor:
@@ -181,16 +182,16 @@ def _shape(u: Tensor, limit: float) -> Tensor:
     return torch.where(soft, 1 - 2 * u / 3, beyond)
 
 
-def _returned(k: Tensor, alpha: float, base: float, rho: float, limit: float) -> Tensor:
+def _correction(k: Tensor, alpha: float, base: float, rho: float, limit: float) -> Tensor:
     return 0.5 * alpha * k * k * (_shape(rho * k, limit) - _shape(base * k, limit))
 
 
 def _areas(corners: Tensor) -> Tensor:
-    """(F,) of flat triangles (F, 3, 2)."""
+    """Areas (F,) of flat triangles (F, 3, 2)."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def _gathered(areas: Tensor, places: Tensor, count: int) -> Tensor:
-    """(count,) sums of areas (F,) at each of the ``places`` (F, 3)."""
-    return areas.new_zeros(count).index_add(0, places.flatten(), areas.repeat_interleave(3))
+def _gathered(areas: Tensor, indices: Tensor, count: int) -> Tensor:
+    """Sums (count,) of areas (F,) over the triangles at each of the ``indices`` (F, 3)."""
+    return areas.new_zeros(count).index_add(0, indices.flatten(), areas.repeat_interleave(3))

@@ -1,4 +1,4 @@
-"""Rigs and scenes: what does not change during a simulation, in SI units."""
+"""Rigs and scenes: the constants of a simulation, in SI units."""
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,19 +17,19 @@ CONTACT_PRESSURE = 120.0
 
 @dataclass(frozen=True)
 class Rig:
-    """A specimen and what holds it.
+    """A specimen and its holder.
 
-    Either a round plate holds its middle (paper, section 3.1): the origin is then the centre of the
-    plate's top face, z points up. Or two neighbouring corners of a square hang at the height z = 0,
-    at the same distance from the origin (section 7.4.2).
+    Either a round plate holds its middle (paper, section 3.1): the origin is the centre of the
+    plate's top face, z points up. Or two neighbouring corners of a square are held at z = 0, at the
+    same distance from the origin (section 7.4.2).
 
     Attributes:
         specimen_size: side of a square specimen or diameter of a disc, m.
         plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
         specimen: "square" or "disc".
         corners_apart: distance between the two corners that hold a specimen without plate, m.
-        cut: angle from the warp to a side of the square, counter-clockwise, rad: 0 for one that is
-            cut along its yarns. Only with a plate.
+        cut: angle from the warp to a side of the square, counter-clockwise, rad; 0 for a cut
+            along the yarns. Only with a plate.
     """
 
     specimen_size: float = 0.300
@@ -57,7 +57,7 @@ class Rig:
 
     @property
     def name(self) -> str:
-        """Identifier in datasets and checkpoints: the specimen and what holds it, in mm."""
+        """Identifier in datasets and checkpoints: specimen and holder, sizes in mm."""
         holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
         if not self.has_plate:
             holder, size = "corners", self.corners_apart
@@ -92,7 +92,7 @@ class Rig:
 
     @property
     def obstacles(self) -> tuple[Cylinder, ...]:
-        """What the cloth may touch."""
+        """Obstacles in contact with the cloth."""
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
     @property
@@ -102,7 +102,7 @@ class Rig:
         return np.array([[cos, -sin], [sin, cos]])
 
     def to_border(self, rest: np.ndarray, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
-        """Distances (N,), m, to the border from points (N, 2) m of the flat specimen around
+        """Distances (N,), m, from points (N, 2) m to the border of the flat specimen around
         ``centre``; negative outside."""
         offset = np.abs((rest - np.asarray(centre)) @ self.sides)
         if self.specimen == "disc":
@@ -110,23 +110,23 @@ class Rig:
         return self.specimen_size / 2 - offset.max(axis=1)
 
     def to_plate(self, rest: np.ndarray) -> np.ndarray:
-        """Distances (N,), m, to the plate from points (N, 2) m of the flat specimen; 0 on it."""
+        """Distances (N,), m, from points (N, 2) m of the flat specimen to the plate; 0 on it."""
         return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)
 
     def place(self, rest: np.ndarray) -> np.ndarray:
-        """Where the rig holds the held points ``rest`` (N, 2) m of the specimen: (N, 3) m."""
+        """Positions (N, 3), m, of the held points of the specimen, ``rest`` (N, 2) m."""
         if self.has_plate:
             return np.column_stack([rest, np.zeros(len(rest))])
         across = rest[:, 0] * self.corners_apart / self.specimen_size
         return np.column_stack([across, np.zeros((len(rest), 2))])
 
     def as_dict(self) -> dict:
-        """The rig in JSON's types, as a dataset's description has it."""
+        """The rig in JSON types, as in a dataset's description."""
         return {"name": self.name, **asdict(self)}
 
     @staticmethod
     def from_name(name: str) -> "Rig":
-        """The rig called ``name``; InputError if there is none."""
+        """The rig called ``name``; InputError for an unknown name."""
         if name not in RIGS:
             raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}")
         return RIGS[name]
@@ -143,12 +143,12 @@ RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG, HUNG_SQUARE)}
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A specimen, what holds it and what it may touch.
+    """A specimen with its fixed vertices and obstacles.
 
     Attributes:
         mesh: the specimen.
-        held: (V,) bool, vertices that do not move; triangles held entirely store no energy.
-        obstacles: solids that the free vertices stay out of.
+        held: (V,) bool, fixed vertices; triangles without a free vertex store no energy.
+        obstacles: solids that exclude the free vertices.
         gravity: m/s², towards -z.
         contact_pressure: of the obstacles, as :data:`CONTACT_PRESSURE`.
     """
@@ -166,11 +166,11 @@ class Scene:
 
     @cached_property
     def held_edges(self) -> np.ndarray:
-        """(E,) bool, edges of held triangles, whose normals do not move."""
+        """(E,) bool, edges of held triangles, whose normals are fixed."""
         held = np.zeros(len(self.mesh.edges), dtype=bool)
         held[self.mesh.face_edges[~self.active]] = True
         return held
 
     def state(self, positions: np.ndarray) -> State:
-        """The state with positions (V, 3), m, whose edges' normals halve their dihedral angles."""
+        """The state with positions (V, 3), m, and edge normals that bisect the dihedral angles."""
         return State.at(self.mesh, positions, self.active)

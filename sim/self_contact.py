@@ -1,4 +1,4 @@
-"""Cloth that meets itself: where it intersects itself, how it is untangled, its contact."""
+"""Self-intersections of cloth, their removal, and the parameters of self-contact."""
 
 import numpy as np
 
@@ -7,20 +7,20 @@ from sim.mesh import Mesh, adjacency, smooth
 from sim.scene import Scene
 
 DISTANCE = 1e-3
-"""m between two sheets of cloth at which they begin to feel each other, about two thicknesses."""
+"""Distance of two sheets of cloth, m, below which contact acts, about two thicknesses."""
 PRESSURE = 20.0
-"""Between two sheets half that distance apart, as a multiple of the cloth's weight."""
-_SHARE_OF_HEIGHT = 0.5  # on fine meshes the distance is at most this share of a triangle's height
-_REACH = 3.0  # pairs within this multiple of the distance get a place in the Hessian
-_UNTANGLING_ROUNDS = 60
+"""Pressure between two sheets at half that distance, as a multiple of the cloth's weight."""
+_MAX_SHARE_OF_HEIGHT = 0.5  # limit of the distance on fine meshes, in heights of a triangle
+_REACH = 3.0  # pairs within this multiple of the distance are part of the Hessian's pattern
+_MAX_UNTANGLING_ROUNDS = 60
 
 
 def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(N, 3) the edges, as two vertices, and the faces they pass through, of cloth at positions
-    (V, 3), finite, of faces (F, 3).
+    """Self-intersections (N, 3) of cloth at finite positions (V, 3) with faces (F, 3): the two
+    vertices of an edge and the face that it passes through.
 
-    Exact, by floating-point predicates with certain signs. A face and its own edges, or edges
-    that start at its corners, do not count; an edge that only touches a face does.
+    Exact, by floating-point predicates with certified signs. Edges that share a vertex with the
+    face do not count; an edge that only touches a face does.
     """
     ipctk = import_ipctk()
     edges = ipctk.edges(faces)
@@ -39,11 +39,11 @@ def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
     """Positions (V, 3), m, near the given ones without intersections; None if none are found.
 
-    Vertices around each intersection move half-way to the mean of their neighbours, again and
-    again, more of them and more often the longer it takes. Those ``held`` (V,) stay.
+    Vertices around each intersection move repeatedly half-way to the mean of their neighbours, in
+    a neighbourhood and number that grow with the rounds. Those ``held`` (V,) are fixed.
     """
     vertices, adjacent, x = len(positions), adjacency(mesh), positions.copy()
-    for step in range(_UNTANGLING_ROUNDS):
+    for step in range(_MAX_UNTANGLING_ROUNDS):
         crossing = self_intersections(x, mesh.faces)
         if len(crossing) == 0:
             return x
@@ -58,15 +58,15 @@ def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray
 
 
 def contact_near(scene: Scene, positions: np.ndarray, *, density: float) -> SelfContact:
-    """The contact of a cloth of ``density``, kg/m², with itself near positions (V, 3), m; its
-    energy is zero for most drapes."""
+    """Self-contact of a cloth of ``density``, kg/m², near positions (V, 3), m; its energy is zero
+    for most drapes."""
     distance = contact_distance(scene.mesh)
     return SelfContact(scene.mesh, positions, distance=distance,
                        pressure=PRESSURE * density * scene.gravity, reach=_REACH * distance)
 
 
 def contact_distance(mesh: Mesh) -> float:
-    """Distance, m, at which contact begins on ``mesh``: a flat specimen does not feel itself."""
+    """Distance, m, below which contact acts on ``mesh``; none acts in a flat specimen."""
     corners = mesh.rest[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    return float(min(DISTANCE, _SHARE_OF_HEIGHT * (2 * mesh.areas / longest).min()))
+    return float(min(DISTANCE, _MAX_SHARE_OF_HEIGHT * (2 * mesh.areas / longest).min()))

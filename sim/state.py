@@ -1,12 +1,11 @@
-"""Where cloth is: its vertices and the normals of its edges, and how a step moves both.
+"""The state of a cloth: vertex positions and edge normals, and its update by a step.
 
-An edge's normal is perpendicular to the edge, so that an unknown of the simulator is a coordinate
-of a vertex or the rotation of an edge's normal, right-handed about the edge from its first to its
-second vertex. Such a rotation has no absolute zero: a step carries every normal along by parallel
-transport from the old direction of its edge to the new one, the smallest rotation between them, and
-turns it by the step's angle. (Grinspun et al. 2006, Computing discrete shape operators on general
-meshes, have such normals as unknowns; Bergou et al. 2010, Discrete viscous threads, transport
-frames in time.)
+An edge normal is perpendicular to its edge, so that an unknown of the simulator is a coordinate of
+a vertex or the rotation of an edge normal, right-handed about the edge from its first to its second
+vertex. Such a rotation has no absolute zero: a step moves every normal by parallel transport from
+the old direction of its edge to the new one, the smallest rotation between them, and rotates it by
+the step's angle. (Grinspun et al. 2006, Computing discrete shape operators on general meshes, use
+such normals as unknowns; Bergou et al. 2010, Discrete viscous threads, transport frames in time.)
 """
 
 from dataclasses import dataclass
@@ -19,11 +18,11 @@ from sim.mesh import Mesh
 
 @dataclass(eq=False)
 class State:
-    """Where the cloth is.
+    """State of a cloth.
 
     Attributes:
         positions: (V, 3) m.
-        normals: (E, 3) unit normals at the middles of the edges, in the order of ``mesh.edges``.
+        normals: (E, 3) unit normals of the edges, in the order of ``mesh.edges``.
     """
 
     positions: np.ndarray
@@ -31,22 +30,22 @@ class State:
 
     @property
     def q(self) -> np.ndarray:
-        """(3 V + 3 E,) positions, then normals: what energies are functions of."""
+        """Vector (3 V + 3 E,) of positions, then normals: the argument of the energies."""
         return np.concatenate([self.positions.ravel(), self.normals.ravel()])
 
     @staticmethod
     def of(q: np.ndarray, vertices: int) -> "State":
-        """The state of a cloth of so many ``vertices`` from ``q``."""
+        """The state of a cloth with V = ``vertices`` from ``q`` (3 V + 3 E,)."""
         split = q.reshape(-1, 3)
         return State(split[:vertices].copy(), split[vertices:].copy())
 
     @staticmethod
     def at(mesh: Mesh, positions: np.ndarray, active: np.ndarray | None = None) -> "State":
-        """State with positions (V, 3), m, whose edges' normals halve their dihedral angles.
+        """State with positions (V, 3), m, and edge normals that bisect the dihedral angles.
 
         Args:
-            active: (F,) bool, triangles that can move; None for all. Next to held cloth the normal
-                is that of the held triangle.
+            active: (F,) bool, triangles that can move; None for all. An edge of a held triangle
+                has the normal of that triangle.
         """
         corners = positions[mesh.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -85,16 +84,16 @@ def moved(q, edges, move):
             continue
         one = np.sqrt(before @ before)
         other = np.sqrt(after @ after)
-        lean = straight = 0.0
+        scale = cosine_of_edges = 0.0
         at = coordinates + 3 * e
         for i in range(3):
             before[i] /= one
             after[i] /= other
-            lean += q[at + i] * after[i]
-            straight += before[i] * after[i]
-        lean /= max(1.0 + straight, 1e-12)
+            scale += q[at + i] * after[i]
+            cosine_of_edges += before[i] * after[i]
+        scale /= max(1.0 + cosine_of_edges, 1e-12)
         for i in range(3):
-            turned[i] = q[at + i] - lean * (before[i] + after[i])
+            turned[i] = q[at + i] - scale * (before[i] + after[i])
         cosine, sine = np.cos(angle), np.sin(angle)
         along = square = 0.0
         for i in range(3):
@@ -103,7 +102,7 @@ def moved(q, edges, move):
                 after[j] * turned[k] - after[k] * turned[j]
             )
             along += result[at + i] * after[i]
-        for i in range(3):  # rounding must not add up over many steps
+        for i in range(3):  # rounding errors must not accumulate over steps
             result[at + i] -= along * after[i]
             square += result[at + i] ** 2
         for i in range(3):

@@ -15,7 +15,7 @@ from data.fabrics import fabric_from_theta
 from data.prior import load_prior
 from data.sampling import SamplingConfig, plan_drape
 from sim.drape import drape
-from sim.measures import deepest_entry, drape_coefficient, fold_count, maximum_stretch
+from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
 MAX_RESIDUAL = 1e-3  # relative to the weight of a vertex
 MAX_STEP = 0.02  # mm
@@ -42,7 +42,7 @@ def one_drape(index: int, seed: int, edge_mm: float) -> dict:
         "step_mm": _finite(result.step),
         "positive_definite": bool(result.positive_definite),
         "self_intersections": result.self_intersections,
-        "entry_mm": _finite(1e3 * deepest_entry(result.positions, result.faces, result.rig)),
+        "entry_mm": _finite(1e3 * max_penetration(result.positions, result.faces, result.rig)),
         "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
         "folds": fold_count(result.positions, result.rest, result.rig),
         "largest_stretch": maximum_stretch(

@@ -18,7 +18,7 @@ from benchmarks.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
-from sim.mesh.specimens import EDGES, GRADING, TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimens import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
 from sim.scene import DISC_RIG, Rig
 
 MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds
@@ -72,7 +72,7 @@ def fine_specimen(rig: Rig, default: DrapeResult, topology: int) -> Specimen:
 
     Its edges are half as long at the rim; the grading is reduced until the number is reached.
     """
-    edge = max(default.edge / 2, EDGES[0])
+    edge = max(default.edge / 2, EDGE_RANGE[0])
     for grading in np.linspace(GRADING, 1.0, 9):
         specimen = make_specimen(rig, edge=edge, topology=topology, grading=float(grading))
         if len(specimen.mesh.faces) >= MIN_TRIANGLE_RATIO * len(default.faces):

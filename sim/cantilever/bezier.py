@@ -1,4 +1,4 @@
-"""Deflection curves smoothed by Bézier curves (Feng et al. 2022, section 4.3)."""
+"""Smoothing of deflection curves by Bézier curves (Feng et al. 2022, section 4.3)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,10 +10,10 @@ from scipy.special import comb
 from common.errors import InputError
 
 DEGREES = range(3, 15)
-"""Degrees tried for a Bézier curve. A cubic one (section 4.3) cannot follow the curvature from the
-clamp to the free end: it misreads alpha by 6 % at best (docs/validation.md)."""
+"""Candidate degrees of a Bézier curve. A cubic curve (section 4.3) cannot follow the curvature from
+clamp to free end: its error of alpha is at least 6 % (docs/validation.md)."""
 
-_ROUNDS = 30
+_PROJECTIONS = 30  # updates of the points' parameters
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Bezier:
     control: np.ndarray
 
     def at(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """(N, 2) values, or derivatives of that order, at parameters t (N,) in [0, 1]."""
+        """Points (N, 2), or derivatives of that ``order``, at parameters t (N,) in [0, 1]."""
         points = self.control
         for _ in range(order):
             points = (len(points) - 1) * np.diff(points, axis=0)
@@ -40,8 +40,8 @@ class Bezier:
         return float(self._lengths[1][-1])
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (count, 2), m, at equal arc lengths, ends included, and curvatures (count,), 1/m,
-        there, positive where the strip bends down."""
+        """Points (count, 2), m, equidistant in arc length, ends included, and their curvatures
+        (count,), 1/m, positive where the strip bends down."""
         t, s = self._lengths
         t = np.interp(np.linspace(0.0, s[-1], count), s, t)
         (x, y), (xx, yy) = self.at(t, 1).T, self.at(t, 2).T
@@ -55,18 +55,18 @@ def bernstein(t: np.ndarray, degree: int) -> np.ndarray:
 
 
 def arc_lengths(points: np.ndarray) -> np.ndarray:
-    """(N,) lengths, m, of the polygon of points (N, 2) from the first up to each."""
+    """Arc lengths (N,), m, along the polygon of points (N, 2) from the first one."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tuple[Bezier, float]:
-    """Least-squares Bézier curve of points (N, 2), m, that leaves the clamp's edge, 0, along it.
+    """Least-squares Bézier curve of points (N, 2), m, starting at 0 in the clamp's direction.
 
-    Each point's parameter is moved to the nearest point of the fitted curve, and the fit
-    repeated. ``degree`` 0 stands for the one in :data:`DEGREES` with the least Bayesian
-    information criterion, so that noise is not fitted. InputError for a degree below 2, or fewer
-    points than it needs.
+    Each point's parameter is moved to the nearest point of the fitted curve, and the fit is
+    repeated. ``degree`` 0 selects the degree in :data:`DEGREES` with the smallest Bayesian
+    information criterion, so that noise is not fitted. InputError for a degree below 2, or too few
+    points for the degree.
 
     Returns:
         The curve and the root mean square distance of the points from it, m.
@@ -78,8 +78,8 @@ def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tup
     if count < (needed := 2 * (degrees[0] + 1)):
         raise InputError(f"a Bézier curve of degree {degrees[0]} needs {needed} points, "
                          f"not {count}")
-    # Distances below 1e-6 of the curve's size are not distinguished. What counts is a point's
-    # distance across the curve: one number a point.
+    # Distances below 1e-6 of the curve's size are not distinguished. Each point contributes one
+    # residual, its distance across the curve.
     least = (1e-6 * np.linalg.norm(curve[-1])) ** 2
     return min((_fit_degree(curve, each, slope) for each in degrees), key=lambda fit: (
         count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))
@@ -89,7 +89,7 @@ def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, f
     t = arc_lengths(curve)
     t /= t[-1]
     bezier = _solve(curve, t, degree, slope)
-    for _ in range(_ROUNDS):
+    for _ in range(_PROJECTIONS):
         offset = curve - bezier.at(t)
         first, second = bezier.at(t, 1), bezier.at(t, 2)
         speed = (first**2).sum(1)
@@ -100,8 +100,8 @@ def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, f
 
 
 def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezier:
-    """Linear least squares for fixed parameters t (N,): the distance of the second control point
-    from the first, which is 0, along the clamp's direction, and the other control points."""
+    """Linear least squares for fixed parameters t (N,). The first control point is 0; unknowns are
+    the distance of the second along the clamp's direction and the other control points."""
     basis = bernstein(t, degree)
     along = np.array([np.cos(slope), np.sin(slope)])
     matrix = np.hstack([np.kron(basis[:, 1:2], along[:, None]), np.kron(basis[:, 2:], np.eye(2))])

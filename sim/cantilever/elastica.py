@@ -1,14 +1,14 @@
-"""The heavy elastica: a clamped strip that bends in a plane under its weight, without a mesh.
+"""The heavy elastica: plane bending of a clamped strip under its weight, without a mesh.
 
 With s from the clamp, theta the angle below the horizontal and tau the torque per width:
 
     theta' = kappa(tau),  tau' = -rho g (L - s) cos(theta),  theta(0) = slope,  tau(L) = 0.
 
-Torque laws kappa(tau) are arrays (4, K): curvature kappa_k, torque tau_k, slope a_k and bend b_k
-of pieces tau = tau_k + a_k (kappa - kappa_k) + b_k (kappa - kappa_k)², both ascending, the
-first from 0 and the last without end. A fabric's law (:func:`sim.material.torque`) has at most
-two pieces. For a linear one and L = 1 the equation is theta'' = -gamma (1 - s) cos(theta),
-gamma = rho g L³/alpha.
+Torque laws kappa(tau) are arrays (4, K) of pieces tau = tau_k + a_k (kappa - kappa_k) +
+b_k (kappa - kappa_k)²: curvature kappa_k, torque tau_k, slope a_k and quadratic coefficient b_k.
+Curvatures and torques increase from 0; the last piece is unbounded. A fabric's law
+(:func:`sim.material.torque`) has at most two pieces. For a linear one and L = 1 the equation is
+theta'' = -gamma (1 - s) cos(theta), gamma = rho g L³/alpha.
 """
 
 import numba
@@ -18,8 +18,8 @@ from scipy.optimize import brentq
 from common.errors import InputError
 from sim.material import SOFTENING_LIMIT
 
-LARGEST_GAMMA = 1e4
-_SMALLEST_TIP = -300.0  # logarithm of the tip's angle to the vertical; far below any solution's
+MAX_GAMMA = 1e4
+_MIN_LOG_TIP_ANGLE = -300.0  # of the tip's angle to the vertical; far below any solution
 
 
 def strip_shape(
@@ -33,9 +33,9 @@ def strip_shape(
         weight, length: rho g, N/m², and free length, m.
         slope: angle of the clamp below the horizontal, radians in [0, pi/2); InputError also for
             a law so soft that the strip hangs straight down.
-        points: at equal distances along the strip.
-        steps: of the integration, at least; the error of H/W is below 1e-7, with 400 below 1e-5
-            up to gamma = 1000.
+        points: number of points, equidistant along the strip.
+        steps: minimum number of integration steps; the error of H/W is below 1e-7, with 400 steps
+            below 1e-5 up to gamma = 1000.
     """
     if not 0 <= slope < np.pi / 2 - 1e-3:
         raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
@@ -45,26 +45,26 @@ def strip_shape(
     def excess(tip: float) -> float:
         return _from_tip(law, weight, length, np.exp(tip), target, every, shape) - target
 
-    if excess(_SMALLEST_TIP) > 0:
+    if excess(_MIN_LOG_TIP_ANGLE) > 0:
         raise InputError("the cloth is too soft for its clamp: it hangs straight down")
-    # While theta stays between -pi/2 and pi/2 it grows from clamp to tip, and the clamp's angle
-    # grows with the tip's, so that there is exactly one solution.
-    excess(brentq(excess, _SMALLEST_TIP, np.log(target), xtol=1e-14, rtol=1e-14))
+    # With -pi/2 < theta < pi/2, theta grows from clamp to tip, and the clamp's angle grows with
+    # the tip's: there is exactly one solution.
+    excess(brentq(excess, _MIN_LOG_TIP_ANGLE, np.log(target), xtol=1e-14, rtol=1e-14))
     return shape[-1] - shape[::-1]
 
 
 def heavy_elastica(
     alpha: float, beta: float, *, weight: float, length: float, **options
 ) -> np.ndarray:
-    """Shape (points, 2), m, of a strip whose torque is that of :func:`sim.material.torque`.
+    """Shape (points, 2), m, of a strip with the torque law of :func:`sim.material.torque`.
 
     ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip,
     ``alpha`` in N·m and ``beta`` in N·m².
     InputError where gamma = weight length³/alpha is out of range.
     """
     gamma = weight * length**3 / alpha
-    if not 0 < gamma <= LARGEST_GAMMA:
-        raise InputError(f"gamma={gamma:g} must lie above 0 and not above {LARGEST_GAMMA:g}")
+    if not 0 < gamma <= MAX_GAMMA:
+        raise InputError(f"gamma={gamma:g} must lie above 0 and not above {MAX_GAMMA:g}")
     return strip_shape(softening_law(alpha, beta), weight=weight, length=length, **options)
 
 
@@ -86,8 +86,8 @@ def softening_law(alpha: float, beta: float) -> np.ndarray:
 
 
 def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """(4, K - 1) straight pieces through curvatures (K,), 1/m, from 0, and torques (K,), N, which
-    must rise."""
+    """Linear pieces (4, K - 1) through curvatures (K,), 1/m, from 0, and increasing torques (K,),
+    N."""
     rise = np.diff(torque)
     if not (rise > 0).all():
         raise InputError("the torque must increase with the curvature")
@@ -95,25 +95,25 @@ def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
 
 
 def aspect_ratio(end: np.ndarray) -> float:
-    """Drop over reach (H/W) of a deflected strip whose free end lies at ``end`` (2,)."""
+    """Drop over reach (H/W) of a deflected strip with the free end at ``end`` (2,), m."""
     return float(end[1] / end[0])
 
 
 def gamma_of_aspect_ratio(ratio: float) -> float:
-    """The gamma, up to :data:`LARGEST_GAMMA`, at which the linear elastica with a horizontal clamp
-    has this H/W; InputError if none has."""
+    """The gamma, up to :data:`MAX_GAMMA`, at which the linear elastica with a horizontal clamp has
+    the H/W ``ratio``; InputError if there is none."""
     def excess(log_gamma: float) -> float:
         return aspect_ratio(elastica(np.exp(log_gamma), 101)[-1]) - ratio
 
     try:
-        return float(np.exp(brentq(excess, np.log(1e-6), np.log(0.999 * LARGEST_GAMMA), xtol=1e-9)))
+        return float(np.exp(brentq(excess, np.log(1e-6), np.log(0.999 * MAX_GAMMA), xtol=1e-9)))
     except ValueError:  # no change of sign
         raise InputError(f"no heavy elastica has drop/reach = {ratio:g}") from None
 
 
 @numba.njit(cache=True)
 def curvature_of_torque(torque, law):
-    """Curvature, 1/m, at a torque >= 0, N, of a law (4, K)."""
+    """Curvature, 1/m, of a law (4, K) at a torque >= 0, N."""
     k = max(np.searchsorted(law[1], torque, side="right") - 1, 0)
     over = torque - law[1, k]
     root = np.sqrt(law[2, k] ** 2 + 4.0 * law[3, k] * over)
@@ -122,10 +122,10 @@ def curvature_of_torque(torque, law):
 
 @numba.njit(cache=True)
 def _from_tip(law, weight, length, tip, target, every, shape):
-    """Fill ``shape`` (points, 2) from the tip to the clamp by Runge-Kutta steps, fourth order.
+    """Fill ``shape`` (points, 2) from tip to clamp by fourth-order Runge-Kutta steps, ``every`` of
+    them between two points. Returns the angle to the vertical at the clamp, or beyond ``target``.
 
-    There are ``every`` steps between two points. The angle d = pi/2 - theta to the vertical, at the
-    tip of a limp strip too small to show in theta, is returned at the clamp or past ``target``.
+    The unknown is d = pi/2 - theta, as theta cannot resolve the tip of a very soft strip.
     """
     steps = (len(shape) - 1) * every
     h = length / steps

@@ -1,9 +1,9 @@
-"""From the strips of one fabric to its moduli in warp, bias and weft.
+"""Moduli of a fabric in warp, bias and weft from its strips.
 
 The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
-bias also twists and curves across while it bends and so hangs a little lower than a cylinder
-would (docs/validation.md). :func:`correct` takes this out by simulating the three strips and
-moving the moduli until the same estimator reads from them what it read from the real ones.
+bias also twists and curves across while it bends, and thus hangs slightly lower than a cylinder
+(docs/validation.md). :func:`correct` removes this bias: it simulates the three strips and adjusts
+the moduli until the estimates from the simulated strips equal those from the measured ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ from sim.material import DIRECTIONS, Fabric, is_admissible
 from sim.scene import GRAVITY
 
 METHODS = {"regression": regress, "table": match}
-ROUNDS = 6
-LARGEST_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
-CLOSE = 0.05  # enough: 0.5 % in alpha and 0.05 mm in beta/alpha
+MAX_ROUNDS = 6
+MAX_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
+TOLERANCE = 0.05  # 0.5 % in alpha and 0.05 mm in beta/alpha
 Strips = Mapping[str, Sequence[np.ndarray]]
 """Curves (N, 2), m, of one or several strips of each direction."""
 
@@ -29,8 +29,8 @@ Strips = Mapping[str, Sequence[np.ndarray]]
 def estimate(
     strips: Strips, *, density: float, method: str = "table", slope: float = 0.0, degree: int = 0
 ) -> dict[str, Estimate]:
-    """The moduli of each direction, from its strips alone; ``density`` in kg/m², ``method`` one of
-    :data:`METHODS`. InputError for curves that no strip has."""
+    """Moduli of each direction from its strips alone; ``density`` in kg/m², ``method`` one of
+    :data:`METHODS`. InputError for curves that do not fit a hanging strip."""
     if method not in METHODS:
         raise InputError(f"unknown method '{method}'; choose from {', '.join(METHODS)}")
     found = {}
@@ -46,7 +46,7 @@ def estimate(
 def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
     """The fabric with the estimated moduli of the three directions and a density, kg/m².
 
-    InputError where a direction is missing, or no plate has these moduli.
+    InputError if a direction is missing, or if no elastic plate has these moduli.
     """
     missing = [direction for direction in DIRECTIONS if direction not in estimates]
     if missing:
@@ -55,22 +55,23 @@ def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
 
 
 def correct(
-    strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = ROUNDS,
+    strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = MAX_ROUNDS,
     width: float = 0.03, method: str = "table", slope: float = 0.0, degree: int = 0,
 ) -> Fabric:
-    """Moduli whose simulated strips give the estimates that the measured strips gave.
+    """Moduli whose simulated strips give the same estimates as the measured strips.
 
-    Each round simulates the strips and estimates from them alike. What is missing moves the
-    moduli, by Broyden's method, because each direction's strip feels the other moduli too. The
-    regression's reading of a bias strip's beta varies with the triangulation by a quarter.
+    Each round simulates the strips and estimates moduli from them by the same method. The residual
+    moves the moduli by Broyden's method, as each direction's strip depends on the other moduli too.
+    The regression's estimate of a bias strip's beta varies with the triangulation by a quarter.
 
     Args:
         strips, estimates: of all three directions, see :func:`estimate`.
-        rounds, width: of simulation, at most; of the strips, m.
+        rounds: maximum number of simulation rounds.
+        width: of the strips, m.
 
     Returns:
-        The fabric whose strips came nearest; InputError as for :func:`fabric_of`, or where a strip
-        does not settle.
+        The fabric with the smallest residual; InputError as for :func:`fabric_of`, or if a strip
+        does not reach equilibrium.
     """
     fabric = fabric_of(estimates, density)
     lengths = {
@@ -83,17 +84,17 @@ def correct(
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
         read = estimate(simulated, density=density, method=method, slope=slope, degree=degree)
-        missing = target - _unknowns(read)
-        if np.linalg.norm(missing) < least:
-            best, least = fabric, float(np.linalg.norm(missing))
+        residual = target - _unknowns(read)
+        if np.linalg.norm(residual) < least:
+            best, least = fabric, float(np.linalg.norm(residual))
         if last is not None:
-            step, change = at - last[0], last[1] - missing
+            step, change = at - last[0], last[1] - residual
             response += np.outer(change - response @ step, step) / (step @ step)
-        last = at, missing
-        if least < CLOSE:
+        last = at, residual
+        if least < TOLERANCE:
             break
-        move = np.linalg.lstsq(response, missing, rcond=1e-3)[0]
-        move *= min(1.0, LARGEST_MOVE / np.abs(move).max())
+        move = np.linalg.lstsq(response, residual, rcond=1e-3)[0]
+        move *= min(1.0, MAX_MOVE / np.abs(move).max())
         while not is_admissible(*_moduli(at + move)):
             move = move / 2
         at = at + move
@@ -102,12 +103,12 @@ def correct(
 
 
 def _unknowns(estimates: Mapping[str, Estimate]) -> np.ndarray:
-    """(6,) ten times log alpha and beta/alpha in mm, so that both vary alike."""
+    """(6,) ten times log alpha, and beta/alpha in mm: both vary by similar amounts."""
     each = [estimates[direction] for direction in DIRECTIONS]
     return np.array([10 * np.log(e.alpha) for e in each] + [1e3 * e.beta / e.alpha for e in each])
 
 
 def _moduli(unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """alpha (3,) and beta (3,) of :func:`_unknowns`."""
+    """alpha (3,) and beta (3,), inverse of :func:`_unknowns`."""
     alpha = np.exp(unknowns[:3] / 10)
     return alpha, 1e-3 * unknowns[3:] * alpha

@@ -6,7 +6,7 @@ The torque per width at a point of the strip is the moment of the weight beyond 
 
 by the trapezoidal rule (Eq. 6). Beyond the softening limit a simulated strip does not follow the
 parabola alpha kappa + beta kappa²; the fitted law is therefore :func:`sim.material.torque`, which
-is the parabola up to the limit and straight beyond.
+is the parabola up to the limit and linear beyond.
 """
 
 from collections.abc import Sequence
@@ -21,31 +21,30 @@ from sim.cantilever.bezier import Bezier, arc_lengths, fit_bezier
 from sim.material import torque
 
 SAMPLES = 256  # points along each curve (section 4.3)
-RATIO_RANGE = (-0.02, 0.02)  # m; beta/alpha of fabrics lies within
-LARGEST_MISFIT = 0.5
-"""Of the torque, relative. Points read with an error of 0.3 mm leave 0.15; on nearly straight
-strips they leave 0.4 to 0.9, and alpha is off by up to a factor of four; other curves leave
-0.98."""
+RATIO_RANGE = (-0.02, 0.02)  # m, of beta/alpha in fabrics
+MAX_MISFIT = 0.5
+"""Of the torque, relative. An error of 0.3 mm in the points gives 0.15; on nearly straight strips
+it gives 0.4 to 0.9, with errors of alpha up to a factor of four; other curves give 0.98."""
 
-NO_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
+NOT_A_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Moduli of one direction.
 
-    The misfit is the root mean square of what the law leaves: of the torque, relative to its own
-    (regression), or of the points' distance, relative to the mean length (table).
+    The misfit is the root mean square residual: of the torque, relative to that of the torque
+    (regression), or of the points' distances, relative to the mean length (table).
     """
 
     alpha: float  # N·m
     beta: float  # N·m²
     misfit: float
-    curvature: float  # 1/m, largest of the curves
+    curvature: float  # 1/m, largest on the curves
 
     @property
     def bounded(self) -> bool:
-        """Whether beta/alpha is where its search ends, so that the curves do not fix beta."""
+        """Whether beta/alpha is at a search bound, so that the curves do not determine beta."""
         return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
 
 
@@ -66,8 +65,8 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
     """alpha, beta and relative misfit of the torque law through curvatures, 1/m, and torques,
     N·m per metre of width or any unit of theirs, (N,) each.
 
-    The law is proportional to alpha for a given beta/alpha, so that only this ratio is searched.
-    InputError where the torque does not grow with the curvature.
+    For a given beta/alpha the law is proportional to alpha, so that only this ratio is searched.
+    InputError if the torque does not grow with the curvature.
     """
     def project(ratio: float) -> tuple[float, float]:
         law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
@@ -81,7 +80,7 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
                             options={"xatol": 1e-9})
     alpha, error = project(found.x)
     if not alpha > 0:
-        raise InputError(NO_STRIP)
+        raise InputError(NOT_A_STRIP)
     return alpha, float(alpha * found.x), error / float(np.sqrt((moment**2).mean()))
 
 
@@ -90,13 +89,13 @@ def regress(
 ) -> Estimate:
     """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
 
-    Strips of several lengths widen the range of curvatures; each sample counts alike. InputError
-    where the torque does not follow the curvature as a law's does.
+    Strips of several lengths widen the range of curvatures; all samples have equal weight.
+    InputError if no torque law fits the curves.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     alpha, beta, misfit = fit_law(curvature, moment)
-    if misfit > LARGEST_MISFIT:
-        raise InputError(f"{NO_STRIP}; or use method=table, which tolerates more noise "
+    if misfit > MAX_MISFIT:
+        raise InputError(f"{NOT_A_STRIP}; or use method=table, which tolerates more noise "
                          f"(the law leaves {100 * misfit:.0f} % of the torque unexplained)")
     return Estimate(alpha, beta, misfit, float(curvature.max()))

@@ -1,4 +1,4 @@
-"""The virtual cantilever tester: strips cut at any angle hang from a clamp."""
+"""Virtual cantilever tester: simulation of clamped strips cut at any angle."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from sim.scene import GRAVITY, Scene
 ANGLES = dict(zip(DIRECTIONS, (0.0, np.pi / 4, np.pi / 2), strict=True))
 TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
 CELLS, CELLS_ACROSS = 20, 10
-"""Of simulated strips, along the bending length of their direction and across them; alpha is then
-right to 1 %."""
+"""Mesh cells along the bending length of a strip's direction, and across it; the error of alpha is
+then 1 %."""
 
 
 @dataclass(frozen=True)
 class HungStrip:
-    """Deflection curve (N, 2), m, the mean across a strip, and slope of its free end across, rad.
-    The shape counts only if the result's status is CONVERGED."""
+    """Deflection curve (N, 2), m, averaged across a strip, and twist of its free end, rad. Valid
+    only if the result's status is CONVERGED."""
 
     curve: np.ndarray
     twist: float
@@ -35,14 +35,14 @@ def hang(
     width: float = 0.03, edge: float = 0.003, across: int | None = None,
     laws: Laws | None = None, gravity: float = GRAVITY, **triangulation,
 ) -> HungStrip:
-    """Let a strip hang from a clamp.
+    """Simulate a strip that hangs from a clamp.
 
     Args:
-        fabric: of which the moduli over density matter.
-        angle: of the strip to the warp, radians; pi/4 is the bias, pi/2 the weft.
+        fabric: only its moduli over density matter.
+        angle: from the warp to the strip, radians; pi/4 is the bias, pi/2 the weft.
         length, width, edge: free length, width and mesh spacing, m.
         across: mesh cells across the strip; None makes them square.
-        gravity: m/s²; tiny values give the small deflections of plate theory.
+        gravity: m/s²; very small values give the small deflections of plate theory.
         triangulation: diagonals, jitter and seed of :func:`sim.mesh.strip`.
     """
     across = round(width / edge) if across is None else across
@@ -71,9 +71,9 @@ def simulate_strips(
     """Curves (N, 2), m, of simulated strips of ``lengths`` (m) by direction.
 
     Args:
-        width: m; None: so wide that the mesh cells are square.
-        cells, across: along the bending length of the strip's direction, and across the strip.
-        options: others of :func:`hang`, such as the seed of the triangulation.
+        width: m; None for square mesh cells.
+        cells, across: mesh cells along the bending length and across the strip.
+        options: further arguments of :func:`hang`, such as the seed of the triangulation.
 
     Raises:
         InputError: a strip does not reach equilibrium.
@@ -82,7 +82,7 @@ def simulate_strips(
     for direction, length in ((d, length) for d, each in lengths.items() for length in each):
         alpha = fabric.alpha[DIRECTIONS.index(direction)]
         count = length * cells / bending_length(alpha, fabric.density)
-        edge = length / np.ceil(count - 1e-9)  # a whole number may have been rounded up
+        edge = length / np.ceil(count - 1e-9)  # an integer may have been rounded up
         hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, across=across,
                     width=across * edge if width is None else width, diagonals="random",
                     **options)
@@ -94,10 +94,10 @@ def simulate_strips(
 
 
 def bending_length(alpha: float, density: float) -> float:
-    """(alpha/rho g)^(1/3), m, of a modulus N·m and a density kg/m².
+    """Bending length (alpha/rho g)^(1/3), m, of a modulus in N·m and a density in kg/m².
 
-    Strips of 1.5 and 2.5 of it, which fall 0.4 and 1.5 times as far as they reach if the law is
-    linear, determine alpha and beta well.
+    Strips of 1.5 and 2.5 bending lengths, whose drop is 0.4 and 1.5 times their reach for a linear
+    law, determine alpha and beta well.
     """
     return float((alpha / (density * GRAVITY)) ** (1 / 3))
 

@@ -1,8 +1,8 @@
-"""A free torque curve from deflection curves, in place of alpha and beta (after Miguel et al.).
+"""Non-parametric torque curve from deflection curves (after Miguel et al.).
 
-Torque is a monotone cubic spline of the curvature, with a few knots. A strip of that law is
-computed, and the knots move until it lies on the measured ones: the equilibrium is part of the
-fit, nothing is differentiated twice.
+Torque is a monotone cubic spline of the curvature with a few knots. They are fitted so that
+computed strips of that law match the measured ones: the equilibrium is part of the fit, and no
+second derivatives of measured curves are needed.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from scipy.optimize import least_squares
 from common.errors import InputError
 from sim.cantilever.bezier import fit_bezier
 from sim.cantilever.elastica import strip_shape, tabulated_law
-from sim.cantilever.regression import NO_STRIP, torque_and_curvature
+from sim.cantilever.regression import NOT_A_STRIP, torque_and_curvature
 from sim.cantilever.table import distance_across
 
 KNOTS = 4
-POINTS, STEPS = 41, 400  # of each curve that are compared; of the integration
-_BEYOND = 1.25  # knots reach beyond the largest torque read, where a curve may bend further
-_CROWDING = 1.7  # of the knots towards 0: most of a strip bends little
+POINTS, STEPS = 41, 400  # compared points of each curve; integration steps
+_MARGIN = 1.25  # last knot over the largest curvature of the Bézier curves, which a fit may exceed
+_SPACING_EXPONENT = 1.7  # concentrates knots near 0: most of a strip has a small curvature
 _SAMPLES = 4000  # of the law, for the strips
-_SMOOTH = 0.02
-"""Weight of the bends of log slope against distances in units of 1 % of the strip's length: enough
-to hold knots that no strip reaches."""
+_SMOOTHING = 0.02
+"""Weight of differences of the log slope, relative to distances in units of 1 % of the strip's
+length; it determines knots beyond the curvatures of all strips."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class TorqueCurve:
     """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
 
     The misfit is the root mean square distance of the measured points from the fitted strips,
-    relative to the mean length. Beyond the curvature reached the curve is a continuation.
+    relative to the mean length. Beyond the curvature reached the curve is extrapolated.
     """
 
     curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
-    torque: np.ndarray  # (K + 1,) N, as well
+    torque: np.ndarray  # (K + 1,) N, at the knots
     misfit: float
     reached: float  # 1/m, largest curvature on any strip
 
@@ -47,8 +47,8 @@ def fit_torque_curve(
 ) -> TorqueCurve:
     """The torque curve of one direction from curves (each (N, 2) m) of strips clamped level.
 
-    Strips of several lengths widen the range of curvatures. ``knots``, 2 to 8, are those beside
-    that at 0. InputError for curves that no strip has.
+    Strips of several lengths widen the range of curvatures. ``knots``, 2 to 8, do not include the
+    one at 0. InputError for curves that do not fit a hanging strip.
     """
     if not 2 <= knots <= 8:
         raise InputError(f"knots={knots} must lie between 2 and 8")
@@ -58,9 +58,9 @@ def fit_torque_curve(
     torque, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     slope = float(torque @ curvature / (curvature @ curvature))
     if not slope > 0:
-        raise InputError(NO_STRIP)
-    # Knots at the curvatures, the torque free: a law's slope is a stiffness, positive as exp(x).
-    places = _BEYOND * curvature.max() * np.linspace(0, 1, knots + 1) ** _CROWDING
+        raise InputError(NOT_A_STRIP)
+    # Curvatures of the knots are fixed. The slope between knots is positive, as slope * exp(x).
+    places = _MARGIN * curvature.max() * np.linspace(0, 1, knots + 1) ** _SPACING_EXPONENT
     samples = np.linspace(0, places[-1], _SAMPLES)
 
     def law(x: np.ndarray) -> np.ndarray:
@@ -78,11 +78,11 @@ def fit_torque_curve(
     def residuals(x: np.ndarray) -> np.ndarray:
         gaps = [(strip - points).ravel() / (0.01 * length)
                 for strip, points, length in zip(strips(x), measured, lengths, strict=True)]
-        return np.concatenate([*gaps, _SMOOTH * np.diff(x)])
+        return np.concatenate([*gaps, _SMOOTHING * np.diff(x)])
 
     found = least_squares(residuals, np.zeros(knots), bounds=(-4.0, 3.0), diff_step=1e-4,
                           xtol=1e-6, ftol=1e-8, max_nfev=40)
-    # From the points themselves: the Bézier curves, which the fit follows, have lost their noise.
+    # Distances of the measured points: the Bézier curves used for the fit are free of noise.
     distances = np.concatenate([distance_across(curve, strip)
                                 for curve, strip in zip(curves, strips(found.x), strict=True)])
     misfit = np.sqrt((distances**2).mean()) / np.mean(lengths)

@@ -1,15 +1,14 @@
-"""Cloth whose yarns rub when it is bent: it lags behind its load and rests in more than one shape.
+"""Bending with internal friction: hysteresis and several equilibria.
 
 A fabric's torque at a curvature differs between bending and unbending by 2HB, its hysteresis in
 Kawabata's pure bending test. Here a torque of at most HB resists every change of the curvature S
-from one S0 at which there is no friction. To the energy of mid-edge bending
-(:mod:`sim.energies.midedge`) is added
+from an origin S0 at which there is no friction. The energy of mid-edge bending
+(:mod:`sim.energies.midedge`) gains the term
 
     m (sqrt(|S - S0|² + d²) - d),    |S|² = Sxx² + Syy² + 2 Sxy²,
 
-with m = HB and a small change of curvature d within which the friction builds up. That is one step
-of Coulomb friction, from S0 to where the cloth comes to rest; S0 does not follow, so there are no
-cycles of loading.
+with m = HB and a small change of curvature d within which the friction builds up. This is one step
+of Coulomb friction, from S0 to the equilibrium; S0 is constant, so there are no load cycles.
 """
 
 from dataclasses import dataclass
@@ -33,14 +32,14 @@ class BendingFriction:
     Attributes:
         torque: m, N·m per metre of width, of cloth of 300 g/m², at which drapes are simulated.
         origin: (N, 3) curvatures S0, 1/m, of the active triangles, as
-            :meth:`sim.energies.midedge.MidEdgeBending.curvatures` gives them; they belong to one
-            mesh, so that no coarser one can have them. None: flat.
+            returned by :meth:`sim.energies.midedge.MidEdgeBending.curvatures`; valid for one mesh
+            only, so that a drape, which uses several, cannot have them. None: flat.
         build_up: d, 1/m.
-        curvature: natural one, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
+        curvature: natural curvature, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
 
     Raises:
-        InputError: a torque below 0, a build-up that is not above 0, or another curvature than
-            :class:`sim.energies.natural_curvature.NaturallyCurved` takes.
+        InputError: negative torque, build-up not above 0, or a curvature that is not valid for
+            :class:`sim.energies.natural_curvature.NaturallyCurved`.
     """
 
     torque: float
@@ -52,14 +51,14 @@ class BendingFriction:
         if not (self.torque >= 0 and self.build_up > 0):
             raise InputError(f"friction of {self.torque} N within {self.build_up} 1/m: give a "
                              "torque of 0 or more and a change of curvature above 0")
-        NaturallyCurved(self.curvature)  # refuses one that is not three finite numbers
+        NaturallyCurved(self.curvature)  # raises for an invalid curvature
 
     def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "FrictionBending":
         return FrictionBending(mesh, active, fabric=fabric, friction=self)
 
 
 class FrictionBending(CurvedBending):
-    """Plate energy of the free triangles with ``friction``. The other arguments are those of
+    """Plate energy of the free triangles with ``friction``; other arguments are those of
     :class:`sim.energies.midedge.MidEdgeBending`."""
 
     def __init__(
@@ -80,9 +79,10 @@ class FrictionBending(CurvedBending):
         stress, tangent = super().stress(curvatures)
         change = curvatures - self._origin
         size = self._size(change)[:, None]
-        way = METRIC * change / size
-        stiffness = (np.diag(METRIC) - way[:, :, None] * way[:, None, :]) / size[..., None]
-        return stress + self._torque * way, tangent + self._torque * stiffness
+        direction = METRIC * change / size
+        dyad = direction[:, :, None] * direction[:, None, :]
+        stiffness = (np.diag(METRIC) - dyad) / size[..., None]
+        return stress + self._torque * direction, tangent + self._torque * stiffness
 
     def _size(self, change: np.ndarray) -> np.ndarray:
         return np.sqrt(change**2 @ METRIC + self._build_up**2)

@@ -1,4 +1,4 @@
-"""What an energy needs at a state more than once, such as angles, found once."""
+"""Cache of quantities that an energy needs repeatedly at the same state, such as angles."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -9,12 +9,12 @@ T = TypeVar("T")
 
 
 class StateCache:
-    """What one function gave at the latest states.
+    """Results of one function at the latest states.
 
-    Newton's method tries a state, takes it, and asks for its gradient and its Hessian.
+    Newton's method evaluates a trial state, then its gradient and its Hessian.
 
     Args:
-        states: how many; two are the one a step begins at, and the one that is tried.
+        states: number of states; two hold the start of a step and the trial state.
     """
 
     def __init__(self, states: int = 2) -> None:
@@ -22,7 +22,7 @@ class StateCache:
         self._latest: list[tuple[np.ndarray, object]] = []
 
     def at(self, q: np.ndarray, function: Callable[[np.ndarray], T]) -> T:
-        """``function(q)``, kept or found now; always the same function."""
+        """``function(q)``, cached or computed; ``function`` must be the same in all calls."""
         for state, value in self._latest:
             if np.array_equal(state, q):
                 return value

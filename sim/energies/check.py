@@ -1,4 +1,4 @@
-"""Whether the derivatives of an energy are right, by central differences."""
+"""Verification of the derivatives of an energy by central differences."""
 
 import numpy as np
 
@@ -7,22 +7,22 @@ from sim.energies.base import Energy, dofs_of
 from sim.state import moved
 
 STEP = 1e-7  # m, or rad
-TOLERANCE = 1e-4  # of the size of the terms
+TOLERANCE = 1e-4  # relative to the magnitude of the terms
 DIRECTIONS = 3
 
 
 def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) -> None:
     """Compare gradient and Hessian with differences of value and gradient along random steps.
 
-    Choose a state where the energy acts: where it is zero, every derivative agrees.
+    Choose a state with non-zero energy: where it vanishes, the check is trivial.
 
     Args:
-        q: the state, (3 V + 3 E,) as in :class:`sim.energies.base.Energy`.
+        q: state (3 V + 3 E,) as in :class:`sim.energies.base.Energy`.
         edges: (E, 2), of the mesh.
 
     Raises:
-        InputError: ``dofs`` are missing or of another form, the gradient or the Hessian differs
-            from the differences, or the convex Hessian is not positive semi-definite.
+        InputError: ``dofs`` are missing or have another form, gradient or Hessian deviates from
+            the differences, or the convex Hessian is not positive semi-definite.
     """
     name, dofs = type(energy).__name__, dofs_of(energy)
     unknowns, rng = len(q) - 2 * len(edges), np.random.default_rng(seed)
@@ -35,9 +35,9 @@ def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) ->
     full, convex = (np.zeros((*dofs.shape, dofs.shape[1])) if hessian is None else hessian
                     for hessian in (energy.hessian(q), energy.hessian(q, convex=True)))
     for _ in range(DIRECTIONS):
-        way = rng.standard_normal(unknowns)
-        local = np.where(dofs >= 0, way[dofs], 0.0)  # (N, K)
-        ahead, behind = (moved(q, edges, sign * STEP * way) for sign in (1.0, -1.0))
+        step = rng.standard_normal(unknowns)
+        local = np.where(dofs >= 0, step[dofs], 0.0)  # (N, K)
+        ahead, behind = (moved(q, edges, sign * STEP * step) for sign in (1.0, -1.0))
         rounding = 1e-15 * abs(energy.value(q)) / STEP
         _compare(f"{name}.gradient", "value", (gradient * local).sum(),
                  (energy.value(ahead) - energy.value(behind)) / (2 * STEP),

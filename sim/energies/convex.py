@@ -1,4 +1,4 @@
-"""Convex approximations: symmetric matrices without small eigenvalues."""
+"""Convex approximations: lower bounds on the eigenvalues of symmetric matrices."""
 
 import numba
 import numpy as np
@@ -6,9 +6,9 @@ import numpy as np
 
 @numba.njit(cache=True)
 def raise_eigenvalues(matrices, floor):
-    """Raise eigenvalues of symmetric matrices (N, 3, 3) below ``floor`` to it, in place."""
+    """Raise eigenvalues of symmetric matrices (N, 3, 3) to at least ``floor``, in place."""
     for matrix in matrices:
-        # Pivots of what lies above the floor: most matrices need no eigenvectors.
+        # Positive pivots of matrix - floor: most matrices need no eigenvectors.
         first = matrix[0, 0] - floor
         second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
         if first > 0.0 and second > 0.0:

@@ -3,7 +3,7 @@
 A hinge has four corners x0..x3: the shared edge x0-x1 and the opposite corners, with triangles
 (x0, x1, x2) and (x1, x0, x3). The angle is 0 when flat and positive when the normals diverge
 around the edge x0 -> x1. With e the edge and N the unnormalised normal of a triangle, the gradient
-at its opposite corner is -|e| N/|N|², and those at x0, x1 follow from rigid motions.
+at its opposite corner is -|e| N/|N|²; invariance under rigid motions gives those at x0 and x1.
 """
 
 import numba
@@ -25,40 +25,39 @@ def angle(x):
 
 @numba.njit(cache=True)
 def add_side_gradient(x, corner, sign, g):
-    """Add to g (4, 3) how one triangle turns about the edge when x0, x1 and its ``corner`` move.
+    """Add to g (4, 3) the derivatives of one triangle's rotation about the edge by its corners.
 
-    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. Turns are counted against a frame
-    carried along with the edge; those of both triangles add up to the change of the angle.
+    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. Rotations are relative to a frame
+    transported with the edge; their sum over both triangles is the change of the angle.
     """
     ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
     ee = ex * ex + ey * ey + ez * ez
     ax, ay, az = x[corner, 0] - x[0, 0], x[corner, 1] - x[0, 1], x[corner, 2] - x[0, 2]
     nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
     scale = -sign * np.sqrt(ee) / (nx * nx + ny * ny + nz * nz)
-    own = scale * nx, scale * ny, scale * nz
+    at_corner = scale * nx, scale * ny, scale * nz
     t = (ax * ex + ay * ey + az * ez) / ee
     for k in range(3):
-        g[corner, k] += own[k]
-        g[1, k] -= t * own[k]
-        g[0, k] -= (1.0 - t) * own[k]
+        g[corner, k] += at_corner[k]
+        g[1, k] -= t * at_corner[k]
+        g[0, k] -= (1.0 - t) * at_corner[k]
 
 
 @numba.njit(cache=True)
 def add_side_hessian(x, corner, sign, weight, first, frame, block):
     """Add ``weight`` times one triangle's part of the second derivatives of the angle.
 
-    ``corner`` and ``sign`` are those of :func:`add_side_gradient`; x0, x1 and the corner have a
-    part. Corner c has the three rows and columns of ``block`` from first[c] on; ``frame`` (3, 3)
-    is scratch.
+    ``corner`` and ``sign`` are those of :func:`add_side_gradient`. The rows and columns of corner c
+    in ``block`` start at first[c]; ``frame`` (3, 3) is scratch memory.
 
     With n its unit normal, u along the edge of length l, m from the edge to the opposite
     ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient
-    at the corner is g = -n/d, and those at x1 and x0 are -t g and -(1 - t) g. Only n and d
-    change with g, and t with the edge, which leaves three dyads:
+    at the corner is g = -n/d, and those at x1 and x0 are -t g and -(1 - t) g. Only n, d and t vary,
+    which gives three dyads:
 
         A = (n m^T + m n^T)/d²,   B = n u^T/(d l),   M = (n m^T + m n^T)/(2 l²).
 
-    M is the symmetric part of n m^T/l²; the other part cancels between the two triangles.
+    M is the symmetric part of n m^T/l²; the skew part cancels between the two triangles.
     """
     n, m, u = frame[0], frame[1], frame[2]
     ee = ae = 0.0

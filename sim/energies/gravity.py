@@ -7,7 +7,7 @@ from sim.mesh import Mesh
 
 
 class Gravity(Energy):
-    """Potential of the vertices' weights, sum of m g z (J); one element per vertex.
+    """Potential energy of the vertices, sum of m g z (J); one element per vertex.
 
     Args:
         mesh: the specimen.

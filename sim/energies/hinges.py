@@ -1,9 +1,9 @@
-"""Energies of hinges: every edge stores an energy of the angle between its two triangles.
+"""Hinge energies: every edge stores an energy of the dihedral angle of its two triangles.
 
 For comparison, and for export to simulators that use them. Their moduli are not physical: the
 stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
-(docs/physics.md, :mod:`sim.cantilever.equivalent`). An edge between held and free cloth counts on
-the free side alone: H is then the height of the free triangle, not the sum of two heights.
+(docs/physics.md, :mod:`sim.cantilever.equivalent`). For an edge between held and free cloth, H is
+the height of the free triangle, not the sum of two heights.
 """
 
 import numba
@@ -11,24 +11,25 @@ import numpy as np
 
 from sim.energies import dihedral
 from sim.energies.base import Energy
-from sim.energies.fold_barrier import barrier, leaves_room
+from sim.energies.fold_barrier import barrier, keeps_distance
 from sim.material import bending_work
 from sim.mesh import Mesh
 
 
 class Hinges:
-    """Edges between two triangles of which one at least can move, N in the order of the mesh's.
+    """The N edges between two triangles, at least one of them free, in the order of the mesh.
 
     Args:
         active: (F,) bool, triangles of ``mesh`` that can move.
 
     Attributes:
-        edge: (N,) which of the mesh's edges they are.
+        edge: (N,) indices among the mesh's edges.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
-            then the corners opposite it, of the triangle that can move first; at rest ``rest``
-            (N, 4, 2) m; dofs: (N, 12) their coordinates.
-        lengths, normals: (N,) m, the edges' rest lengths, and (N, 2) unit vectors across them.
-        areas, bent_areas: (N,) m², of both triangles at rest, and of those that can move.
+            then the opposite corners, that of a triangle that can move first.
+        rest: (N, 4, 2) m, rest points of the corners.
+        dofs: (N, 12) unknowns of the corners.
+        lengths, normals: (N,) m, rest lengths of the edges, and (N, 2) unit vectors across them.
+        areas, bent_areas: (N,) m², rest areas of both triangles, and of those that can move.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray) -> None:
@@ -36,7 +37,7 @@ class Hinges:
         self.edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
         pair = pair[self.edge]
         pair = np.where(active[pair[:, :1]], pair, pair[:, ::-1])
-        # The first triangle's corners in their order, from the one opposite the edge
+        # Corners of the first triangle in cyclic order, starting opposite the edge
         side = (mesh.face_edges[pair[:, 0]] == self.edge[:, None]).argmax(axis=1)
         opposite, start, end = mesh.faces[pair[:, :1], (side[:, None] + np.arange(3)) % 3].T
         across = mesh.faces[pair[:, 1]].sum(axis=1) - start - end
@@ -54,24 +55,26 @@ class DihedralBending(Energy):
     """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3).
 
     theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
-    rest heights H of the two triangles, and tau the torque of :func:`sim.material.bending_work`,
-    which always grows. The barrier of :mod:`sim.energies.fold_barrier` acts on theta, times
-    ``stop`` and e²/(A0 + A1) with the rest areas A of both triangles.
+    rest heights H of the two triangles, and tau the increasing torque of
+    :func:`sim.material.bending_work`. The barrier of :mod:`sim.energies.fold_barrier` acts on
+    theta, times ``barrier_modulus`` and e²/(A0 + A1) with the rest areas A of both triangles.
 
     Args:
         hinges: the elements.
         alpha: (N,) linear moduli, N·m.
         beta: (N,) quadratic moduli, N·m².
-        stop: modulus of the barrier, N·m.
+        barrier_modulus: N·m.
     """
 
-    def __init__(self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, stop: float) -> None:
+    def __init__(
+        self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, barrier_modulus: float
+    ) -> None:
         self.dofs = hinges.dofs
         self._alpha, self._beta = alpha, beta
         self._areas, self._lengths = hinges.bent_areas, hinges.lengths
         # kappa = spread * |theta|, 1/m per rad; e H / 2 is the area
         self._spread = self._lengths / self._areas
-        self._stop = stop * self._lengths**2 / hinges.areas
+        self._barrier = barrier_modulus * self._lengths**2 / hinges.areas
 
     def value(self, q: np.ndarray) -> float:
         return float(self._of_angles(q)[0].sum())
@@ -80,33 +83,33 @@ class DihedralBending(Energy):
         return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
 
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
-        # Torque and barrier always grow, so that only the turning of the hinges is indefinite.
+        # Torque and barrier increase with the angle: only its second derivatives are indefinite.
         _, slope, bend = self._of_angles(q)
         rows = _angle_gradients(q, self.dofs)
         blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
         if not convex:
-            _add_turning(q, self.dofs, slope, blocks)
+            _add_angle_hessians(q, self.dofs, slope, blocks)
         return blocks
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        """False when a hinge would fold through itself, or take most of its way there."""
-        return leaves_room(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
+        """False if a hinge folds through itself, or covers most of the distance to it."""
+        return keeps_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
 
     def _of_angles(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
         value, slope, bend = barrier(angle, np.pi)
-        return (self._areas * work + self._stop * value,
-                self._lengths * np.sign(angle) * torque + self._stop * slope,
-                self._lengths * self._spread * tangent + self._stop * bend)
+        return (self._areas * work + self._barrier * value,
+                self._lengths * np.sign(angle) * torque + self._barrier * slope,
+                self._lengths * self._spread * tangent + self._barrier * bend)
 
 
 class QuadraticBending(Energy):
     """Energy 3 gamma / ((H0 + H1) e) |K x|² of N hinges (Bergou et al. 2006; Feng et al., Eq. 4).
 
-    x are a hinge's four corners, e and H as in :class:`DihedralBending`. The weights K vanish on
-    every flat, undistorted hinge, and a hinge folded by theta has |K x| = 2 e sin(theta/2): for
+    x are a hinge's four corners, e and H as in :class:`DihedralBending`. K x vanishes for
+    flat, undistorted hinges, and a hinge folded by theta has |K x| = 2 e sin(theta/2): for
     small angles this is the linear dihedral law with alpha = 3 gamma. The Hessian is constant.
 
     Args:
@@ -116,7 +119,7 @@ class QuadraticBending(Energy):
 
     def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
         self.dofs = hinges.dofs
-        # sin(theta/2) and theta/2 have the same derivatives by the heights of flat corners.
+        # On a flat hinge, sin(theta/2) and theta/2 have the same derivatives by the heights.
         flat = np.pad(hinges.rest, ((0, 0), (0, 0), (0, 1)))
         places = np.arange(flat.size).reshape(-1, 12)
         by_height = _angle_gradients(flat.ravel(), places)[:, 2::3]
@@ -143,7 +146,7 @@ class QuadraticBending(Energy):
 
 @numba.njit(cache=True)
 def hinge_angles(q, dofs):
-    """(N,) dihedral angles, rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
+    """Dihedral angles (N,), rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
     x = np.empty((4, 3))
     result = np.empty(len(dofs))
     for t in range(len(dofs)):
@@ -154,7 +157,7 @@ def hinge_angles(q, dofs):
 
 @numba.njit(cache=True)
 def _angle_gradients(q, dofs):
-    """(N, 12) derivatives of the angles by the coordinates of the corners, 1/m."""
+    """Derivatives (N, 12) of the angles by the coordinates of the corners, 1/m."""
     result = np.empty((len(dofs), 12))
     x, g = np.empty((4, 3)), np.empty((4, 3))
     for t in range(len(dofs)):
@@ -167,7 +170,7 @@ def _angle_gradients(q, dofs):
 
 
 @numba.njit(cache=True)
-def _add_turning(q, dofs, slope, blocks):
+def _add_angle_hessians(q, dofs, slope, blocks):
     """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
     x, frame = np.empty((4, 3)), np.empty((3, 3))
     first = (0, 3, 6, 9)
@@ -179,6 +182,6 @@ def _add_turning(q, dofs, slope, blocks):
 
 @numba.njit(inline="always")
 def _load(q, dofs, x):
-    """Copy the corners of one hinge to x (4, 3)."""
+    """Copy the corner positions of one hinge to x (4, 3)."""
     for k in range(12):
         x[k // 3, k % 3] = q[dofs[k]]

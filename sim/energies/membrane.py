@@ -1,4 +1,4 @@
-"""In-plane energy of constant-strain triangles, by a law of the Green strain."""
+"""In-plane energy of constant-strain triangles with a law of the Green strain."""
 
 from typing import Protocol
 
@@ -9,29 +9,29 @@ from sim.energies.base import Energy
 from sim.energies.convex import raise_eigenvalues
 from sim.mesh import Mesh
 
-_EQUAL = 1e-9  # difference of stretches below which they count as equal
+_TOLERANCE = 1e-9  # difference of stretches below which they count as equal
 
 
 class StrainLaw(Protocol):
     """Energy per rest area as a function of a strain.
 
-    In general the Green strain (N, 3) in warp and weft axes, E_uu, E_vv and 2 E_uv with u along
-    warp, v along weft and E = (F^T F - I)/2. Its stress (N, 3), N/m, is then S_uu, S_vv, S_uv
-    (second Piola-Kirchhoff times thickness). For :class:`OfStretches` the strain (N, 2) is that of
-    the principal stretches.
+    In general this is the Green strain (N, 3) in warp and weft axes, E_uu, E_vv and 2 E_uv with u
+    along warp, v along weft and E = (F^T F - I)/2. Its stress (N, 3), N/m, is S_uu, S_vv, S_uv
+    (second Piola-Kirchhoff times thickness). For :class:`OfStretches` the strain (N, 2) consists
+    of the principal stretches less 1.
     """
 
     def density(self, strain: np.ndarray) -> np.ndarray: ...  # (N,) J/m²
-    def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) its derivative, N/m
-    def tangent(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K, K) its second one, N/m
+    def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) first derivative, N/m
+    def tangent(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K, K) second derivative, N/m
 
 
 class StrainMembrane(Energy):
     """Rest area times the density of a :class:`StrainLaw`, for every triangle.
 
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the
-    stress times the second derivative of the strain. In the convex form the tangent and the
-    stress tensor lose their negative eigenvalues, which leaves two semi-definite terms.
+    stress times the second derivative of the strain. The convex form sets negative eigenvalues of
+    the tangent and of the stress tensor to zero, so that both terms are semi-definite.
 
     Args:
         mesh: the specimen, warp along x and weft along y.
@@ -44,7 +44,7 @@ class StrainMembrane(Energy):
         self.dofs = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
         self.areas = mesh.areas[active]
         self._law = law
-        # (N, 3, 2), 1/m: the deformation gradient F (3, 2) is the sum of corners (outer) shape
+        # (N, 3, 2), 1/m: the deformation gradient F (3, 2) is the sum of outer(corner, shape)
         a, b, c = (mesh.rest[faces[:, i]] for i in range(3))
         inverse = np.linalg.inv(np.stack([b - a, c - a], axis=-1))
         self._shape = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
@@ -74,11 +74,11 @@ class StrainMembrane(Energy):
 
 
 class OfStretches:
-    """A law of the Green strain that is one of the principal stretches: an isotropic material.
+    """A law of the Green strain given by one of the principal stretches: an isotropic material.
 
-    With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i); p are the
-    derivatives of the density by them. The principal stresses are p_i/s_i. The tangent has a part
-    of the principal strains, and one of the turning of their axes.
+    With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i). With the
+    derivatives p_i of the density by s_i, the principal stresses are p_i/s_i. The tangent has terms
+    of the principal strains and of the rotation of their axes.
 
     Args:
         law: of the strains (N, 2) s_1 - 1 and s_2 - 1.
@@ -103,7 +103,7 @@ class OfStretches:
 
 
 def _tension(stress: np.ndarray) -> np.ndarray:
-    """Stresses (N, 3) without the negative eigenvalues of their tensors."""
+    """Stresses (N, 3) with the negative eigenvalues of their tensors set to zero."""
     mean, half = (stress[:, 0] + stress[:, 1]) / 2, (stress[:, 0] - stress[:, 1]) / 2
     radius = np.hypot(half, stress[:, 2])
     low, high = np.maximum(mean - radius, 0.0), np.maximum(mean + radius, 0.0)
@@ -114,7 +114,8 @@ def _tension(stress: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True)
 def _principal(strain):
-    """Stretches (N, 2), larger first, and cosine and sine (N, 2) of twice the first's angle."""
+    """Principal stretches (N, 2), larger first, and cosine and sine (N, 2) of twice the angle of
+    its axis."""
     stretches, turn = np.empty((len(strain), 2)), np.empty((len(strain), 2))
     for t in range(len(strain)):
         total, across = strain[t, 0] + strain[t, 1], strain[t, 0] - strain[t, 1]
@@ -129,9 +130,9 @@ def _principal(strain):
 
 @numba.njit(cache=True)
 def _tangent(stretches, turn, p, pp):
-    """(N, 3, 3) of a law with derivatives p (N, 2) and pp (N, 2, 2) by the stretches."""
+    """Tangents (N, 3, 3) of a law with derivatives p (N, 2) and pp (N, 2, 2) by the stretches."""
     result = np.empty((len(p), 3, 3))
-    axes = np.empty((3, 3))  # principal strains and their turning, by components of the strain
+    axes = np.empty((3, 3))  # derivatives of principal strains and axis rotation by the strain
     for t in range(len(p)):
         cosine, sine = turn[t]
         axes[0] = (1.0 + cosine) / 2.0, (1.0 - cosine) / 2.0, sine / 2.0
@@ -139,7 +140,7 @@ def _tangent(stretches, turn, p, pp):
         axes[2] = -sine / 2.0, sine / 2.0, cosine / 2.0
         a, b = stretches[t]
         apart = a - b
-        slope = (p[t, 0] - p[t, 1]) / apart if apart > _EQUAL else pp[t, 0, 0] - pp[t, 0, 1]
+        slope = (p[t, 0] - p[t, 1]) / apart if apart > _TOLERANCE else pp[t, 0, 0] - pp[t, 0, 1]
         first = (pp[t, 0, 0] - p[t, 0] / a) / (a * a)
         second = (pp[t, 1, 1] - p[t, 1] / b) / (b * b)
         mixed = pp[t, 0, 1] / (a * b)
@@ -156,7 +157,7 @@ def _tangent(stretches, turn, p, pp):
 
 @numba.njit(cache=True)
 def _deformation(q, dofs, shape, f):
-    """The deformation gradient of one triangle, written to f (3, 2)."""
+    """Fill f (3, 2) with the deformation gradient of one triangle."""
     for i in range(3):
         f[i, 0] = f[i, 1] = 0.0
         for a in range(3):
@@ -182,7 +183,7 @@ def _strains(q, dofs, shape):
 
 @numba.njit(cache=True)
 def _strain_rows(q, dofs, shape, f, b):
-    """Fill b (3, 9) with the derivatives of one triangle's strain; f (3, 2) is scratch."""
+    """Fill b (3, 9) with the derivatives of one triangle's strain; f (3, 2) is scratch memory."""
     _deformation(q, dofs, shape, f)
     for a in range(3):
         gu, gv = shape[a]

@@ -1,10 +1,10 @@
-"""Bending by the normals of edges: a constant-curvature plate element with finite angles.
+"""Mid-edge bending: a constant-curvature plate element with edge normals and finite angles.
 
 Every edge has a normal (:mod:`sim.state`). In a triangle, phi is the angle about an edge from the
-triangle's own normal to the edge's, positive where the edge's leans outwards; those of the two
-triangles at an edge add up to its dihedral angle. The normal of a boundary edge is free, which
-makes the free edge exact; an edge between held and free cloth has the normal of the held triangle,
-which makes the clamp exact. The triangle's shape operator is
+triangle's normal to the edge's, positive if the edge normal is inclined outwards; the angles of the
+two triangles at an edge add up to its dihedral angle. The normal of a boundary edge is free: an
+exact free-edge condition. An edge between held and free cloth has the normal of the held triangle:
+an exact clamp. The triangle's shape operator is
 
     S = sum_i (2 phi_i / h_i) n_i n_i^T
 
@@ -12,9 +12,9 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
-Meshes too coarse for the cloth would fold through themselves, where phi jumps. The barrier of
-:mod:`sim.energies.fold_barrier` prevents that, times the least alpha and the rest length of the
-edge over the triangle's rest height; its pole is a quarter turn, half a turn at a clamp.
+Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
+barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
+rest length over the triangle's rest height; its pole is pi/2, at a clamp pi.
 """
 
 import copy
@@ -29,27 +29,27 @@ from sim.energies.convex import raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
 
-CONVEX_FLOOR = 0.1  # least tangent stiffness of the convex Hessian, relative to that at rest
+CONVEX_FLOOR = 0.1  # minimum tangent stiffness of the convex Hessian, relative to that at rest
 CLAMP = 6 / 5
-"""Stiffness of the row of triangles that hang on clamped edges, relative to their area's."""
+"""Stiffness of the row of triangles at clamped edges, relative to that of their area."""
 
 
 class MidEdgeBending(Energy):
-    """Plate energy of the free triangles, with the barrier against folding through.
+    """Plate energy of the free triangles, with the barrier against folding.
 
     One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
-    the normals of the edges opposite them. Those of edges between held and free cloth have to be
+    the normals of the edges opposite them. Normals of edges between held and free cloth must be
     held, too.
 
     Args:
         mesh: the specimen, material axes warp = x, weft = y.
         active: (F,) bool, triangles that store energy (those not entirely held).
-        fabric: moduli; see :mod:`sim.energies.plate_law` for the law they enter.
+        fabric: moduli of the law :mod:`sim.energies.plate_law`.
 
     Attributes:
         maps, areas, law: see :func:`curvature_maps`, :func:`bending_areas` and
             :func:`sim.energies.plate_law.constants`.
-        pole: (N, 3) rad, of the barrier, infinite on the border.
+        pole: (N, 3) rad, of the barrier, infinite at boundary edges.
     """
 
     def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
@@ -61,7 +61,7 @@ class MidEdgeBending(Energy):
         self._normals = coordinates + 3 * edges
         self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
         self.dofs = np.concatenate([self._corners, coordinates + edges], axis=1)
-        # A rotation is counted along mesh.edges, from the smaller vertex to the larger.
+        # Rotations are about mesh.edges, directed from the smaller vertex index to the larger.
         forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
         self._sign = np.where(forward, 1.0, -1.0)
         self.areas = bending_areas(mesh, active, clamped)
@@ -73,12 +73,12 @@ class MidEdgeBending(Energy):
         self._set_fabric(fabric)
 
     def _set_fabric(self, fabric: Fabric) -> None:
-        """Set all that depends on the fabric."""
+        """Set the attributes that depend on the fabric."""
         self.law = plate_law.constants(fabric)
         self._barrier = fabric.alpha.min() * self._slenderness
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
-        """The same energy of another fabric, for a fraction of the price of a new one."""
+        """The energy of another fabric, which shares all that depends on the mesh."""
         other = copy.copy(self)
         other._set_fabric(fabric)
         return other
@@ -93,7 +93,7 @@ class MidEdgeBending(Energy):
     def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
         stress, tangent = self.stress(self.curvatures(q))
         if convex:
-            # The rotations of the edges have no other stiffness: the floor is positive.
+            # Edge rotations have no other stiffness: the lower bound must be positive.
             law = self.law
             raise_eigenvalues(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
         moments = None if convex else self._moments(q, stress)
@@ -101,18 +101,18 @@ class MidEdgeBending(Energy):
                         self._fold(q)[2], moments)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        return fold_barrier.leaves_room(self.angles(old), self.angles(new), self.pole)
+        return fold_barrier.keeps_distance(self.angles(old), self.angles(new), self.pole)
 
     def angles(self, q: np.ndarray) -> np.ndarray:
-        """(N, 3) angles phi, rad."""
+        """Angles phi (N, 3), rad."""
         return self._angles.at(q, lambda q: _angles(q, self._corners, self._normals))
 
     def curvatures(self, q: np.ndarray) -> np.ndarray:
-        """(N, 3) shape operators (Sxx, Syy, Sxy) of the active triangles, 1/m."""
+        """Shape operators (N, 3) of the active triangles, Sxx, Syy, Sxy, 1/m."""
         return _mapped(self.maps, self.angles(q))
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
-        """(N,) energies, J/m², of the shape operators (N, 3), 1/m."""
+        """Energies (N,), J/m², of the shape operators (N, 3), 1/m."""
         return plate_law.energies(curvatures, self.law)
 
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +121,7 @@ class MidEdgeBending(Energy):
         return plate_law.stresses(curvatures, self.law)
 
     def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
-        """(N, 3) derivatives of the energy by the angles phi, J/rad."""
+        """Derivatives (N, 3) of the energy by the angles phi, J/rad."""
         moments = self.areas[:, None] * np.einsum("nai,na->ni", self.maps, stress)
         return moments + self._fold(q)[1]
 
@@ -132,18 +132,18 @@ class MidEdgeBending(Energy):
 
 
 def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.ndarray:
-    """Areas (N,), m², with which the active triangles count in the bending energy.
+    """Areas (N,), m², of the active triangles in the bending energy.
 
-    Clamped cloth turns at its edges: half a hinge at the clamp, whole ones behind it, so that the
-    slope far out is the trapezoidal rule's integral of the curvature. The error of that rule is
-    h²/12 times the curvature's slope at its ends, which vanishes at a free end but not at a clamp.
-    Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a curvature are
-    compliances: triangles on clamped edges get 5/6 of theirs, the next, which touch the clamp with
-    a corner, as much more as leaves the sum unchanged.
+    Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
+    slope far from the clamp is the trapezoidal rule's integral of the curvature. The error of that
+    rule is h²/12 times the derivative of the curvature at its ends, which vanishes at a free end
+    but not at a clamp. Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a
+    curvature are compliances: triangles on clamped edges get 5/6 of theirs; those that touch the
+    clamp with a corner are increased such that the sum is unchanged.
 
     Args:
         active: (F,) bool, triangles that store energy.
-        clamped: (N, 3) bool, which of their edges adjoin held triangles.
+        clamped: (N, 3) bool, whether their edges adjoin held triangles.
     """
     areas = mesh.areas[active].copy()
     first, second = rows_at_clamp(mesh, active, clamped)
@@ -157,7 +157,7 @@ def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.nda
 def rows_at_clamp(
     mesh: Mesh, active: np.ndarray, clamped: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) bool: the triangles on clamped edges, and the others that touch these."""
+    """Masks (N,) bool of the triangles on clamped edges, and of others that touch these edges."""
     rim = np.zeros(len(mesh.rest), dtype=bool)
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
     first = clamped.any(axis=1)
@@ -165,7 +165,7 @@ def rows_at_clamp(
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
-    """(F, 3, 3) matrices, 1/m, from the angles phi of a triangle's edges to (Sxx, Syy, Sxy)."""
+    """Matrices (F, 3, 3), 1/m, that map the angles phi of a triangle to (Sxx, Syy, Sxy)."""
     corners = mesh.rest[mesh.faces]
     edge = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)  # opposite corner i
     length = np.linalg.norm(edge, axis=-1)
@@ -250,11 +250,11 @@ def _gradient(q, corners, sign, moments):
 
 @numba.njit(cache=True)
 def _hessian(q, corners, sign, maps, areas, tangent, fold, moments):
-    # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent part, convex when the law is, and the
-    # turning of the triangles under their moments, indefinite; the convex form is without.
+    # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
+    # indefinite term of the moments, which the convex form omits.
     result = np.empty((len(corners), 12, 12))
     x, g, frame = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    stiffness, rows, pushed = np.empty((3, 3)), np.empty((3, 12)), np.empty((3, 12))
+    stiffness, rows, products = np.empty((3, 3)), np.empty((3, 12)), np.empty((3, 12))
     for t in range(len(corners)):
         block = result[t]
         for i in range(3):
@@ -268,12 +268,12 @@ def _hessian(q, corners, sign, maps, areas, tangent, fold, moments):
         _angle_rows(q, corners[t], sign[t], x, g, rows)
         for i in range(3):
             for k in range(12):
-                pushed[i, k] = (stiffness[i, 0] * rows[0, k] + stiffness[i, 1] * rows[1, k]
-                                + stiffness[i, 2] * rows[2, k])
+                products[i, k] = (stiffness[i, 0] * rows[0, k] + stiffness[i, 1] * rows[1, k]
+                                  + stiffness[i, 2] * rows[2, k])
         for k in range(12):
             a, b, c = rows[0, k], rows[1, k], rows[2, k]
             for m in range(k, 12):
-                block[k, m] = a * pushed[0, m] + b * pushed[1, m] + c * pushed[2, m]
+                block[k, m] = a * products[0, m] + b * products[1, m] + c * products[2, m]
             for m in range(k):
                 block[k, m] = block[m, k]
         if moments is not None:

@@ -1,4 +1,4 @@
-"""Cloth that is bent by nature: its faces differ, as after weaving, finishing or storage.
+"""Cloth with a natural curvature: its two faces differ, as after weaving, finishing or storage.
 
 A constant torque is added to that of mid-edge bending (:mod:`sim.energies.midedge`): with the
 plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
@@ -6,8 +6,8 @@ S0 in warp/weft axes,
 
     psi(S) - S : A : S0.
 
-For a linear fabric this is psi(S - S0) but for a constant: it rests with the curvature S0. For one
-that softens it is the same moment, not exactly the same curvature. A free edge curls.
+For a linear fabric this equals psi(S - S0) up to a constant, and S0 is the curvature at rest. For a
+softening fabric the moment is the same, the curvature at rest slightly different. Free edges curl.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class NaturallyCurved:
     """A bending law (:class:`sim.laws.Law`) with a natural curvature.
 
     Attributes:
-        curvature: (Sxx, Syy, Sxy), 1/m, along warp, weft and of twist; positive bends the cloth
-            down on the side from which its faces run counter-clockwise, as a drape hangs.
+        curvature: (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist; positive bends the
+            cloth as in a drape, down when its faces are counter-clockwise seen from above.
 
     Raises:
         InputError: not three finite numbers.
@@ -44,8 +44,8 @@ class NaturallyCurved:
 
 
 class CurvedBending(MidEdgeBending):
-    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m. The other
-    arguments are those of :class:`sim.energies.midedge.MidEdgeBending`."""
+    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m; other arguments
+    are those of :class:`sim.energies.midedge.MidEdgeBending`."""
 
     def __init__(
         self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray

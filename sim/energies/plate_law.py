@@ -8,14 +8,14 @@ With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
     g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
 H the shape of a softening law (:func:`sim.material.softening_shape`). The first term is convex
-where g is a multiple of a. It softens at least as fast as the fabric does in each direction, and
-the others put back what it takes too much: F_w and F_f do nothing to cloth bent along the bias,
-where Sxx = Syy, and F_b nothing along the yarns, where Sxy = 0. Each is the difference of two
-torque laws of one direction, convex in its argument.
+where g is a multiple of a. It softens at least as fast as the fabric in each direction, and the
+other terms correct the excess: F_w and F_f vanish for cloth bent along the bias, where Sxx = Syy,
+and F_b along the yarns, where Sxy = 0. Each is the difference of two torque laws of one direction,
+convex in its argument.
 
-Cloth bent to a cylinder along warp, bias or weft so carries exactly the torque
-alpha kappa + beta kappa² (up to u_c); other directions follow smoothly. psi is positive for
-S != 0, whatever the sign of the quadratic moduli.
+Thus cloth bent to a cylinder along warp, bias or weft carries exactly the torque
+alpha kappa + beta kappa² (up to u_c), with a smooth interpolation between these directions. psi is
+positive for S != 0 and any sign of the quadratic moduli.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,8 @@ METRIC = np.array([1.0, 1.0, 2.0])
 
 
 class PlateConstants(NamedTuple):
-    """Constants of a fabric's law, SI units; see the head of this module and :func:`constants`."""
+    """Constants of a fabric's law, SI units; see the docstring of this module and
+    :func:`constants`."""
 
     A11: float
     A22: float
@@ -60,11 +61,11 @@ class PlateConstants(NamedTuple):
 def constants(fabric: Fabric) -> PlateConstants:
     """Constants of a fabric's law.
 
-    rho = -beta/alpha (m) is the softening of a direction and r = rho/sqrt(alpha) the same against
-    the curvature in units of its energy, sqrt(a). Where r is alike in all directions, the first
-    term alone is the law. If the bias softens faster than warp and weft do on average, the first
-    term softens faster along both yarns by the difference; if slower, along the bias. These are
-    the rates base = sqrt(alpha) r. All is continuous in the moduli.
+    rho = -beta/alpha (m) is the softening rate of a direction, r = rho/sqrt(alpha) the rate with
+    respect to sqrt(a). If r is equal in all directions, the law is the first term alone. If the
+    bias softens faster than warp and weft on average, r of the first term is increased by the
+    difference along both yarns; if slower, along the bias. base = sqrt(alpha) r are the increased
+    rates. All constants are continuous in the moduli.
     """
     alpha, root = fabric.alpha, np.sqrt(fabric.alpha)
     rho = -fabric.beta / alpha
@@ -85,8 +86,8 @@ _shape = numba.njit(inline="always")(softening_shape)
 
 
 @numba.njit(inline="always")
-def _returned(k, alpha, base, rho, limit):
-    """F and its two derivatives at k >= 0: energy of the law rho less that of the softer base."""
+def _correction(k, alpha, base, rho, limit):
+    """F and two derivatives at k >= 0: energy of the law of ``rho`` less that of ``base``."""
     fast, fast1, _ = _shape(base * k, limit)
     slow, slow1, _ = _shape(rho * k, limit)
     return (0.5 * alpha * k * k * (slow - fast),
@@ -106,12 +107,12 @@ def energy(s, law):
     h, _, _ = _shape(u, limit)
     total = 0.5 * a * h
     if law.base_b > law.rho_b:
-        total += _returned(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
+        total += _correction(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
     d = abs(x - y)
     if law.base_w > law.rho_w and d > 0.0:
         warp, weft = law.A11 * x * x, law.A22 * y * y
-        f_w, _, _ = _returned(d, law.A11, law.base_w, law.rho_w, limit)
-        f_f, _, _ = _returned(d, law.A22, law.base_f, law.rho_f, limit)
+        f_w, _, _ = _correction(d, law.A11, law.base_w, law.rho_w, limit)
+        f_f, _, _ = _correction(d, law.A22, law.base_f, law.rho_f, limit)
         total += (warp * f_w + weft * f_f) / (warp + weft)
     return total
 
@@ -127,7 +128,7 @@ def derivatives(s, law, g, h):
     h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
     a = 0.5 * (da0 * s[0] + da1 * s[1] + da2 * s[2])
     if a <= 0.0:
-        # u is of first order in S: at S = 0 only the quadratic form remains.
+        # u is of first order in S: at S = 0 only the quadratic form contributes.
         g[0], g[1], g[2] = 0.0, 0.0, 0.0
         return
     n = np.sqrt(a)
@@ -151,8 +152,8 @@ def derivatives(s, law, g, h):
                 + a * (bend * du[i] * du[j] + slope * ddu)
             )
     if law.base_b > law.rho_b:
-        _, force, stiffness = _returned(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b,
-                                        law.u_c)
+        _, force, stiffness = _correction(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b,
+                                          law.u_c)
         g[2] += 2.0 * force * np.sign(s[2])
         h[2, 2] += 4.0 * stiffness
     if law.base_w > law.rho_w and s[0] != s[1]:
@@ -164,8 +165,8 @@ def _add_yarns(s, law, g, h):
     """Add the derivatives of w F_w + (1 - w) F_f = F_f + w (F_w - F_f)."""
     d = abs(s[0] - s[1])
     side = np.sign(s[0] - s[1])
-    f_w, force_w, stiff_w = _returned(d, law.A11, law.base_w, law.rho_w, law.u_c)
-    f_f, force_f, stiff_f = _returned(d, law.A22, law.base_f, law.rho_f, law.u_c)
+    f_w, force_w, stiff_w = _correction(d, law.A11, law.base_w, law.rho_w, law.u_c)
+    f_f, force_f, stiff_f = _correction(d, law.A22, law.base_f, law.rho_f, law.u_c)
     more, pull = f_w - f_f, side * (force_w - force_f)
     warp, weft = law.A11 * s[0] ** 2, law.A22 * s[1] ** 2
     n = warp + weft

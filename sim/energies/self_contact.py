@@ -1,9 +1,8 @@
-"""Contact of the cloth with itself: a barrier on the distances between its triangles and edges.
+"""Self-contact: a barrier on the distances between triangles and edges of the cloth.
 
-Distances, barrier, derivatives and the test of a step are those of the IPC Toolkit (Li et al.
-2020, Incremental Potential Contact; Li et al. 2023, Convergent IPC). What is added here is the
-form in which Newton's method takes an energy: blocks over a pattern that stays the same during
-one minimisation.
+Distances, barrier, derivatives and the collision test of a step are those of the IPC Toolkit (Li et
+al. 2020, Incremental Potential Contact; Li et al. 2023, Convergent IPC). This module provides them
+as an energy with Hessian blocks in a pattern that is constant during one minimisation.
 """
 
 from functools import cache
@@ -17,42 +16,42 @@ from sim.energies.base import Energy
 from sim.energies.cache import StateCache
 from sim.mesh import Mesh
 
-_HALF_WAY = 3.0 * np.log(4.0) + 4.5
+_PRESSURE_AT_HALF = 3.0 * np.log(4.0) + 4.5
 """Pressure of two parallel sheets at half the barrier's distance, in units of its stiffness: each
-side is counted once by its vertices and once by its edges, at half the area, with the slope
-3/2 log 4 + 9/4. On triangulations that do not match it comes out 8 % smaller."""
+side contributes by its vertices and by its edges, at half the area, with the slope
+3/2 log 4 + 9/4. On triangulations that do not match it is 8 % smaller."""
 
-_OVERSHOOT = 1.25  # a step is allowed if 1.25 times the step is free of collisions
+_STEP_MARGIN = 1.25  # a step is allowed if 1.25 times the step is free of collisions
 
 
 @cache
 def import_ipctk() -> ModuleType:
-    """The module ipctk, set to one thread; InputError with the remedy when it is missing."""
-    # Imported late: inference from pictures alone can do without.
+    """The module ipctk, set to one thread; InputError with the remedy if it is missing."""
+    # Imported on demand: inference without simulation does not need it.
     try:
         import ipctk
     except (ImportError, OSError) as error:
         raise InputError(f"ipctk cannot be imported ({one_line(error)}); install it with: "
                          "pip install ipctk") from None
-    ipctk.set_num_threads(1)  # as all of the simulator: one process a core, one thread each
+    ipctk.set_num_threads(1)  # the simulator runs one process per core, one thread each
     return ipctk
 
 
 class SelfContact(Energy):
     """Barrier -w k d̂ (s² - 1)² log s², s = d/d̂ < 1, on pairs of primitives at the distance d.
 
-    A pair is a vertex and a triangle, or two edges (faded out where they are parallel), without
-    a vertex in common; w is the rest area it stands for. The barrier is twice continuously
-    differentiable, zero from d̂ on and infinite at contact; second derivatives of the distance
+    A pair is a vertex and a triangle, or two edges (with a weight that vanishes where they are
+    parallel), without a common vertex; w is its rest area. The barrier is twice continuously
+    differentiable, zero for d >= d̂ and infinite at contact; second derivatives of the distance
     jump where the nearest point passes from a triangle to its edge.
 
-    Pairs come and go during a minimisation, the pattern of the Hessian does not: it couples the
-    vertices of all pairs nearer than ``reach`` at first. A block outside it is replaced by an upper
-    bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An element is a
-    vertex or a couple; the convex Hessian is semi-definite as a sum, not element by element.
+    The set of pairs changes during a minimisation, the pattern of the Hessian does not: it couples
+    the vertices of all pairs initially nearer than ``reach``. A block outside it is replaced by an
+    upper bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An element is
+    a vertex or a couple of vertices; only the sum of the convex blocks is semi-definite.
 
     Args:
-        positions: (V, 3) m, around which the pattern is built.
+        positions: (V, 3) m, for which the pattern is built.
         distance: d̂, m, below the smallest height of a triangle.
         pressure: N/m² between two sheets of cloth d̂/2 apart.
         reach: m, at least ``distance``.
@@ -64,9 +63,9 @@ class SelfContact(Energy):
         self._ipctk = import_ipctk()
         self._vertices = len(mesh.rest)
         self._distance = distance
-        rest = np.column_stack([mesh.rest, np.zeros(self._vertices)])  # gives the areas
+        rest = np.column_stack([mesh.rest, np.zeros(self._vertices)])  # defines the areas
         self._mesh = self._ipctk.CollisionMesh(rest, mesh.edges, mesh.faces)
-        self._barrier = self._ipctk.BarrierPotential(distance, pressure / _HALF_WAY,
+        self._barrier = self._ipctk.BarrierPotential(distance, pressure / _PRESSURE_AT_HALF,
                                                      use_physical_barrier=True)
         self._touching, self._blocks = StateCache(), StateCache()
         couples = self._near(positions, reach)
@@ -91,24 +90,24 @@ class SelfContact(Energy):
         return self._both_hessians(q)[int(convex)]
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
-        """False when the cloth would pass through itself on the way, or end close to doing so.
+        """False if the cloth passes through itself during the step, or ends too close to that.
 
-        A fifth of the way to the collision must be left, for the reason given at
-        :func:`sim.energies.fold_barrier.leaves_room`.
+        A fifth of the distance to the collision must remain, for the reason given at
+        :func:`sim.energies.fold_barrier.keeps_distance`.
         """
         before, after = self._positions(old), self._positions(new)
         return self._ipctk.is_step_collision_free(self._mesh, before,
-                                                  before + _OVERSHOOT * (after - before))
+                                                  before + _STEP_MARGIN * (after - before))
 
     def is_complete(self, q: np.ndarray) -> bool:
-        """Whether the pattern holds all pairs in contact at ``q``."""
+        """Whether the pattern contains all pairs in contact at ``q``."""
         return self._both_hessians(q)[2]
 
     def _positions(self, q: np.ndarray) -> np.ndarray:
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
     def _pairs(self, q: np.ndarray) -> tuple:
-        """The pairs in contact (of the toolkit) and the positions (V, 3)."""
+        """The toolkit's pairs in contact and the positions (V, 3)."""
         return self._touching.at(q, self._find_pairs)
 
     def _find_pairs(self, q: np.ndarray) -> tuple:
@@ -120,7 +119,7 @@ class SelfContact(Energy):
         return pairs, x
 
     def _both_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Exact and convex blocks (N, 6, 6), and whether the pattern holds all of them."""
+        """Exact and convex blocks (N, 6, 6), and whether the pattern contains all of them."""
         return self._blocks.at(q, self._find_hessians)
 
     def _find_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -129,14 +128,15 @@ class SelfContact(Energy):
             result = np.zeros((*self.dofs.shape, 6))
             if not pairs.empty():
                 method = getattr(self._ipctk.PSDProjectionMethod, projection)
-                whole = self._barrier.hessian(pairs, self._mesh, x, method)
-                complete = self._fill(result, whole) and complete
+                hessian = self._barrier.hessian(pairs, self._mesh, x, method)
+                complete = self._fill(result, hessian) and complete
             blocks.append(result)
         return *blocks, complete
 
-    def _fill(self, result: np.ndarray, whole: sparse.spmatrix) -> bool:
-        """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if blocks are left."""
-        blocks = sparse.bsr_matrix(whole, blocksize=(3, 3))
+    def _fill(self, result: np.ndarray, hessian: sparse.spmatrix) -> bool:
+        """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if the pattern lacks
+        blocks."""
+        blocks = sparse.bsr_matrix(hessian, blocksize=(3, 3))
         row = np.repeat(np.arange(self._vertices), np.diff(blocks.indptr))
         column, data = blocks.indices.astype(np.int64), blocks.data
         diagonal, upper = row == column, row < column
@@ -147,15 +147,15 @@ class SelfContact(Energy):
         element = self._vertices + np.searchsorted(self._keys, couple[found])
         result[element, :3, 3:] = data[found]
         result[element, 3:, :3] = np.swapaxes(data[found], 1, 2)
-        # [[|B|, -B], [-B', |B|]] is semi-definite and makes up for a block B left out.
-        left = ~found
-        bound = np.linalg.norm(data[left], axis=(1, 2))[:, None, None] * np.eye(3)
+        # [[|B|, -B], [-B', |B|]] is semi-definite: adding it replaces B by a bound on the diagonal.
+        lacking = ~found
+        bound = np.linalg.norm(data[lacking], axis=(1, 2))[:, None, None] * np.eye(3)
         for vertex in (row, column):
-            np.add.at(result[:, :3, :3], vertex[left], bound)
-        return not left.any()
+            np.add.at(result[:, :3, :3], vertex[lacking], bound)
+        return not lacking.any()
 
     def _near(self, positions: np.ndarray, reach: float) -> np.ndarray:
-        """(C, 2) couples of vertices, sorted, of all pairs nearer than ``reach``."""
+        """Couples (C, 2) of vertices, sorted, of all pairs nearer than ``reach``."""
         x = np.asfortranarray(positions)
         edges, faces = self._mesh.edges, self._mesh.faces
         candidates = self._ipctk.Candidates()
@@ -163,7 +163,7 @@ class SelfContact(Energy):
         corners = [
             pair.vertex_ids(edges, faces)
             for pair in [*candidates.fv_candidates, *candidates.ee_candidates]
-            if pair.compute_distance(pair.dof(x, edges, faces)) < reach**2  # squared, there
+            if pair.compute_distance(pair.dof(x, edges, faces)) < reach**2  # squared distance
         ]
         corners = np.array(corners, dtype=np.int64).reshape(-1, 4)
         couples = corners[:, np.stack(np.triu_indices(4, 1), axis=-1)].reshape(-1, 2)

@@ -1,8 +1,8 @@
-"""Bending by a free curve of torque, the same in all directions.
+"""Isotropic bending with a tabulated torque curve.
 
-With |S|² = Sxx² + Syy² + 2 Sxy² and W the work of the torque up to a curvature, the energy per area
-is W(|S|): cloth bent to a cylinder along any direction carries the torque of the curve. Of the
-curve of :func:`sim.material.torque` this is the law of an isotropic fabric
+With |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature, the energy per
+area is W(|S|): cloth bent to a cylinder along any direction carries the torque of the curve. For
+the curve of :func:`sim.material.torque` this is the law of an isotropic fabric
 (:mod:`sim.energies.plate_law`).
 """
 
@@ -18,15 +18,15 @@ from sim.energies.plate_law import METRIC
 from sim.material import Fabric
 from sim.mesh import Mesh
 
-_SMALLEST = 1e-6  # 1/m, below which cloth counts as flat
+_MIN_CURVATURE = 1e-6  # 1/m, below which cloth counts as flat
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueLaw:
-    """A bending law (:class:`sim.laws.Law`), such as :mod:`sim.cantilever.torque_curve` finds it.
+    """A bending law (:class:`sim.laws.Law`), estimated by :mod:`sim.cantilever.torque_curve`.
 
-    The torque is the monotone cubic spline (PCHIP) through the knots; beyond the last it goes on
-    with the slope of the last interval. The moduli of the fabric do not count.
+    The torque is the monotone cubic spline (PCHIP) through the knots, continued linearly with the
+    slope of the last interval. The moduli of the fabric are ignored.
 
     Attributes:
         curvature, torque: (K,) 1/m and N per width, of cloth of 300 g/m², at which drapes are
@@ -52,7 +52,7 @@ class TorqueLaw:
     @cached_property
     def spline(self) -> PchipInterpolator:
         """Torque, N, by curvature, 1/m."""
-        # One more interval like the last, which PCHIP makes straight.
+        # A repetition of the last interval: PCHIP is linear there.
         return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
                                    for v in (self.curvature, self.torque)))
 
@@ -66,16 +66,16 @@ class CurveBending(MidEdgeBending):
     def __init__(self, mesh: Mesh, active: np.ndarray, *, law: TorqueLaw) -> None:
         self._torque, self._work = law.spline, law.spline.antiderivative()
         self._stiffness = law.spline.derivative()
-        # For the barrier against folds, and the least stiffness of the convex Hessian.
+        # For the fold barrier and the minimum stiffness of the convex Hessian.
         super().__init__(mesh, active, fabric=Fabric(np.full(3, float(self._stiffness(0.0)))))
 
     def density(self, curvatures: np.ndarray) -> np.ndarray:
         return self._work(np.sqrt(curvatures**2 @ METRIC))
 
     def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _SMALLEST)
-        way = METRIC * curvatures / size[:, None]
+        size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _MIN_CURVATURE)
+        direction = METRIC * curvatures / size[:, None]
         torque, across = self._torque(size), (self._torque(size) / size)[:, None, None]
         along = self._stiffness(size)[:, None, None] - across
-        tangent = across * np.diag(METRIC) + along * way[:, :, None] * way[:, None, :]
-        return torque[:, None] * way, tangent
+        tangent = across * np.diag(METRIC) + along * direction[:, :, None] * direction[:, None, :]
+        return torque[:, None] * direction, tangent

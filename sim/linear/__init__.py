@@ -1,4 +1,4 @@
-"""Sparse symmetric systems: assembly into a fixed pattern, and solvers behind one interface."""
+"""Sparse symmetric systems: assembly into a fixed pattern, and direct solvers."""
 
 from sim.linear.pattern import SparsePattern
 from sim.linear.solvers import CholeskySolver, available_solvers, make_solver

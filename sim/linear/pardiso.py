@@ -1,4 +1,4 @@
-"""Cholesky factorisation by Intel MKL PARDISO, in single precision where that is enough."""
+"""Cholesky factorisation by Intel MKL PARDISO, in single precision where that is sufficient."""
 
 import ctypes
 import functools
@@ -11,20 +11,20 @@ import numpy as np
 
 from sim.linear.pattern import SparsePattern
 
-_CHECKS = 1  # failures in single precision that are checked in double before they are believed
-_ROUGH = 1e-2  # of the error before the last refinement, which about squares it
-_LENGTH = 0.1  # by which a rough solution's best length may differ from its own
-_REFINEMENTS = 10
-_REPRODUCIBLE = 2  # MKL_CBWR_AUTO; without it, results change when PyTorch is loaded beside MKL
+_CHECKS = 1  # number of single-precision failures that are verified in double precision
+_TOLERANCE = 1e-2  # of the error before the last refinement, which about squares it
+_LENGTH_TOLERANCE = 0.1  # of the optimal scaling of a rough solution, from 1
+_MAX_REFINEMENTS = 10
+_REPRODUCIBLE = 2  # MKL_CBWR_AUTO; without it, results change if PyTorch is loaded, too
 
 
 class PardisoSolver:
-    """Factors in double precision, or rough ones in single precision with refined solutions.
+    """Factors in double precision, or rough factors in single precision with refined solutions.
 
-    A single factor takes about two thirds of the time. Refinement is by conjugate gradients in
-    double precision with that factor as preconditioner; two steps nearly always suffice, one for a
-    rough solution. For matrices so ill-conditioned that single precision misjudges the first that
-    is not definite, or refines too slowly, the solver stays with double precision.
+    A single-precision factor takes about two thirds of the time. Refinement uses conjugate
+    gradients in double precision with that factor as preconditioner; two steps nearly always
+    suffice, one for a rough solution. The solver switches to double precision for good if the first
+    failure in single precision proves wrong, or if a refinement converges too slowly.
     """
 
     name = "pardiso"
@@ -33,7 +33,7 @@ class PardisoSolver:
         self._pattern = pattern
         self._double = _Factor(pattern)
         self._single: _Factor | None = None
-        self._single_serves = True
+        self._single_suffices = True
         self._checks = _CHECKS
         self._refined = False
 
@@ -41,7 +41,7 @@ class PardisoSolver:
         """See :meth:`sim.linear.solvers.CholeskySolver.factorise`."""
         if not np.isfinite(data).all():
             return False
-        rough = rough and self._single_serves
+        rough = rough and self._single_suffices
         self._data = data
         if rough and self._single is None:
             self._single = _Factor(self._pattern, order=self._double.order, single=True)
@@ -53,7 +53,7 @@ class PardisoSolver:
         definite = self._double.factorise(data)
         if rough:
             self._checks -= 1
-            self._single_serves = not definite
+            self._single_suffices = not definite
         return definite
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
@@ -61,39 +61,39 @@ class PardisoSolver:
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
-        """Conjugate gradients; stops early rather than follow a direction of no curvature. A
-        ``rough`` solution is that of the first step if the matrix says it has the right length."""
+        """Conjugate gradients, stopped at a direction of non-positive curvature. A ``rough``
+        solution is that of the first step if its optimal scaling is close to 1."""
         x, residual = np.zeros(len(rhs)), np.array(rhs, dtype=np.float64)
         step = self._single.solve(residual)
         error = residual @ step
-        enough = _ROUGH**2 * error
-        for _ in range(_REFINEMENTS):
+        target = _TOLERANCE**2 * error
+        for _ in range(_MAX_REFINEMENTS):
             image = _times(self._data, self._pattern.indices, self._pattern.indptr, step)
             curvature = step @ image
             if not curvature > 0.0:
                 break
             length = error / curvature
             x += length * step
-            if rough and abs(length - 1.0) < _LENGTH:
+            if rough and abs(length - 1.0) < _LENGTH_TOLERANCE:
                 return x
             rough = False
             residual -= length * image
-            if error <= enough:
+            if error <= target:
                 return x
             move = self._single.solve(residual)
             before, error = error, residual @ move
             step = move + error / before * step
-        self._single_serves = False
+        self._single_suffices = False
         return x
 
 
 class _Factor:
-    """A factor by PARDISO in one precision, on one thread, reproducible to the bit.
+    """A PARDISO factor in one precision, on one thread, bitwise reproducible.
 
     Args:
         pattern: of the matrices.
-        order: (n,) int32, how an earlier analysis found to eliminate; None to find it again.
-        single: whether to calculate in single precision.
+        order: (n,) int32, elimination order of an earlier analysis; None to compute one.
+        single: whether to use single precision.
     """
 
     _positive_definite = 2  # PARDISO's matrix type
@@ -108,9 +108,9 @@ class _Factor:
         self._dtype = np.float32 if single else np.float64
         self._memory = np.zeros(64, dtype=np.int64)  # PARDISO's addresses
         self._settings = np.zeros(64, dtype=np.int32)
-        self._settings[0] = 1  # the settings below are ours, the others zero:
+        self._settings[0] = 1  # user settings; all others are zero
         self._settings[1] = 2  # nested dissection; no iterative refinement
-        self._settings[4] = 2 if order is None else 1  # returns its order, or takes ours
+        self._settings[4] = 2 if order is None else 1  # return the order, or use the given one
         self._settings[27] = single
         self._settings[34] = 1  # rows and columns count from zero
         self.order = np.zeros(self._size, dtype=np.int32) if order is None else order
@@ -120,7 +120,7 @@ class _Factor:
         self._require(self._call(self._analyse))
 
     def factorise(self, data: np.ndarray) -> bool:
-        """Whether the matrix with CSR data (nnz,) has a factor."""
+        """Factor the matrix with CSR data (nnz,); whether it is positive definite."""
         self._data = np.ascontiguousarray(data, dtype=self._dtype)
         error = self._call(self._factorise)
         if error != self._not_definite:
@@ -128,7 +128,7 @@ class _Factor:
         return error == 0
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """(n,) float64 solution for rhs (n,)."""
+        """Solution (n,) float64 for rhs (n,)."""
         rhs = np.ascontiguousarray(rhs, dtype=self._dtype)
         solution = np.empty_like(rhs)
         self._require(self._call(self._solve, rhs, solution))
@@ -149,7 +149,7 @@ class _Factor:
         return error.value
 
     def _require(self, error: int) -> None:
-        """LinAlgError, of a matrix that cannot be solved, or MemoryError unless ``error`` is 0."""
+        """Raise MemoryError or LinAlgError for a PARDISO ``error`` other than 0."""
         if error:
             kind = MemoryError if error == self._no_memory else np.linalg.LinAlgError
             raise kind(f"PARDISO ended with error {error}")
@@ -166,10 +166,10 @@ def _pointer(array: np.ndarray | None, kind: type | None = ctypes.c_int32):
 
 @functools.cache
 def find_mkl() -> ctypes.CDLL:
-    """MKL's library, found by pypardiso, whose slow search of the disk we spare ourselves.
+    """MKL's library, loaded by pypardiso; its path is set to avoid pypardiso's slow search.
 
-    Its ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at
-    every call.
+    Its ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at every
+    call.
     """
     if "PYPARDISO_MKL_RT" not in os.environ:
         try:
@@ -188,7 +188,7 @@ def find_mkl() -> ctypes.CDLL:
 
 @numba.njit(cache=True)
 def _times(data, indices, indptr, x):
-    """Product of the symmetric matrix, given by its upper triangle, and x (n,)."""
+    """Product of a symmetric matrix, given by its upper triangle, and x (n,)."""
     result = np.zeros(len(x))
     for i in range(len(x)):
         total = data[indptr[i]] * x[i]  # the diagonal comes first

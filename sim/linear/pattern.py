@@ -1,4 +1,4 @@
-"""Assembly of element blocks into the upper triangle of one sparse matrix."""
+"""Assembly of element blocks into the upper triangle of a sparse matrix."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,9 @@ from scipy import sparse
 
 
 class SparsePattern:
-    """Upper triangle (with diagonal) of the symmetric matrices that given stencils add up to.
+    """Pattern of the upper triangle (with diagonal) of symmetric matrices assembled from stencils.
 
-    The structure is found once; :meth:`assemble` then only adds numbers.
+    The structure is computed once; :meth:`assemble` only adds values.
 
     Args:
         stencils: for each energy, (N, K) int64 rows of the matrix, -1 for absent or held.
@@ -22,11 +22,11 @@ class SparsePattern:
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
         self.size = size
-        elements = [np.arange(size)[:, None], *stencils]  # every diagonal entry is there
+        elements = [np.arange(size)[:, None], *stencils]  # every diagonal entry is present
         rows = np.concatenate([rows.ravel() for rows in elements])
         lengths = np.concatenate([np.full(len(rows), rows.shape[1]) for rows in elements])
         element, present = np.repeat(np.arange(len(lengths)), lengths), rows >= 0
-        # Two rows meet where one element has both.
+        # Entry (i, j) is present if one element has both rows.
         ones = np.ones(present.sum(), dtype=np.float32)
         has = sparse.csr_matrix((ones, (element[present], rows[present])), (len(lengths), size))
         upper = sparse.triu(has.T @ has, format="csr")
@@ -36,7 +36,7 @@ class SparsePattern:
         self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
     def assemble(self, blocks: Sequence[np.ndarray | None]) -> np.ndarray:
-        """Sum of symmetric blocks (N, K, K), one array or None per stencil, as CSR data (nnz,)."""
+        """CSR data (nnz,) of the sum of symmetric blocks: (N, K, K) or None for each stencil."""
         data = np.zeros(len(self.indices))
         for slots, block in zip(self._slots, blocks, strict=True):
             if block is not None:
@@ -44,14 +44,14 @@ class SparsePattern:
         return data
 
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
-        """The whole matrix as a SciPy matrix."""
+        """The full symmetric SciPy matrix of the CSR data (nnz,)."""
         upper = sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
         return (upper + sparse.triu(upper, 1).T).tocsr()
 
 
 @numba.njit(cache=True)
 def _slots(stencil, indptr, indices):
-    """(N, K(K+1)/2) where the upper triangle of each block goes in the CSR data, -1: nowhere."""
+    """Indices (N, K(K+1)/2) of the upper triangle of each block in the CSR data; -1: absent."""
     n, k = stencil.shape
     slots = np.full((n, k * (k + 1) // 2), -1, dtype=np.int32)
     for t in range(n):

@@ -1,4 +1,4 @@
-"""Direct solvers for sparse symmetric matrices that say whether the matrix is positive definite."""
+"""Direct solvers for sparse symmetric matrices with a test of positive definiteness."""
 
 import functools
 from typing import Protocol
@@ -13,24 +13,24 @@ from sim.linear.pattern import SparsePattern
 
 
 class CholeskySolver(Protocol):
-    """Factorises matrices of one pattern; the analysis of the pattern is done once.
+    """Factorises matrices of one pattern, which is analysed once.
 
-    A ``rough`` factor is cheaper: its verdict is no proof, and solutions have a relative error of
-    about 1e-4 in the matrix's norm. A ``rough`` solution by such a factor may have an error of a
-    few hundredths, for half the price.
+    A ``rough`` factor is cheaper: it does not prove definiteness, and its solutions have a relative
+    error of about 1e-4 in the matrix's norm. A ``rough`` solution by such a factor may have an
+    error of a few per cent, at half the cost.
     """
 
     name: str
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
-        """Factor the matrix with CSR data (nnz,); False: it is not positive definite or finite."""
+        """Factor the matrix with CSR data (nnz,); False if not positive definite or finite."""
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        """Solve with the last factor, which must exist; rhs (n,)."""
+        """Solution (n,) for rhs (n,) with the last factor, which must exist."""
 
 
 class SuperLUSolver:
-    """SciPy's SuperLU in symmetric mode: slower, but present wherever SciPy is."""
+    """SciPy's SuperLU in symmetric mode: slower, but always available."""
 
     name = "superlu"
 
@@ -48,7 +48,7 @@ class SuperLUSolver:
                                 options={"SymmetricMode": True})
         except RuntimeError:  # exactly singular
             return False
-        # With diagonal pivots, U's diagonal holds the pivots, and their signs the inertia.
+        # With diagonal pivots, the signs of U's diagonal give the inertia.
         diagonal_pivots = np.array_equal(self._factor.perm_r, self._factor.perm_c)
         return diagonal_pivots and bool((self._factor.U.diagonal() > 0).all())
 
@@ -62,7 +62,7 @@ _SOLVERS = {solver.name: solver for solver in (PardisoSolver, SuperLUSolver)}
 
 @functools.cache
 def available_solvers() -> tuple[str, ...]:
-    """Names of the solvers that work here, fastest first."""
+    """Names of the solvers available on this machine, fastest first."""
     try:
         find_mkl()
     except (ImportError, OSError):

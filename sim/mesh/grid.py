@@ -1,4 +1,4 @@
-"""Grids of triangles: strips, and what is compared on regular meshes."""
+"""Triangulated grids, for strips and for comparisons on regular meshes."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ DIAGONALS = ("random", "alternating", "equal")
 def grid_faces(diagonals: np.ndarray) -> np.ndarray:
     """Faces (2*(nx-1)*(ny-1), 3) of a grid of nx × ny vertices numbered i*ny + j.
 
-    ``diagonals`` (nx-1, ny-1) bool: whether a cell's diagonal runs from its corner (i, j) to
-    (i+1, j+1) rather than between the other two. Counter-clockwise for i along x, j along y.
+    ``diagonals`` (nx-1, ny-1) bool: whether a cell's diagonal joins its corners (i, j) and
+    (i+1, j+1) or the other two. Counter-clockwise for i along x, j along y.
     """
     nx, ny = diagonals.shape[0] + 1, diagonals.shape[1] + 1
     index = np.arange(nx * ny).reshape(nx, ny)
@@ -38,8 +38,8 @@ def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator
 def grid_points(
     shape: tuple[int, int], size: tuple[float, float], jitter: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points (nx, ny, 2), m, of a grid over [0, size]², inner ones moved at random. Each coordinate
-    moves by at most ``jitter`` times the spacing; points on a side stay on it."""
+    """Points (nx, ny, 2), m, of a grid over [0, size]², moved at random: each coordinate by at most
+    ``jitter`` times the spacing; points on a side move along it."""
     axes = [np.linspace(0.0, size[k], shape[k]) for k in range(2)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     moves = rng.uniform(-jitter, jitter, points.shape)
@@ -53,12 +53,12 @@ def strip(
     *, length: float, width: float, edge: float, clamp: float, diagonals: str = "alternating",
     jitter: float = 0.0, seed: int = 0
 ) -> tuple[Mesh, np.ndarray]:
-    """A strip along +x that starts with a clamped piece of length ``clamp`` at x < 0.
+    """A strip along +x with a clamped part of length ``clamp`` at x < 0.
 
     Args:
-        length, width, edge, clamp: m; the spacing is ``edge`` along and across, of which the clamp
-            is a multiple.
-        jitter: as in :func:`grid_points`; the column x = 0 stays in place.
+        length, width, edge, clamp: m; the spacing is ``edge`` along and across; ``clamp`` must be a
+            multiple of it.
+        jitter: as in :func:`grid_points`; the column x = 0 does not move along x.
 
     Returns:
         The mesh and the mask (V,) bool of the clamped vertices, x <= 0.

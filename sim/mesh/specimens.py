@@ -1,4 +1,4 @@
-"""The mesh of a rig's specimen: how fine, where the specimen lies, which vertices are held."""
+"""Meshes of a rig's specimen: edge length, offset from the plate, held vertices."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,26 +12,26 @@ from sim.mesh.topology import Mesh
 from sim.scene import GRAVITY, Rig
 
 TOPOLOGIES = 8
-"""Meshes of one size, alike but for their random numbers; drapes share them."""
+"""Number of random triangulations of one size; drapes share them."""
 GRADING = 4.0
-"""Edges at the hem over edges at the rim."""
-LONGEST = 0.020
-"""Length, m, to which edges grow at most, so that coarse meshes hold the folds of a start."""
+"""Edge length at the hem over edge length at the rim."""
+MAX_EDGE = 0.020
+"""Maximum edge length, m, so that coarse meshes resolve the folds of a start."""
 DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
 EDGES_PER_LENGTH = 6.5
-_STEP = 2.5  # of the edges' length from one mesh of a drape to the next
-COARSEST = 0.013
-"""Longest edges at the rim, m, that a drape is started on."""
-BORROWED_COARSEST = 0.008
-"""The same for a borrowed drape, whose folds have to survive."""
-EDGES = (5e-4, 5e-2)
-"""Lengths of edges at the rim, m: least, for memory and time; most, for a plate of its shape."""
-SHARED_OFFSET = 0.2
-"""Largest offset, in widths of the overhang, that moves a base mesh; beyond it, triangles on the
-narrow side would lose more than a fifth of their width, and a mesh is made for the offset."""
-_ROOM = 2.0  # edges between rim and border, at least
-_SIZES = 5e-3  # m: a mesh is made for whole multiples of it
-_STRETCH = 0.03  # largest change of such a mesh's size, or of its plate's, that moves its points
+_REFINEMENT = 2.5  # ratio of edge lengths of successive meshes of a drape
+MAX_COARSE_EDGE = 0.013
+"""Maximum edge length at the rim, m, of the first mesh of a drape."""
+MAX_BORROWED_EDGE = 0.008
+"""The same for a warm start from another drape, whose folds must be resolved."""
+EDGE_RANGE = (5e-4, 5e-2)
+"""Edge lengths at the rim, m; limited by memory and time, and by the shape of the plate."""
+MAX_SHARED_OFFSET = 0.2
+"""Maximum offset, in widths of the overhang, for which a base mesh is deformed. Beyond it,
+triangles on the narrow side would lose more than a fifth of their width: a new mesh is made."""
+_MIN_EDGES_ACROSS = 2.0  # between rim and border
+_SIZE_STEP = 5e-3  # m; sizes of base meshes are multiples of it
+_MAX_SCALING = 0.03  # maximum relative change of a base mesh's size, or of its plate's
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,47 +53,48 @@ def make_specimen(
 ) -> Specimen:
     """Mesh the specimen of ``rig``.
 
-    Specimens of nearly one size, and those with an offset up to :data:`SHARED_OFFSET`, share the
-    faces of a base mesh and differ in its points: the plate's move with the plate, those of the
+    Specimens of similar size, and those with an offset up to :data:`MAX_SHARED_OFFSET`, share the
+    faces of a base mesh with other points: those on the plate move with the plate, those on the
     border with the border, others in proportion.
 
     Args:
-        edge: length of the edges at the plate's rim, m, within :data:`EDGES`. Without a plate,
-            of all edges.
-        topology: which of the :data:`TOPOLOGIES` random meshes.
+        edge: edge length at the plate's rim, m, within :data:`EDGE_RANGE`. Without a plate, of all
+            edges.
+        topology: index of one of the :data:`TOPOLOGIES` random triangulations.
         offset: specimen's centre from the plate's axis, m.
-        grading: edges at the hem over ``edge``, at least 1; they grow by 10 % per edge until
-            then, or to :data:`LONGEST`. Edges on the plate grow faster, they store no energy.
+        grading: edge length at the hem over ``edge``, at least 1. Lengths grow by 10 % per edge, up
+            to :data:`MAX_EDGE`; on the plate, where triangles store no energy, they grow faster.
     """
     _check(rig, edge, topology, offset, grading)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
-    # In the axes of the sides, from which the warp may be off.
-    way = np.asarray(offset, dtype=float) @ rig.sides
-    shared = np.hypot(*way) <= SHARED_OFFSET * overhang
+    # In the axes of the sides, which may differ from warp and weft.
+    along_sides = np.asarray(offset, dtype=float) @ rig.sides
+    shared = np.hypot(*along_sides) <= MAX_SHARED_OFFSET * overhang
     base = _base_rig(rig)
     specimen = _base_specimen(base, float(edge), int(topology),
-                              (0.0, 0.0) if shared else tuple(way.tolist()), float(grading))
-    if rig == base and not (shared and way.any()):
+                              (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
+    if rig == base and not (shared and along_sides.any()):
         return specimen
     rest = specimen.mesh.rest
-    share = np.where(specimen.held, 0.0, share_of_offset(rest, base, (0, 0) if shared else way))
+    share = share_of_offset(rest, base, (0, 0) if shared else along_sides)
+    share = np.where(specimen.held, 0.0, share)
     if rig.has_plate:
         plate = rig.plate_diameter / base.plate_diameter
         border = rig.specimen_size / base.specimen_size
         rest = rest * (plate + (border - plate) * share)[:, None]
     if shared:
-        rest = rest + share[:, None] * way
+        rest = rest + share[:, None] * along_sides
     return Specimen(specimen.mesh.with_rest(rest @ rig.sides.T), specimen.held)
 
 
 def _base_rig(rig: Rig) -> Rig:
-    """The rig whose meshes serve ``rig``: of whole sizes, cut along the yarns."""
+    """The rig whose meshes are used for ``rig``: of rounded sizes, cut along the yarns."""
     if not rig.has_plate:
         return rig
     sizes = np.array([rig.specimen_size, rig.plate_diameter])
-    whole = np.round(_SIZES * np.round(sizes / _SIZES), 6)
-    near = (np.abs(whole - sizes) <= _STRETCH * sizes).all()
-    return Rig(*(whole if near else sizes).tolist(), specimen=rig.specimen)
+    rounded = np.round(_SIZE_STEP * np.round(sizes / _SIZE_STEP), 6)
+    near = (np.abs(rounded - sizes) <= _MAX_SCALING * sizes).all()
+    return Rig(*(rounded if near else sizes).tolist(), specimen=rig.specimen)
 
 
 def _check(
@@ -109,22 +110,22 @@ def _check(
         raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
     longest = longest_edge(rig, offset)
     if not edge <= longest:
-        raise InputError(f"an overhang of {1e3 * _ROOM * longest:.3g} mm at its narrowest is too "
-                         f"narrow for edges of {1e3 * edge:.3g} mm, which need "
-                         f"{1e3 * _ROOM * edge:.3g} mm; reduce the offset or refine")
+        raise InputError(f"an overhang of {1e3 * _MIN_EDGES_ACROSS * longest:.3g} mm at its "
+                         f"narrowest is too narrow for edges of {1e3 * edge:.3g} mm, which need "
+                         f"{1e3 * _MIN_EDGES_ACROSS * edge:.3g} mm; reduce the offset or refine")
 
 
 def longest_edge(rig: Rig, offset: tuple[float, float]) -> float:
-    """Length, m, of edges at the rim above which an overhang is too narrow for a mesh."""
+    """Maximum edge length at the rim, m, for the narrowest overhang of a specimen."""
     if not rig.has_plate:
         return np.inf
-    way = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
-    return ((rig.specimen_size - rig.plate_diameter) / 2 - way) / _ROOM
+    shift = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
+    return ((rig.specimen_size - rig.plate_diameter) / 2 - shift) / _MIN_EDGES_ACROSS
 
 
 def check_edge(edge: float) -> None:
-    """InputError for a length of edges at the rim, m, that no mesh has (:data:`EDGES`)."""
-    least, most = EDGES
+    """InputError for an edge length at the rim, m, outside :data:`EDGE_RANGE`."""
+    least, most = EDGE_RANGE
     if not least <= edge <= most:
         raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
                          f"{1e3 * most:g} mm")
@@ -134,8 +135,8 @@ def check_edge(edge: float) -> None:
 def _base_specimen(
     rig: Rig, edge: float, topology: int, centre: tuple[float, float], grading: float
 ) -> Specimen:
-    """A specimen around ``centre``, triangulated for that place."""
-    largest = max(edge, min(grading * edge, LONGEST))
+    """A specimen around ``centre``, triangulated for that offset."""
+    largest = max(edge, min(grading * edge, MAX_EDGE))
     mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
         return Specimen(mesh, np.arange(len(mesh.rest)) < count)
@@ -146,18 +147,18 @@ def _base_specimen(
 def share_of_offset(
     rest: np.ndarray, rig: Rig, centre: np.ndarray | tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
-    """Share (V,) of an offset's change that moves points (V, 2) m of a specimen around ``centre``:
-    zero on the plate, one on the border, in proportion between them."""
+    """Share (V,) of a change of offset by which points (V, 2), m, of a specimen around ``centre``
+    move: zero on the plate, one on the border, proportional between them."""
     to_plate, to_border = rig.to_plate(rest), np.maximum(rig.to_border(rest, centre), 0.0)
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
 def default_edge(fabric: Fabric, rig: Rig) -> float:
-    """Edge length at the rim, m, that suits the fabric: 2, 2.5, 3 or 4 mm.
+    """Default edge length at the rim, m, for a fabric: 2, 2.5, 3 or 4 mm.
 
-    The longest that goes :data:`EDGES_PER_LENGTH` times into the bending length (alpha/rho g)^⅓ of
-    the softest direction, because softer cloth makes narrower folds; few, so that drapes share
-    meshes. Without a plate, what such a mesh has at the hem: 8 to 16 mm.
+    The largest of which :data:`EDGES_PER_LENGTH` fit into the bending length (alpha/rho g)^⅓ of the
+    softest direction, because softer cloth has narrower folds. The few values let drapes share
+    meshes. Without a plate, the edge length of such a mesh at the hem: 8 to 16 mm.
     """
     length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
     fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
@@ -165,11 +166,11 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
     return edge if rig.has_plate else GRADING * edge
 
 
-def coarse_to_fine(edge: float, coarsest: float = COARSEST) -> list[float]:
-    """Edges at the rim, m, of a drape's meshes, each time 2.5 times shorter; none but
-    the last is above ``coarsest``. InputError for an edge out of :data:`EDGES`."""
+def coarse_to_fine(edge: float, coarsest: float = MAX_COARSE_EDGE) -> list[float]:
+    """Edge lengths at the rim, m, of a drape's meshes, each 2.5 times shorter than the previous;
+    all but the last are at most ``coarsest``. InputError for an edge outside :data:`EDGE_RANGE`."""
     check_edge(edge)
     levels = [edge]
-    while _STEP * levels[0] <= coarsest:
-        levels.insert(0, _STEP * levels[0])
+    while _REFINEMENT * levels[0] <= coarsest:
+        levels.insert(0, _REFINEMENT * levels[0])
     return levels

@@ -1,4 +1,4 @@
-"""Flat triangulations, and what their topology gives: edges, smoothing, normals."""
+"""Flat triangulations: edges, areas, adjacency, smoothing, vertex normals."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,20 +22,20 @@ class Mesh:
     faces: np.ndarray
 
     def with_rest(self, rest: np.ndarray) -> "Mesh":
-        """The mesh of the same triangles between other rest points (V, 2), m."""
+        """The mesh of the same triangles with other rest points (V, 2), m."""
         moved = Mesh(rest=rest, faces=self.faces)
-        # What is known of the topology is shared: cached properties are kept in __dict__.
+        # Tables of the topology are shared: cached properties are stored in __dict__.
         moved.__dict__["_edge_tables"] = self._edge_tables
         return moved
 
     @cached_property
     def areas(self) -> np.ndarray:
-        """(F,) rest areas, m²."""
+        """Rest areas (F,), m²."""
         return 0.5 * doubled_areas(self.rest, self.faces)
 
     @cached_property
     def vertex_areas(self) -> np.ndarray:
-        """(V,) a third of the area of the triangles around each vertex, m²."""
+        """Areas (V,) of the vertices, m²: a third of the area of the triangles around each."""
         shares = np.repeat(self.areas / 3, 3)
         return np.bincount(self.faces.ravel(), shares, minlength=len(self.rest))
 
@@ -56,23 +56,23 @@ class Mesh:
 
     @property
     def edges(self) -> np.ndarray:
-        """(E, 2) vertex pairs, smaller index first."""
+        """Edges (E, 2) as vertex pairs, smaller index first."""
         return self._edge_tables[0]
 
     @cached_property
     def edge_lengths(self) -> np.ndarray:
-        """(E,) at rest, m."""
+        """Rest lengths (E,) of the edges, m."""
         ends = self.rest[self.edges]
         return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
 
     @property
     def face_edges(self) -> np.ndarray:
-        """(F, 3) the edge opposite each corner."""
+        """Edges (F, 3) opposite each corner of the faces."""
         return self._edge_tables[1]
 
     @property
     def edge_faces(self) -> np.ndarray:
-        """(E, 2) the faces on either side, -1 where there is none."""
+        """Faces (E, 2) on both sides of the edges, -1 beyond the boundary."""
         return self._edge_tables[2]
 
 
@@ -85,18 +85,18 @@ def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2) of any triangles (F, 3), smaller index first, and how many triangles each has
-    (E,); those of a specimen are :class:`Mesh`'s."""
+    """Edges (E, 2) of any triangles (F, 3), smaller index first, and the number (E,) of triangles
+    at each; for a specimen use :class:`Mesh`."""
     return np.unique(_sides(faces), axis=0, return_counts=True)
 
 
 def _sides(faces: np.ndarray) -> np.ndarray:
-    """(3 F, 2) vertices of the triangles' sides, smaller first; the i-th opposite corner i."""
+    """Sides (3 F, 2) of triangles as vertex pairs, smaller first; side i is opposite corner i."""
     return np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
 
 
 def adjacency(mesh: Mesh) -> sparse.csr_matrix:
-    """(V, V) with a one for each two vertices that an edge joins."""
+    """Adjacency matrix (V, V) of the vertices: ones for pairs joined by an edge."""
     first, second = mesh.edges.T
     size = (len(mesh.rest),) * 2
     one_way = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=size)
@@ -104,14 +104,14 @@ def adjacency(mesh: Mesh) -> sparse.csr_matrix:
 
 
 def smooth(positions: np.ndarray, moving: np.ndarray, adjacent: sparse.csr_matrix) -> None:
-    """Move positions (V, 3) where ``moving`` (V,) half-way to the mean of their neighbours, in
-    place; ``adjacent`` as :func:`adjacency` gives it."""
+    """Move positions (V, 3) of ``moving`` (V,) vertices half-way to the mean of their neighbours,
+    in place; ``adjacent`` is the matrix of :func:`adjacency`."""
     degree = np.diff(adjacent.indptr)[:, None]
     positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
 
 
 def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) at positions (V, 3): of the faces (F, 3) around, weighted by area."""
+    """Unit normals (V, 3) at positions (V, 3): area-weighted means over adjacent faces (F, 3)."""
     a, b, c = (positions[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     total = np.zeros_like(positions)

@@ -18,7 +18,7 @@ from sim.newton import NewtonOptions
 from sim.scene import Scene
 from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import combinations, force_derivatives
-from sim.sensitivity.rest_shape import pull_on_rest
+from sim.sensitivity.rest_shape import rest_gradient
 from sim.sensitivity.tangent import Tangent
 
 
@@ -27,9 +27,9 @@ class Equilibria:
     """Equilibria of B cloths.
 
     Attributes:
-        positions: (V, 3) m each, with their derivatives; those of a failure are where it ended,
-            their derivatives NaN.
-        results, ok, messages: the drapes, whether each and its derivatives exist, and why not.
+        positions: (V, 3) m each, differentiable; for a failure the last positions, with NaN as
+            derivatives.
+        results, ok, messages: the drapes, whether each and its derivatives exist, reasons if not.
     """
 
     positions: list[Tensor]
@@ -45,28 +45,28 @@ def equilibria(
     bending: str | Law = "midedge", others: tuple[Law, ...] = (),
     options: NewtonOptions | None = None
 ) -> Equilibria:
-    """Equilibria next to those of ``starts``, on their meshes, of other cloth.
+    """Equilibria of cloths with other parameters near those of ``starts``, on the same meshes.
 
-    Backwards, each takes one solve with the factor that proves it a minimum, for the derivatives
-    by all arguments that are tensors. A numerical failure spoils its own sample only.
+    The backward pass takes one solve per sample, with the factor that verified its minimum, for
+    derivatives by all tensor arguments. A numerical failure affects only its sample.
 
     Args:
-        starts: B drapes, any mix of meshes and rigs.
+        starts: B drapes, of any meshes and rigs.
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m².
-        membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth of this density (that
-            of :mod:`sim.laws` is of cloth of the reference density). None: as drapes have it, in
-            proportion to the density, also in the derivatives by the density.
+        membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density (that of
+            :mod:`sim.laws` is of cloth of the reference density). None: as in a drape, proportional
+            to the density, also in the derivatives by the density.
         held: positions (H, 3), m, of the held vertices, in their order; None for those of
             ``starts``.
-        rest: rest points (V, 2), m; None for those of ``starts``. Where the rig holds a vertex
-            does not follow its rest point.
+        rest: rest points (V, 2), m; None for those of ``starts``. Positions of held vertices do not
+            depend on their rest points.
         bending, others: bending law and laws of further energies, as in :class:`sim.laws.Laws`,
-            the ``others`` as there for cloth of the reference density. Derivatives by ``rest`` are
-            NaN for other laws than "midedge" alone.
-        options: of the minimisations.
+            the ``others`` for cloth of the reference density. Derivatives by ``rest`` are NaN
+            unless "midedge" is the only law.
+        options: stopping criteria of the minimisations.
 
-    InputError for shapes that do not fit, or values that no cloth has.
+    InputError for inconsistent shapes or invalid values.
     """
     count = len(starts)
     density = torch.as_tensor(density, dtype=torch.float64)
@@ -102,7 +102,7 @@ def _task(
     start: DrapeResult, laws: Laws, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray,
     membrane: np.ndarray, held: np.ndarray, rest: np.ndarray
 ) -> tuple[DrapeResult, Fabric, Laws]:
-    """Start, fabric and laws of one sample, from the ``laws`` of all but their membrane."""
+    """Start, fabric and laws of one sample; its membrane replaces that of ``laws``."""
     if held.shape != (int(start.held.sum()), 3) or rest.shape != start.rest.shape:
         raise InputError(f"held {held.shape} and rest {rest.shape} do not fit a mesh of "
                          f"{len(start.rest)} vertices, {int(start.held.sum())} of them held")
@@ -121,7 +121,7 @@ def _task(
 
 
 class _Equilibrium(torch.autograd.Function):
-    """Positions (V, 3) of a known equilibrium as a function of what made it."""
+    """Positions (V, 3) of a known equilibrium as a differentiable function of its parameters."""
 
     @staticmethod
     def forward(ctx, tangent: Tangent, fabric: Fabric, *inputs: Tensor) -> Tensor:
@@ -134,48 +134,49 @@ class _Equilibrium(torch.autograd.Function):
     def backward(ctx, upstream: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
         needed = ctx.needs_input_grad[2:]
-        pulls = pulled_back(ctx.tangent, ctx.fabric, _array(upstream),
-                            membrane=float(inputs[3]), by_held=needed[4], by_rest=needed[5])
+        gradients = adjoint_gradients(
+            ctx.tangent, ctx.fabric, _array(upstream), membrane=float(inputs[3]),
+            by_held=needed[4], by_rest=needed[5])
         return None, None, *(
-            torch.as_tensor(pull, dtype=value.dtype, device=value.device) if need else None
-            for pull, value, need in zip(pulls, inputs, needed, strict=True)
+            torch.as_tensor(gradient, dtype=value.dtype, device=value.device) if need else None
+            for gradient, value, need in zip(gradients, inputs, needed, strict=True)
         )
 
 
-def pulled_back(
+def adjoint_gradients(
     tangent: Tangent, fabric: Fabric, by_positions: np.ndarray, *, membrane: float,
     by_held: bool = True, by_rest: bool = True
 ) -> tuple[np.ndarray | None, ...]:
-    """Derivatives of a number by what makes the equilibrium, from those by its positions (V, 3),
-    of ``fabric``'s own moduli and density and an in-plane stiffness ``membrane``, N/m.
+    """Derivatives of a scalar by the parameters of the equilibrium, from those by its positions
+    (V, 3), at ``fabric``'s moduli and density and an in-plane stiffness ``membrane``, N/m.
 
     Returns:
-        By alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and rest points
-        (V, 2); NaN where the tangent is not ok.
+        Derivatives by alpha (3,), beta (3,), density (), membrane (), held positions (H, 3) and
+        rest points (V, 2); NaN if the tangent is not ok.
     """
     scene = tangent.cloth.scene
     if not tangent.ok:
         held, rest = (int(scene.held.sum()), 3), scene.mesh.rest.shape
         return tuple(np.full(shape, np.nan) for shape in ((3,), (3,), (), (), held, rest))
-    along = np.zeros(tangent.cloth.potential.unknowns)
-    along[: tangent.coordinates] = by_positions.ravel()
-    weights = tangent.response(along)
+    by_unknowns = np.zeros(tangent.cloth.potential.unknowns)
+    by_unknowns[: tangent.coordinates] = by_positions.ravel()
+    weights = tangent.response(by_unknowns)
     _, rows = combinations(("alpha", "beta", "density", "membrane"), fabric)
     by_fabric = -rows @ (force_derivatives(tangent.cloth, tangent.q) @ weights)
     held = rest = None
     if by_held:
-        push = tangent.force_of(weights)
-        coordinates, turns = np.split(push, [tangent.coordinates])
+        forces = tangent.force_of(weights)
+        coordinates, turns = np.split(forces, [tangent.coordinates])
         coordinates += clamp_levers(scene, tangent.positions).T @ turns
         held = (by_positions - coordinates.reshape(-1, 3))[scene.held]
     if by_rest:
-        rest = -pull_on_rest(tangent, weights)
+        rest = -rest_gradient(tangent, weights)
     return by_fabric[:3], by_fabric[3:6], by_fabric[6], by_fabric[7] / membrane, held, rest
 
 
 def clamp_levers(scene: Scene, positions: np.ndarray) -> sparse.csr_matrix:
-    """(E, 3 V) turns of the normals of held triangles' edges, rad, by corners' moves, m: the
-    opposite corner's move along the normal over the height, less that of the height's foot."""
+    """Derivatives (E, 3 V), rad/m, of the rotations of held triangles' edge normals by the corners:
+    the opposite corner's move along the normal, less that of the height's foot, over the height."""
     mesh = scene.mesh
     face, side = np.nonzero(scene.held_edges[mesh.face_edges] & ~scene.active[:, None])
     start, end, corner = (mesh.faces[face, (side + k) % 3] for k in (1, 2, 0))
@@ -183,8 +184,8 @@ def clamp_levers(scene: Scene, positions: np.ndarray) -> sparse.csr_matrix:
     normal = np.cross(edge, arm)
     squared = (edge**2).sum(1)
     lever = (np.sqrt(squared) / (normal**2).sum(1))[:, None] * normal
-    # Turns are counted along mesh.edges. An edge of two held triangles, which no free one feels,
-    # has the turn of both.
+    # Rotations are about mesh.edges. An edge of two held triangles, which has no effect on free
+    # ones, gets the sum of both.
     lever *= np.where(start < end, 1.0, -1.0)[:, None]
     foot = ((arm * edge).sum(1) / squared)[:, None]
     rows = np.repeat(mesh.face_edges[face, side], 9)

@@ -1,4 +1,4 @@
-"""The equilibrium of other moduli next to a drape, on the same mesh."""
+"""Equilibrium of a fabric near a drape of another fabric, on the same mesh."""
 
 import time
 from collections.abc import Sequence
@@ -21,16 +21,16 @@ def follow(
     options: NewtonOptions | None = None, sensitivities: Sensitivities | None = None,
     keep: bool = False
 ) -> DrapeResult:
-    """The drape of ``fabric`` next to ``result``, on its mesh: a warm start in place of a new one.
+    """The drape of ``fabric`` near ``result``, on its mesh, by a warm start.
 
-    A large change of moduli may end in other folds; the way there is a minimisation, not a path
-    of equilibria. Iterations and seconds of the drape are those of this search.
+    A large change of moduli may lead to other folds, as this is a minimisation, not a continuation
+    along a path of equilibria. Iterations and seconds of the drape are those of this search.
 
     Args:
-        laws, options: None for those of ``result``, and of a drape.
-        extra: more energies, such as springs that hold the cloth.
-        sensitivities: of ``result``, by "log_alpha" and "ratio" among others: the search starts at
-            the linear prediction where its energy is lower than that of ``result``'s shape.
+        laws, options: None for the laws of ``result`` and the options of a drape.
+        extra: further energies, such as springs that hold the cloth.
+        sensitivities: of ``result``, including "log_alpha" and "ratio". The initial guess is then
+            the linear prediction if its energy is lower than that of ``result``'s shape.
         keep: whether the drape keeps its energies and factor, for derivatives.
     """
     began = time.perf_counter()
@@ -48,7 +48,8 @@ def follow(
 
 
 def _predicted(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) -> State:
-    """``before`` moved linearly as the moduli change, if the energy allows it and falls."""
+    """Linear prediction from ``before`` for the change of moduli, if the energy allows it and is
+    lower there; else the state of ``before``."""
     one, two = before.simulated, cloth.fabric
     change = np.concatenate([np.log(two.alpha / one.alpha),
                              two.beta / two.alpha - one.beta / one.alpha])
@@ -58,6 +59,6 @@ def _predicted(cloth: Cloth, before: DrapeResult, sensitivities: Sensitivities) 
     potential, old = cloth.potential, before.state.q
     new = potential.moved(old, potential.free_unknowns(step))
     with np.errstate(all="ignore"):
-        falls = potential.value(new) < potential.value(old)
-    good = falls and potential.allows(old, new)
-    return State.of(new, len(cloth.scene.mesh.rest)) if good else before.state
+        lower = potential.value(new) < potential.value(old)
+    accepted = lower and potential.allows(old, new)
+    return State.of(new, len(cloth.scene.mesh.rest)) if accepted else before.state

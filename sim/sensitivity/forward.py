@@ -1,9 +1,9 @@
-"""Forward sensitivities: how every vertex moves with every parameter of the cloth.
+"""Forward sensitivities: derivatives of all vertices by the parameters of the cloth.
 
 All parameters are combinations of eight (:data:`BASIC`): log alpha at fixed beta/alpha and
 beta/alpha of the three directions, log density and log membrane stiffness, each with all others
-fixed. They do not change when moduli, stiffness and density are scaled together, as
-:func:`sim.drape.drape` does.
+fixed. They are invariant under a common scaling of moduli, stiffness and density, as in
+:func:`sim.drape.drape`.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from sim.potential import forces
 from sim.sensitivity.tangent import Tangent
 
 PARAMETERS = ("log_alpha", "ratio", "alpha", "beta", "density", "membrane")
-"""Names of (groups of) parameters: the first four stand for warp, bias and weft."""
+"""Names of (groups of) parameters: the first four are groups of warp, bias and weft."""
 BASIC = 8
 _DENSITY, _MEMBRANE = 6, 7
 _LOG_STEP = 1e-5  # of log alpha
-_RATIO_STEP = 1e-7  # m, of beta/alpha: some 1e-5 of the radii to which cloth bends
+_RATIO_STEP = 1e-7  # m, of beta/alpha: about 1e-5 of the radii to which cloth bends
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of an equilibrium by P parameters; NaN where there are none.
+    """Derivatives of an equilibrium by P parameters; NaN where they do not exist.
 
     Attributes:
         names: (P,) parameters, such as "log_alpha_warp".
@@ -46,27 +46,27 @@ class Sensitivities:
 
     @property
     def positions(self) -> np.ndarray:
-        """(P, V, 3) m per unit of the parameter."""
+        """Derivatives (P, V, 3) of the positions, m per unit of the parameter."""
         return self.moves[:, : 3 * self.vertices].reshape(len(self.names), -1, 3)
 
 
 def sensitivities(
     result: DrapeResult, *, parameters: Sequence[str] = ("log_alpha", "ratio")
 ) -> Sensitivities:
-    """Derivatives of a drape by parameters of its fabric, on the mesh it has.
+    """Derivatives of a drape by parameters of its fabric, on the mesh of the drape.
 
     Args:
-        parameters: any of :data:`PARAMETERS`, three each for warp,
-            bias and weft, others constant:
+        parameters: any of :data:`PARAMETERS`, with all others constant; the first four for warp,
+            bias and weft each:
 
             "log_alpha"  per unit of log alpha at fixed beta/alpha; with
             "ratio"      per m of beta/alpha, the derivatives by theta (:mod:`data.fabrics`);
             "alpha", "beta"  per N·m at fixed beta, per N·m² at fixed alpha;
-            "density"    one, per kg/m² at fixed moduli and in-plane stiffness;
-            "membrane"   one, per unit of the logarithm of the in-plane stiffness.
+            "density"    per kg/m² at fixed moduli and in-plane stiffness;
+            "membrane"   per unit of the logarithm of the in-plane stiffness.
 
-            Moduli and density are the fabric's own. A drape is simulated at the reference density
-            with the membrane of its laws: the in-plane stiffness is that of cloth of that density.
+            Moduli and density are those of the fabric. A drape is simulated at the reference
+            density; the in-plane stiffness of its laws is that of cloth of this density.
     """
     return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 
@@ -74,13 +74,13 @@ def sensitivities(
 def tangent_sensitivities(
     tangent: Tangent, fabric: Fabric, parameters: Sequence[str]
 ) -> Sensitivities:
-    """The same of the equilibrium of ``tangent``. ``fabric`` has the moduli and density that the
-    derivatives refer to, those of the tangent but for a common factor."""
+    """Derivatives of the equilibrium of ``tangent``, at the moduli and density of ``fabric``, which
+    equal those of the tangent up to a common factor."""
     names, rows = combinations(parameters, fabric)
     moves = np.full((len(names), tangent.cloth.potential.unknowns), np.nan)
     if tangent.ok:
-        pushes = rows @ force_derivatives(tangent.cloth, tangent.q)
-        moves = np.array([-tangent.response(push) for push in pushes])
+        by_parameters = rows @ force_derivatives(tangent.cloth, tangent.q)
+        moves = np.array([-tangent.response(force) for force in by_parameters])
     return Sensitivities(names, moves, len(tangent.cloth.scene.mesh.rest), tangent.ok,
                          tangent.message, tangent.softest)
 
@@ -103,19 +103,19 @@ def combinations(names: Sequence[str], fabric: Fabric) -> tuple[tuple[str, ...],
 
 
 def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
-    """(BASIC, U) derivatives of the energy's gradient at the state ``q``.
+    """Derivatives (BASIC, U) of the energy's gradient at the state ``q`` by the basic parameters.
 
-    The membrane's forces are proportional to its stiffness, all that are not the cloth's own
-    (weight, contact) to the density: these derivatives are the forces themselves. The energies of
-    ``laws.others`` are those of cloth of the reference density, so for cloth of another they are
-    proportional to the density too, and made of the moduli over the density. By the moduli,
-    central differences of the forces (error below 1e-9): the laws are smooth in them but for
-    creases, such as the one at isotropic moduli, where this is the mean of both sides.
+    The membrane's forces are proportional to its stiffness, external forces (weight, contact) to
+    the density: their derivatives by the logarithms are the forces. The energies of ``laws.others``
+    are those of cloth of the reference density: for another density they are proportional to the
+    density, at the moduli over the density. Derivatives by the moduli are central differences of
+    the forces (error below 1e-9). Where the laws have a kink, such as at isotropic moduli, these
+    are means of the one-sided derivatives.
     """
     scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 
     def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
-        # Only where the law is the energy's class: others may make more of the fabric.
+        # Only if the law is the energy's class: other laws may use the fabric in another way.
         if laws.bending_law is type(cloth.bending) and hasattr(cloth.bending, "with_fabric"):
             bending = cloth.bending.with_fabric(fabric)
         else:
@@ -125,7 +125,7 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
 
     result = np.zeros((BASIC, size))
     result[_MEMBRANE] = forces([cloth.membrane], q, size)
-    result[_DENSITY] = forces([*cloth.outer, *cloth.others], q, size)
+    result[_DENSITY] = forces([*cloth.external, *cloth.others], q, size)
     for row in range(6):
         step = _LOG_STEP if row < 3 else _RATIO_STEP
         ahead, behind = made(_changed(cloth.fabric, row, step)), made(

@@ -1,7 +1,7 @@
-"""Derivatives by the rest shape: forwards along given moves, backwards to every vertex.
+"""Derivatives by the rest shape: forward along given moves, adjoint for every rest point.
 
-Contact of the cloth with itself counts with areas of the rest shape, which decide how near two
-sheets come under a force, not how large it is. This is left out, forwards and backwards.
+The areas in self-contact depend on the rest shape. They affect the distance of two sheets under a
+force, not the force. This dependence is neglected, in forward and adjoint derivatives.
 """
 
 from dataclasses import replace
@@ -20,31 +20,32 @@ _STEP = 1e-5  # of the mean edge, in central differences
 
 
 def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
-    """(K, V, 3) how the equilibrium moves while its rest points move by ``moves`` (K, V, 2). Held
+    """Moves (K, V, 3) of the equilibrium as its rest points move by ``moves`` (K, V, 2), m. Held
     vertices stay in place. By central differences of the forces, for any laws."""
     scene, result = tangent.cloth.scene, np.zeros((len(moves), *tangent.positions.shape))
     for k, move in enumerate(moves):
         step = difference_step(tangent, move)
         meshes = (scene.mesh.with_rest(scene.mesh.rest + s * move) for s in (step, -step))
         ahead, behind = (forces_in(replace(scene, mesh=mesh), tangent) for mesh in meshes)
-        push = (ahead - behind) / (2 * step)
-        result[k] = -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)
+        force = (ahead - behind) / (2 * step)
+        result[k] = -tangent.response(force)[: tangent.coordinates].reshape(-1, 3)
     return result
 
 
 def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(2, V, 3) how a drape moves with the offset of the specimen from the plate, m per m.
+    """Derivatives (2, V, 3) of a drape by the offset of the specimen from the plate, m per m.
 
-    The offset along warp and weft, as in :func:`sim.drape.drape`. On the plate the mesh stays and
-    the cloth slides through it; towards the border the mesh follows the cloth more and more.
-    Vertices thus move as the surface does, but not as points of the cloth.
+    The offset is along warp and weft, as in :func:`sim.drape.drape`. On the plate the mesh is fixed
+    and the cloth slides through it; towards the border the mesh increasingly follows the cloth.
+    Vertices thus move with the surface, but not with points of the cloth.
     """
     share, _ = share_of_border(tangent, rig)
     return moves_with_rest(tangent, share[:, None] * np.eye(2)[:, None])
 
 
 def share_of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Share (V,) of the border's moves that the mesh takes, and (V, 2) m from the centre."""
+    """Share (V,) of the border's move that a vertex takes, and its offset (V, 2), m, from the
+    specimen's centre."""
     mesh = tangent.cloth.scene.mesh
     centre = mesh.areas @ mesh.rest[mesh.faces].mean(axis=1) / mesh.areas.sum()
     share = share_of_offset(mesh.rest, rig, centre)
@@ -52,31 +53,31 @@ def share_of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]
 
 
 def difference_step(tangent: Tangent, move: np.ndarray) -> float:
-    """The share of a ``move`` (V, 2), m, of the rest points by which central differences step."""
+    """Step of central differences as a fraction of a ``move`` (V, 2), m, of the rest points."""
     return _STEP * tangent.cloth.scene.mesh.edge_lengths.mean() / np.abs(move).max()
 
 
 def forces_in(scene: Scene, tangent: Tangent) -> np.ndarray:
-    """(U,) the energy's gradient at the state of ``tangent`` in another scene."""
+    """Gradient (U,) of the energy at the state of ``tangent`` in another scene."""
     potential = Cloth(scene, tangent.cloth.fabric, laws=tangent.cloth.laws).potential
     return forces(potential.energies, tangent.q, potential.unknowns)
 
 
-def pull_on_rest(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
-    """(V, 2) derivatives by the rest points of the energy's gradient times ``weights`` (U,), by
-    automatic differentiation of :mod:`sim.reference`; NaN for laws that have no twin there."""
+def rest_gradient(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
+    """Derivatives (V, 2) by the rest points of the energy's gradient times ``weights`` (U,), by
+    automatic differentiation of :mod:`sim.reference`; NaN for laws not implemented there."""
     cloth, mesh = tangent.cloth, tangent.cloth.scene.mesh
     if not reference.covers(cloth):
         return np.full_like(mesh.rest, np.nan)
-    with torch.enable_grad():  # which is off where this is part of a backward pass
-        twin = reference.Twin(cloth)
+    with torch.enable_grad():  # disabled within a backward pass
+        model = reference.ReferenceEnergy(cloth)
         x, n = torch.from_numpy(tangent.q.reshape(-1, 3)).split([len(mesh.rest), len(mesh.edges)])
         rest = torch.tensor(mesh.rest, requires_grad=True)
         move = torch.zeros_like(x, requires_grad=True)
         turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
-        total = twin.energy(x + move, reference.moved(twin.edges, x, n, move, turn), rest)
+        total = model.energy(x + move, reference.moved(model.edges, x, n, move, turn), rest)
         gradients = torch.autograd.grad(total, (move, turn), create_graph=True)
         along, around = np.split(weights, [tangent.coordinates])
-        pull = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
-                + (gradients[1] * torch.from_numpy(around)).sum())
-        return torch.autograd.grad(pull, rest)[0].numpy()
+        product = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
+                   + (gradients[1] * torch.from_numpy(around)).sum())
+        return torch.autograd.grad(product, rest)[0].numpy()

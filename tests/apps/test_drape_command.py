@@ -70,7 +70,7 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
 
 
 def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):
-    monkeypatch.setattr("sim.material.ALPHAS", (0.0, np.inf))
+    monkeypatch.setattr("sim.material.ALPHA_RANGE", (0.0, np.inf))
     main(["alpha=1e300,1e300,1e300", "edge_mm=12", f"out={tmp_path}"])
 
     def refuse(word: str) -> None:

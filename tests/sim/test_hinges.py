@@ -216,7 +216,7 @@ def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
               for direction in WEIGHTINGS]
     assert values == pytest.approx([values[0]] * 2, rel=1e-12)
     by_hand = DihedralBending(hinges, alpha=np.full(count, 20e-6), beta=np.full(count, -60e-9),
-                              stop=20e-6)
+                              barrier_modulus=20e-6)
     assert by_hand.value(q) == pytest.approx(values[0], rel=1e-12)
 
 

@@ -9,8 +9,8 @@ from sim.mesh import Mesh, strip
 from sim.mesh.graded import GROWTH
 from sim.mesh.specimens import (
     GRADING,
-    LONGEST,
-    SHARED_OFFSET,
+    MAX_EDGE,
+    MAX_SHARED_OFFSET,
     TOPOLOGIES,
     Specimen,
     make_specimen,
@@ -95,7 +95,7 @@ def test_edges_follow_the_sizes_asked_for(rig, grading):
     specimen = make_specimen(rig, edge=edge, grading=grading)
     mesh = specimen.mesh
     outside = np.linalg.norm(mesh.rest[mesh.edges].mean(axis=1), axis=1) - rig.plate_radius
-    wanted = np.minimum(edge + GROWTH * outside, min(grading * edge, LONGEST))
+    wanted = np.minimum(edge + GROWTH * outside, min(grading * edge, MAX_EDGE))
     ratio = (lengths(mesh) / wanted)[outside > 0]
     assert ratio.mean() == pytest.approx(1, abs=0.05)
     assert 0.5 < ratio.min() and ratio.max() < 1.7
@@ -126,7 +126,7 @@ def test_edges_have_no_preferred_direction():
 @ON_PLATE
 def test_offsets_move_the_border_and_keep_the_faces(rig):
     base = make_specimen(rig, edge=0.004, topology=2)
-    limit = SHARED_OFFSET * (rig.specimen_size - rig.plate_diameter) / 2
+    limit = MAX_SHARED_OFFSET * (rig.specimen_size - rig.plate_diameter) / 2
     offset = 0.999 * limit * np.array([0.6, -0.8])
     moved = make_specimen(rig, edge=0.004, topology=2, offset=tuple(offset))
     assert moved.mesh.faces is base.mesh.faces and np.array_equal(moved.held, base.held)

@@ -51,10 +51,10 @@ def test_values_and_gradients_are_those_of_the_kernels(rig, folded, number):
     cloth, q = crumpled(rig, *((9e-3, 0.0) if folded else (1e-3, 0.05)), number)
     assert is_bent(cloth.bending.angles(q), cloth.bending.pole).any() == folded
     assert reference.covers(cloth) and cloth.obstacles[0].value(q) > 0
-    twin, (x, n, rest) = reference.Twin(cloth), split(cloth, q)
+    model, (x, n, rest) = reference.ReferenceEnergy(cloth), split(cloth, q)
     move = torch.zeros_like(x, requires_grad=True)
     turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
-    total = twin.energy(x + move, reference.moved(twin.edges, x, n, move, turn), rest)
+    total = model.energy(x + move, reference.moved(model.edges, x, n, move, turn), rest)
     by_move, by_turn = torch.autograd.grad(total, (move, turn))
     assert float(total.detach()) == pytest.approx(cloth.potential.value(q), rel=1e-13)
     expected = cloth.potential.gradient(q)
@@ -98,26 +98,26 @@ def test_turns_are_right_handed_about_edges():
 @pytest.mark.parametrize("sign", [1, -1], ids=["moved", "mirrored"])
 def test_rigid_motions_and_mirrors_cost_nothing(sign):
     cloth, q = crumpled(Rig(), 1.5e-3, 0.1)
-    twin, (x, n, rest) = reference.Twin(cloth), split(cloth, q)
+    model, (x, n, rest) = reference.ReferenceEnergy(cloth), split(cloth, q)
     rotation, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))
     rotation = torch.from_numpy(rotation * np.sign(np.linalg.det(rotation)) * sign)
     shift = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
-    there = twin.inner(x @ rotation.T + shift, sign * n @ rotation.T, rest)  # axial vectors
-    assert torch.allclose(there, twin.inner(x, n, rest), rtol=1e-11, atol=0)
+    there = model.internal(x @ rotation.T + shift, sign * n @ rotation.T, rest)  # axial vectors
+    assert torch.allclose(there, model.internal(x, n, rest), rtol=1e-11, atol=0)
 
 
 def test_derivatives_by_the_fabric_through_automatic_differentiation():
     """Of the energy by the membrane's constants and by the moduli's own energies: homogeneity."""
     cloth, q = crumpled(Rig(), 1.5e-3, 0.1)
-    twin = reference.Twin(cloth)
+    model = reference.ReferenceEnergy(cloth)
     for name in ("mu", "lam", "weight", "pressure"):
-        setattr(twin, name, getattr(twin, name).clone().requires_grad_())
+        setattr(model, name, getattr(model, name).clone().requires_grad_())
     by_mu, by_lam, by_weight, by_pressure = torch.autograd.grad(
-        twin.energy(*split(cloth, q)), (twin.mu, twin.lam, twin.weight, twin.pressure))
-    membrane = (twin.mu * by_mu + twin.lam * by_lam).item()
+        model.energy(*split(cloth, q)), (model.mu, model.lam, model.weight, model.pressure))
+    membrane = (model.mu * by_mu + model.lam * by_lam).item()
     assert membrane == pytest.approx(cloth.membrane.value(q), rel=1e-9)
-    assert (twin.weight * by_weight).item() == pytest.approx(cloth.weight.value(q), rel=1e-10)
-    assert (twin.pressure * by_pressure).item() == pytest.approx(
+    assert (model.weight * by_weight).item() == pytest.approx(cloth.weight.value(q), rel=1e-10)
+    assert (model.pressure * by_pressure).item() == pytest.approx(
         sum(o.value(q) for o in cloth.obstacles), rel=1e-10)
 
 

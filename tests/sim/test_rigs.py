@@ -12,7 +12,7 @@ from sim.energies.contact import Cylinder
 from sim.equilibrium import find_equilibrium
 from sim.initial import interpolate_positions
 from sim.material import Fabric
-from sim.measures import deepest_entry, drape_coefficient, fold_count
+from sim.measures import drape_coefficient, fold_count, max_penetration
 from sim.mesh import strip
 from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene
@@ -37,7 +37,7 @@ class Ramp:
         slope = np.array([np.sin(self.angle), 0.0, np.cos(self.angle)])
         return np.where(sloping[:, None], slope, np.array([0.0, 0.0, 1.0]))
 
-    def bends(self, points: np.ndarray) -> np.ndarray:
+    def depth_hessians(self, points: np.ndarray) -> np.ndarray:
         return np.zeros((len(points), 3, 3))
 
 
@@ -179,7 +179,7 @@ def test_entry_is_found_between_the_vertices():
         0.0: [[0.06, -1, -1], [0.06, 1, -1], [0.06, 0, 1]],
     }
     for depth, triangle in cases.items():
-        entry = deepest_entry(np.array(triangle, float), np.array([[0, 1, 2]]), Rig())
+        entry = max_penetration(np.array(triangle, float), np.array([[0, 1, 2]]), Rig())
         assert entry == pytest.approx(depth, abs=1e-6)
 
 
@@ -190,7 +190,7 @@ def test_entry_is_that_of_the_deepest_of_many_samples():
     shares = rng.dirichlet(np.ones(3), 40_000)
     samples = np.einsum("sk,fkd->sfd", shares, positions[faces])
     sampled = Cylinder(0.05).depths(samples.reshape(-1, 3)).max()
-    entry = deepest_entry(positions, faces, Rig())
+    entry = max_penetration(positions, faces, Rig())
     assert sampled - 1e-6 <= entry < sampled + 1e-3
 
 
@@ -200,7 +200,7 @@ def test_entry_is_that_of_the_deepest_of_many_samples():
 def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     result = drape(isotropic(4), rig=rig, edge=0.004, seed=2)
     assert result.converged
-    entry = deepest_entry(result.positions, result.faces, rig)
+    entry = max_penetration(result.positions, result.faces, rig)
     assert (0 if rig is DISC_RIG else 1e-6) <= entry < 2e-4  # the disc hangs clear of its support
 
 

@@ -21,9 +21,9 @@ from sim.mesh import strip
 from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
-from sim.sensitivity.adjoint import clamp_levers, equilibria, pulled_back
+from sim.sensitivity.adjoint import adjoint_gradients, clamp_levers, equilibria
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, pull_on_rest
+from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, rest_gradient
 
 TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
 MODULI = ("log_alpha", "ratio")
@@ -149,7 +149,7 @@ def test_backwards_agrees_with_forwards(draped, tangent):
     by_rest = moves_with_rest(tangent, rest_moves)[0]
     for seed in range(3):
         weights = random_weights(draped, seed)
-        *by_fabric, held, rest = pulled_back(tangent, FABRIC, weights, membrane=1.0)
+        *by_fabric, held, rest = adjoint_gradients(tangent, FABRIC, weights, membrane=1.0)
         size = np.linalg.norm(weights)
         error = np.hstack(by_fabric) - np.tensordot(moves.positions, weights, 2)
         assert (np.abs(error) < 1e-8 * size * np.linalg.norm(moves.positions, axis=(1, 2))).all()
@@ -160,7 +160,7 @@ def test_backwards_agrees_with_forwards(draped, tangent):
 
 
 def test_a_rest_shape_that_moves_as_a_whole_is_the_same(tangent):
-    pull = pull_on_rest(tangent, np.random.default_rng(0).standard_normal(
+    pull = rest_gradient(tangent, np.random.default_rng(0).standard_normal(
         tangent.cloth.potential.unknowns))
     assert np.abs(pull.sum(axis=0)).max() < 1e-9 * np.abs(pull).sum()
 
@@ -180,7 +180,7 @@ def test_the_offset_of_the_specimen_against_drapes_with_it():
 def test_cloth_follows_a_clamp_that_moves_as_a_whole():
     tangent = hanging_strip(gamma=10.0)
     weights = np.random.default_rng(0).standard_normal(tangent.positions.shape)
-    *_, held, _ = pulled_back(tangent, tangent.cloth.fabric, weights, membrane=200.0)
+    *_, held, _ = adjoint_gradients(tangent, tangent.cloth.fabric, weights, membrane=200.0)
     assert held.sum(axis=0) == pytest.approx(weights.sum(axis=0), rel=1e-8)
 
 
@@ -260,7 +260,7 @@ def test_free_motions_are_reported():
     moves = tangent_sensitivities(tangent, fabric, MODULI)
     assert not moves.ok and moves.message == tangent.message and np.isnan(moves.positions).all()
     assert all(np.isnan(pull).all()
-               for pull in pulled_back(tangent, fabric, flag, membrane=200.0))
+               for pull in adjoint_gradients(tangent, fabric, flag, membrane=200.0))
 
 
 def test_a_column_beyond_its_buckling_load_is_no_minimum():
@@ -307,7 +307,7 @@ def test_other_laws_have_derivatives_too():
     stiffer, softer = (follow(result, isotropic, laws=laws.softened(np.exp(s)), options=TIGHT)
                        for s in (1e-3, -1e-3))
     difference = (stiffer.positions - softer.positions) / 2e-3
-    assert np.isnan(pull_on_rest(Tangent.of(result), np.zeros(1))).all()
+    assert np.isnan(rest_gradient(Tangent.of(result), np.zeros(1))).all()
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
