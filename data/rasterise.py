@@ -25,7 +25,7 @@ import torch
 
 from common.errors import InputError
 from data.cameras import Camera
-from data.rasterise_cpu import LEAST_HEIGHT, rasterise_arrays
+from data.rasterise_cpu import MIN_HEIGHT, rasterise_arrays
 
 CHUNK = 512  # pictures worked on at a time: about 1 GB at 240x180
 
@@ -184,7 +184,7 @@ def _by_row(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tenso
 
 def _edge(upper: torch.Tensor, lower: torch.Tensor) -> torch.Tensor:
     """(5, ...) row of the upper corner; column there and its slope a row; 1/z and its slope."""
-    down = (lower[1] - upper[1]).clamp(min=LEAST_HEIGHT)
+    down = (lower[1] - upper[1]).clamp(min=MIN_HEIGHT)
     u, v, w = upper
     return torch.stack([v, u, (lower[0] - u) / down, w, (lower[2] - w) / down])
 

@@ -6,7 +6,7 @@ from math import isfinite
 import numba
 import numpy as np
 
-LEAST_HEIGHT = 1e-12  # px, stands for 0 in the slope of a horizontal edge
+MIN_HEIGHT = 1e-12  # px, stands for 0 in the slope of a horizontal edge
 
 
 def rasterise_arrays(
@@ -98,7 +98,7 @@ def _draw_triangle(u, v, w, face, nearest):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cross(u, v, w, upper, lower, row):
     """Where an edge crosses a row: column and 1/z."""
-    down = max(v[lower] - v[upper], v.dtype.type(LEAST_HEIGHT))
+    down = max(v[lower] - v[upper], v.dtype.type(MIN_HEIGHT))
     below = v.dtype.type(row) - v[upper]
     slope, slope_w = (u[lower] - u[upper]) / down, (w[lower] - w[upper]) / down
     return u[upper] + slope * below, w[upper] + slope_w * below

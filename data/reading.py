@@ -11,19 +11,19 @@ from PIL import Image, UnidentifiedImageError
 from common.documents import require_regular, shown
 from common.errors import InputError, one_line
 
-SMALLEST_PICTURE = (80, 60)
-LARGEST_PICTURE = (4096, 4096)
-LARGEST_FILE = 160 << 20  # bytes, of a picture
-MOST_VIEWS = 8
+MIN_PICTURE = (80, 60)
+MAX_PICTURE = (4096, 4096)
+MAX_FILE_BYTES = 160 << 20  # bytes, of a picture
+MAX_VIEWS = 8
 MILLIMETRE = 1e-3  # m, per count unless stated
 
 _MODES = {"L": "8-bit grey", "RGB": "8-bit colour", "RGBA": "8-bit colour", "1": "1-bit"}
-"""Pillow's modes, in words."""
+"""Names of Pillow's modes for error messages."""
 
 
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
     """Counts (H, W) of a PNG whose Pillow mode is one of ``modes``, called ``kind`` in messages."""
-    require_regular(file, LARGEST_FILE, "picture")
+    require_regular(file, MAX_FILE_BYTES, "picture")
     try:
         with Image.open(file, formats=["PNG"]) as picture:
             require_size(file, *picture.size)
@@ -43,7 +43,7 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
                          ) from None
 
 
-def numbered(folder: Path, pattern: str, *, most: int = MOST_VIEWS) -> list[Path]:
+def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]:
     """The files called ``pattern`` with 0 to K - 1 for ``{}``, K from 1 to ``most``."""
     shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
     found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
@@ -51,7 +51,7 @@ def numbered(folder: Path, pattern: str, *, most: int = MOST_VIEWS) -> list[Path
         others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
         there = f" (the folder holds {shown(others[0])})" if others else ""
         raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
-                         f"{MOST_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
+                         f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
     if len(found) > most:
         raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
                          "are read: leave the others out")
@@ -99,9 +99,9 @@ def dimensions(picture: np.ndarray) -> str:
 
 def require_size(what: str | Path, width: int, height: int) -> None:
     """InputError for pictures, called ``what``, of a size that no view can have."""
-    if not (SMALLEST_PICTURE[0] <= width <= LARGEST_PICTURE[0]
-            and SMALLEST_PICTURE[1] <= height <= LARGEST_PICTURE[1]):
+    if not (MIN_PICTURE[0] <= width <= MAX_PICTURE[0]
+            and MIN_PICTURE[1] <= height <= MAX_PICTURE[1]):
         raise InputError(
             f"{what}: {width}x{height} pixels; views have from "
-            f"{SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} to "
-            f"{LARGEST_PICTURE[0]}x{LARGEST_PICTURE[1]}")
+            f"{MIN_PICTURE[0]}x{MIN_PICTURE[1]} to "
+            f"{MAX_PICTURE[0]}x{MAX_PICTURE[1]}")

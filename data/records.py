@@ -20,7 +20,7 @@ Solver = Callable[..., object]
 Record = Mapping[str, np.ndarray]
 """What :func:`data.shards.write_shard` takes."""
 
-ACCIDENTS = (ArithmeticError, np.linalg.LinAlgError)
+NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
 """What befalls the numbers of a single drape, which then fails alone."""
 
 
@@ -87,11 +87,11 @@ def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record
     """
     if plan.start != BORROWED:
         return None
-    able = {int(record["index"]): record for record in earlier
+    candidates = {int(record["index"]): record for record in earlier
             if record["status"] == b"converged" and record["fabric"] != plan.fabric}
-    if not able:
+    if not candidates:
         return None
-    return able[choose_lender(plan.index, seed=config.sampling.seed, candidates=sorted(able))]
+    return candidates[choose_lender(plan.index, seed=config.sampling.seed, candidates=sorted(candidates))]
 
 
 def simulate(
@@ -119,8 +119,8 @@ def simulate(
             laws=plan.nuisances.laws,
             **start,
         )
-    except ACCIDENTS as error:
-        return record | _accident(error), None
+    except NUMERICAL_ERRORS as error:
+        return record | _numerical_failure(error), None
     record |= _outcome(str(getattr(result.status, "value", result.status)), result.message)
     record |= {"residual": result.residual, "iterations": result.iterations}
     try:
@@ -163,7 +163,7 @@ def _outcome(status: str, message: str) -> dict:
             "message": message.encode("ascii", "replace")[:160]}
 
 
-def _accident(error: Exception) -> dict:
+def _numerical_failure(error: Exception) -> dict:
     return _outcome("exception", f"{type(error).__name__}: {error}")
 
 
@@ -196,8 +196,8 @@ def make_record(
         return record
     try:
         return record | _measures(result, plan.nuisances.rig(config.rig))
-    except ACCIDENTS as error:
-        return record | _accident(error)
+    except NUMERICAL_ERRORS as error:
+        return record | _numerical_failure(error)
 
 
 def _measures(result: object, rig: Rig) -> dict:

@@ -24,8 +24,8 @@ BORROWED = "borrowed"
 """The initial state that is an earlier drape of another fabric in the same shard."""
 SOFT = 4e-6
 """N·m at 300 g/m²: a fabric is soft if the geometric mean of its three alphas is below it."""
-_COUNTED = 20_000  # samples of a prior among which soft ones are counted
-_LARGEST_SHARE = 0.5  # of soft fabrics
+_COUNT_SAMPLES = 20_000  # samples of a prior among which soft ones are counted
+_MAX_SOFT_SHARE = 0.5  # of soft fabrics
 
 
 class Stream(IntEnum):
@@ -76,9 +76,9 @@ class SamplingConfig:
                              f"{' or '.join(STARTS)}: the first drapes have nothing to borrow")
         if not 0 <= self.drift <= 0.02:
             raise InputError(f"drift_mm={self.drift * 1e3:g} must lie between 0 and 20")
-        if not 0 <= self.soft_share <= _LARGEST_SHARE:
+        if not 0 <= self.soft_share <= _MAX_SOFT_SHARE:
             raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
-                             f"{_LARGEST_SHARE:g}")
+                             f"{_MAX_SOFT_SHARE:g}")
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def draw_fabric(
         return theta, rejected, 1.0
     usual = _share_of_soft(json.dumps(prior_content(prior)))
     if not usual:
-        raise InputError(f"soft_share={soft_share:g}: none of {_COUNTED} samples of the prior is "
+        raise InputError(f"soft_share={soft_share:g}: none of {_COUNT_SAMPLES} samples of the prior is "
                          f"soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     if rng.random() < soft_share:
         while not _is_soft(theta):
@@ -160,7 +160,7 @@ def _is_soft(theta: np.ndarray) -> np.ndarray:
 def _share_of_soft(content: str) -> float:
     """Share of soft fabrics in the prior that ``content`` describes, JSON."""
     prior = prior_from_content(json.loads(content), origin="the prior")
-    return float(_is_soft(prior.sample(_COUNTED, np.random.default_rng(0))).mean())
+    return float(_is_soft(prior.sample(_COUNT_SAMPLES, np.random.default_rng(0))).mean())
 
 
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:

@@ -10,10 +10,10 @@ from data.arrays import read_arrays
 from sim.mesh import Mesh
 from sim.scene import Rig
 
-LARGEST_SCAN = 1_000_000  # vertices or triangles
-_FLAT = 5e-3  # m, how far cloth on the support may lie from its plane
-_OUTSIDE = 1.02  # rest points may lie this much beyond the specimen's radius
-_LONGER = 2.0  # edges may be this many times as long or short as at rest; of other units over 20
+MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
+_PLANE_TOLERANCE = 5e-3  # m, how far cloth on the support may lie from its plane
+_MAX_RADIUS_RATIO = 1.02  # rest points may lie this much beyond the specimen's radius
+_MAX_EDGE_RATIO = 2.0  # edges may be this many times as long or short as at rest; of other units over 20
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
         raise InputError(f"{path}: arrays have the shapes {positions.shape}, {rest.shape} and "
                          f"{faces.shape}; vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
-    if not 3 <= count <= LARGEST_SCAN or not 1 <= len(faces) <= LARGEST_SCAN:
+    if not 3 <= count <= MAX_SCAN_SIZE or not 1 <= len(faces) <= MAX_SCAN_SIZE:
         raise InputError(f"{path} has {count} vertices and {len(faces)} triangles; a scan has 3 to "
-                         f"{LARGEST_SCAN} vertices and at most as many triangles")
+                         f"{MAX_SCAN_SIZE} vertices and at most as many triangles")
     if faces.dtype.kind not in "iu":
         raise InputError(f"{path}: faces have the type {faces.dtype}; they must be whole numbers")
     if faces.min() < 0 or faces.max() >= count:
@@ -77,29 +77,29 @@ def read_scan(path: Path, rig: Rig) -> Scan:
                          "specimen; reverse their order where they do not")
     if not mesh.vertex_areas.all():
         raise InputError(f"{path}: a vertex belongs to no face; leave such vertices out")
-    _check_place(scan, path, rig)
+    _check_placement(scan, path, rig)
     return scan
 
 
-def _check_place(scan: Scan, path: Path, rig: Rig) -> None:
+def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
     """Refuse other units, other axes and drapes that hang beside the support."""
     radius = np.linalg.norm(scan.rest, axis=1)
     largest = rig.specimen_size / 2
-    if not 0.9 * largest < radius.max() < _OUTSIDE * largest:
+    if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
         raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
                          f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
     draped, rest = (_edge_length(points, scan.faces) for points in (scan.positions, scan.rest))
-    if draped > _LONGER * rest or rest > _LONGER * draped:
+    if draped > _MAX_EDGE_RATIO * rest or rest > _MAX_EDGE_RATIO * draped:
         raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
                          f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
     flat = scan.positions[radius < 0.9 * rig.plate_radius]
     if not len(flat):
         raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
-    if (off := np.abs(flat[:, 2]).max()) > _FLAT:
+    if (off := np.abs(flat[:, 2]).max()) > _PLANE_TOLERANCE:
         raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
-                         f"plane z = 0, at most {1e3 * _FLAT:g} mm is allowed; move the support's "
+                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the support's "
                          "top to z = 0, with z pointing up")
-    if scan.positions[:, 2].min() > -_FLAT:
+    if scan.positions[:, 2].min() > -_PLANE_TOLERANCE:
         raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
 
 

@@ -20,7 +20,7 @@ from common.errors import InputError
 from common.units import si
 from data.cameras import Camera, CameraRig, Intrinsics, Pose
 from data.rasterise import camera_tensors, render_batch
-from data.reading import MOST_VIEWS
+from data.reading import MAX_VIEWS
 from data.sensor import load_sensor
 from data.sensor_noise import Share
 
@@ -53,7 +53,7 @@ class SetupFile(Schema):
     """``configs/setup/NAME.yaml``, which explains its keys."""
 
     remedy = "see configs/setup/real.yaml"
-    views: list[Share] = Field(max_length=MOST_VIEWS)
+    views: list[Share] = Field(max_length=MAX_VIEWS)
     distance_mm: _Limits
     pitch_deg: _Limits
     fill: _Limits

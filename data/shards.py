@@ -23,9 +23,9 @@ from data.nuisances import NAMES
 SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
-LARGEST_SHARD = 4 << 30  # bytes, of a file and of each of its arrays
-MOST_EXTENT = 1 << 20  # of an array along one of its axes
-MOST_FOLDS = 1000
+MAX_SHARD_BYTES = 4 << 30  # bytes, of a file and of each of its arrays
+MAX_EXTENT = 1 << 20  # of an array along one of its axes
+MAX_FOLDS = 1000
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Field:
     meaning: str
 
 
-POINTS = ("positions", "rest")
+COORDINATES = ("positions", "rest")
 """Arrays whose row is as long as a drape's own mesh asks; in a file, zeros follow."""
 FACES = "faces"
 """The array of a shard's triangulations, each once; after the triangles of one follow zeros."""
@@ -153,7 +153,7 @@ def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.nda
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
-        data[(i, slice(len(row))) if name in (*POINTS, FACES) else i] = row
+        data[(i, slice(len(row))) if name in (*COORDINATES, FACES) else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
@@ -173,7 +173,7 @@ def _wrong_array(file: h5py.File) -> str:
              and isinstance(file[name], h5py.Dataset)}
     sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
     if [len(size) for size in sizes] != [1, 3, 3] or any(
-            extent > MOST_EXTENT for size in sizes for extent in size):
+            extent > MAX_EXTENT for size in sizes for extent in size):
         return "index, positions or faces"
     (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
     expected = {name: (field.dtype, (rows, *field.shape))
@@ -182,8 +182,8 @@ def _wrong_array(file: h5py.File) -> str:
         array = found.get(name)
         if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
                 or array.external or array.is_virtual
-                or array.nbytes > LARGEST_SHARD
-                or np.prod(array.chunks or 0, dtype=float) > MOST_EXTENT * 3):
+                or array.nbytes > MAX_SHARD_BYTES
+                or np.prod(array.chunks or 0, dtype=float) > MAX_EXTENT * 3):
             return name
     return ""
 
@@ -204,7 +204,7 @@ class Shard:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        data = read_bytes(self.path, LARGEST_SHARD, "shard")
+        data = read_bytes(self.path, MAX_SHARD_BYTES, "shard")
         if data[:SEAL_SIZE] != _seal(hashlib.sha256(memoryview(data)[SEAL_SIZE:]).hexdigest()):
             raise InputError(f"{self.path} is damaged or not a shard of schema version "
                              f"{SCHEMA_VERSION}; generate it again")
@@ -226,17 +226,17 @@ class Shard:
             raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
                              "docs/data_format.md; generate the shard again")
 
-    def require_sound(self) -> None:
+    def require_valid(self) -> None:
         """InputError for values that no drape has."""
         column = {name: self.column(name) for name, field in fields(0).items()
-                  if name not in POINTS}
+                  if name not in COORDINATES}
         done = column["status"] == "converged"
         vertices, faces = column["vertices"], self._arrays[FACES]
         sound = {
             "theta": np.isfinite(column["theta"]).all(),
             "nuisances": np.isfinite(column["nuisances"]).all(),
             "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
-            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MOST_FOLDS)).all(),
+            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MAX_FOLDS)).all(),
             "rejected": column["rejected"].min(initial=0) >= 0,
             "vertices": ((vertices >= 3 * done)
                          & (vertices <= self._arrays["positions"].shape[1])).all(),
@@ -261,6 +261,6 @@ class Shard:
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
         vertices = slice(int(self._arrays["vertices"][row]))
-        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in POINTS)
+        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)

@@ -22,7 +22,7 @@ from data.remap import EDGE_STEP
 from data.sensor_noise import Amount, SensorNoise, Share, normal, uniform
 
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
-LEAST_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved
+MIN_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved
 
 
 class TimeOfFlight(SensorNoise):
@@ -92,7 +92,7 @@ class TimeOfFlight(SensorNoise):
 
         blend = self._share(self.edge_blend) * uniform(depth.shape, views, generator)
         mixed = torch.where(other > 0, depth + blend * (other - depth), depth)
-        signal = cosine.clamp(min=LEAST_COSINE) * (REFERENCE_DISTANCE / mixed).square()
+        signal = cosine.clamp(min=MIN_COSINE) * (REFERENCE_DISTANCE / mixed).square()
         sigma = self.strength * self.axial_mm * 1e-3 * signal**-self.signal_exponent
         error = sigma * correlated_normal(depth.shape, self.correlation_px, views, generator)
         scale, bias = self.strength * normal((2, *capture), views, generator)

@@ -12,10 +12,10 @@ from common.workers import worker_pool
 from data.folder import DatasetFolder
 from data.records import Solver, load_solver, make_record
 
-REFRESH = 0.3  # s between two looks at what the workers have done
+POLL_INTERVAL = 0.3  # s between two looks at what the workers have done
 
 
-def _make(
+def _make_shard(
     folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
 ) -> Counter[str]:
     """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
@@ -69,10 +69,10 @@ def make_shards(
     try:
         with tempfile.NamedTemporaryFile() as file, worker_pool(workers) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
-            running = {pool.submit(_make, folder, file.name, solver, place, shard)
+            running = {pool.submit(_make_shard, folder, file.name, solver, place, shard)
                        for place, shard in enumerate(shards)}
             while running:
-                done, running = wait(running, timeout=REFRESH, return_when=FIRST_COMPLETED)
+                done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
                 report(*counts.sum(axis=0).tolist())
                 for future in done:
                     seconds.update(future.result())

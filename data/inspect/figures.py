@@ -9,7 +9,7 @@ import numpy as np
 from data.fabrics import THETA_NAMES
 from data.prior import prior_from_content, sample_admissible
 from data.progress import over_shards
-from data.shards import FACES, POINTS, Shard
+from data.shards import COORDINATES, FACES, Shard
 from sim.material import MICRO
 from sim.measures import maximum_stretch
 from sim.self_contact import self_intersections
@@ -89,14 +89,14 @@ def prior_samples(manifest: dict) -> tuple[np.ndarray, float]:
     return np.array(theta), sum(rejected) / (sum(rejected) + PRIOR_SAMPLES)
 
 
-def for_people(theta: np.ndarray) -> np.ndarray:
+def in_display_units(theta: np.ndarray) -> np.ndarray:
     """Parameters (..., 6) as people read them: alpha in µN·m, beta/alpha in mm."""
     return np.concatenate([np.exp(theta[..., :3]) / MICRO, theta[..., 3:] * 1e3], axis=-1)
 
 
 PARAMETERS = tuple(name.removeprefix("log_") for name in THETA_NAMES)
 UNITS = ("µN·m",) * 3 + ("mm",) * 3
-"""Names and units of :func:`for_people`; at 300 g/m²."""
+"""Names and units of :func:`in_display_units`; at 300 g/m²."""
 
 
 def draped_fabrics(drapes: Drapes) -> np.ndarray:
@@ -189,8 +189,8 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
         outside = (fabrics[:, k] < low[k]) | (fabrics[:, k] > high[k])
         result[name] = {
             "unit": unit,
-            "dataset": _quantiles(for_people(fabrics)[:, k]),
-            "prior": _quantiles(for_people(prior)[:, k]),
+            "dataset": _quantiles(in_display_units(fabrics)[:, k]),
+            "prior": _quantiles(in_display_units(prior)[:, k]),
             "outside": float(outside.mean()) if len(fabrics) else None,
         }
     return result
@@ -199,6 +199,6 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
 def _disk(drapes: Drapes) -> dict[str, int]:
     """Bytes of the shards by part."""
     used = dict(drapes.bytes)
-    parts = {"meshes": sum(used.pop(name) for name in (*POINTS, FACES)),
+    parts = {"meshes": sum(used.pop(name) for name in (*COORDINATES, FACES)),
              "file structure": used.pop("other")}
     return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}

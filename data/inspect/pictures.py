@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.cameras import Camera, CameraRig
-from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, for_people, spread
+from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, in_display_units, spread
 from data.render import DepthRenderer
 from data.shards import Shard
 
@@ -89,9 +89,9 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     state."""
     figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
     panels = figure.subplots(3, 4)
-    fabrics = for_people(draped_fabrics(drapes))
+    fabrics = in_display_units(draped_fabrics(drapes))
     for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
-        _parameter(panels[k // 3, k % 3], fabrics[:, k], for_people(prior)[:, k],
+        _parameter(panels[k // 3, k % 3], fabrics[:, k], in_display_units(prior)[:, k],
                    f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
     columns, converged = drapes.columns, drapes.converged
     groups = {start: converged & (columns["start"] == start)
@@ -105,7 +105,7 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
         panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
         panel.legend(frameon=False, loc="upper left", title=title)
-    _plane(panels[0, 3], fabrics, for_people(prior))
+    _plane(panels[0, 3], fabrics, in_display_units(prior))
     _outcomes(panels[1, 3], columns["status"])
     return _png(figure)
 

@@ -27,7 +27,7 @@ SCHEMA_VERSION = 1
 WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 BUNDLED = ("gaussian", "mixture", "vae")
 """Names of the priors that ship with the project, ``data/weights/NAME.json``."""
-MAXIMUM_TRIES = 10_000
+MAX_TRIES = 10_000
 
 KINDS = {kind.kind: kind for kind in (GaussianPrior, MixturePrior, VaePrior)}
 
@@ -94,11 +94,11 @@ def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[np.ndarra
     before its peak (:func:`sim.material.torque`).
 
     Raises:
-        InputError: none of the first ``MAXIMUM_TRIES`` is admissible.
+        InputError: none of the first ``MAX_TRIES`` is admissible.
     """
-    for rejected in range(MAXIMUM_TRIES):
+    for rejected in range(MAX_TRIES):
         theta = prior.sample(1, rng)[0]
         if is_admissible(*from_theta(theta)):
             return theta, rejected
-    raise InputError(f"none of {MAXIMUM_TRIES} samples of the prior is a possible fabric; fit it "
+    raise InputError(f"none of {MAX_TRIES} samples of the prior is a possible fabric; fit it "
                      "to more fabrics")

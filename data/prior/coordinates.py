@@ -13,34 +13,34 @@ from common.errors import InputError
 from data.fabrics import THETA_NAMES
 from data.prior.base import Stored, array
 
-BEND = 2e-3
+ARCSINH_SCALE = 2e-3
 """beta/alpha, m, at which arcsinh turns from a straight line into a logarithm."""
 
-REACH = 4.0
+OUTLIER_THRESHOLD = 4.0
 """Robust deviations (1.48 times the median distance from the median) beyond which a measurement
 is drawn in: one of +40 mm and one of -17 mm among the 603 ratios of the published table."""
 
-SAME = 1e-9
+TOLERANCE = 1e-9
 """Coordinates that differ by less are equal but for rounding."""
 
 
-def _fold(theta: np.ndarray) -> np.ndarray:
-    return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / BEND)], axis=-1)
+def _compress(theta: np.ndarray) -> np.ndarray:
+    return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / ARCSINH_SCALE)], axis=-1)
 
 
-def _unfold(folded: np.ndarray) -> np.ndarray:
-    return np.concatenate([folded[..., :3], BEND * np.sinh(folded[..., 3:])], axis=-1)
+def _expand(folded: np.ndarray) -> np.ndarray:
+    return np.concatenate([folded[..., :3], ARCSINH_SCALE * np.sinh(folded[..., 3:])], axis=-1)
 
 
 def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (6,) and (6,) of theta, ``REACH`` robust deviations around the medians of (F, 6).
+    """Bounds (6,) and (6,) of theta, ``OUTLIER_THRESHOLD`` robust deviations around the medians of (F, 6).
 
     Drawing fabrics in to these bounds leaves the bounds as they are.
     """
-    folded = _fold(theta)
+    folded = _compress(theta)
     middle = np.median(folded, axis=0)
     deviation = 1.4826 * np.median(np.abs(folded - middle), axis=0)
-    return _unfold(middle - REACH * deviation), _unfold(middle + REACH * deviation)
+    return _expand(middle - OUTLIER_THRESHOLD * deviation), _expand(middle + OUTLIER_THRESHOLD * deviation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Coordinates(Stored):
     """The map from theta to coordinates of mean 0 and deviation 1, one by one, and back.
 
     Attributes:
-        mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``BEND``).
+        mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``ARCSINH_SCALE``).
         scale: (6,) standard deviation, positive.
     """
 
-    bend: array(check=lambda bend: "" if bend == BEND else f"must be {BEND:g} m") = BEND
+    bend: array(check=lambda bend: "" if bend == ARCSINH_SCALE else f"must be {ARCSINH_SCALE:g} m") = ARCSINH_SCALE
     mean: array(6)
     scale: array(6, check=lambda scale: "" if (scale > 0).all() else "scales must be positive")
 
@@ -63,8 +63,8 @@ class Coordinates(Stored):
         Raises:
             InputError: most of the fabrics agree in a number, so that all others are outliers.
         """
-        folded = _fold(np.clip(theta, *plausible_range(theta)))
-        shared = np.flatnonzero(np.ptp(folded, axis=0) < SAME)
+        folded = _compress(np.clip(theta, *plausible_range(theta)))
+        shared = np.flatnonzero(np.ptp(folded, axis=0) < TOLERANCE)
         if len(shared):
             raise InputError(f"more than half of the fabrics have the same {THETA_NAMES[shared[0]]}"
                              "; a prior needs fabrics that differ")
@@ -73,13 +73,13 @@ class Coordinates(Stored):
 
     def encode(self, theta: np.ndarray) -> np.ndarray:
         """Coordinates (..., 6) of theta (..., 6); nothing is drawn in."""
-        return (_fold(np.asarray(theta, dtype=np.float64)) - self.mean) / self.scale
+        return (_compress(np.asarray(theta, dtype=np.float64)) - self.mean) / self.scale
 
     def decode(self, coordinates: np.ndarray) -> np.ndarray:
         """theta (..., 6) of coordinates (..., 6)."""
-        return _unfold(self.mean + self.scale * coordinates)
+        return _expand(self.mean + self.scale * coordinates)
 
     def log_volume(self, theta: np.ndarray) -> np.ndarray:
         """Log of the volume of coordinates per volume of theta (..., 6), shape (...)."""
-        slope = -0.5 * np.log(BEND**2 + theta[..., 3:] ** 2)
+        slope = -0.5 * np.log(ARCSINH_SCALE**2 + theta[..., 3:] ** 2)
         return slope.sum(axis=-1) - np.log(self.scale).sum()

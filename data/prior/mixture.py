@@ -12,8 +12,8 @@ from data.prior.base import Count, Stored, array, check_fabrics, wrong_covarianc
 from data.prior.coordinates import Coordinates
 
 ITERATIONS = 200  # of expectation and maximisation, as in the paper
-FIRST_GUESSES = 5
-LEAST_VARIANCE = 0.05
+INITIALISATIONS = 5
+VARIANCE_FLOOR = 0.05
 """Added to the variances of every component, in units of the whole table's. Far more than the
 library's default of 1e-6, with which a component of thirty fabrics makes much of their accidents:
 0.2 nats less per unseen fabric."""
@@ -59,8 +59,8 @@ class MixturePrior(Stored):
 
         theta = check_fabrics(theta, least=7 * components)
         coordinates, points = Coordinates.fit(theta)
-        fitted = GaussianMixture(components, max_iter=ITERATIONS, n_init=FIRST_GUESSES,
-                                 reg_covar=LEAST_VARIANCE, random_state=seed).fit(points)
+        fitted = GaussianMixture(components, max_iter=ITERATIONS, n_init=INITIALISATIONS,
+                                 reg_covar=VARIANCE_FLOOR, random_state=seed).fit(points)
         return cls(coordinates, fitted.weights_, fitted.means_, fitted.covariances_, len(theta))
 
     @cached_property

@@ -33,7 +33,7 @@ DECIMALS = 12
 """Samples are rounded to this many decimals, which nearly always hides the last bits in which the
 libraries of two machines differ."""
 
-CHUNK = 16  # fabrics whose likelihood is estimated at a time, for the sake of memory
+CHUNK_SIZE = 16  # fabrics whose likelihood is estimated at a time, for the sake of memory
 
 @dataclass(frozen=True)
 class Architecture:
@@ -175,7 +175,7 @@ class VaePrior(Stored):
         theta = np.atleast_2d(theta)
         points = self.coordinates.encode(theta)
         rng = np.random.default_rng(seed)
-        chunks = [points[i:i + CHUNK] for i in range(0, len(points), CHUNK)]
+        chunks = [points[i:i + CHUNK_SIZE] for i in range(0, len(points), CHUNK_SIZE)]
         bound = [self._bound(chunk, rng.standard_normal((len(chunk), draws, self.latent)))
                  for chunk in chunks]
         return np.concatenate(bound) + self.coordinates.log_volume(theta)
