@@ -144,7 +144,8 @@ def _kind(folder: Path, names: list[str]) -> str:
         return found[0] if found else RECORDING
     for name in names:
         if (ending := Path(name).suffix.lower()) in UNSUPPORTED:
-            raise InputError(f"{folder / name}: files of this kind are not read; {UNSUPPORTED[ending]}")
+            raise InputError(f"{folder / name}: files of this kind are not read; "
+                             f"{UNSUPPORTED[ending]}")
     return KINDS[0]  # numbered() reports that they are missing
 
 

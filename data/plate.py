@@ -55,7 +55,7 @@ class Plate:
 
     @property
     def pose(self) -> np.ndarray:
-        """(4, 4) transform from the plate's axes (x along the picture's rows, z up) to the camera's.
+        """(4, 4) transform to the camera's axes from the plate's: x along the picture's rows, z up.
         """
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = _axes(self.normal), self.centre

@@ -17,7 +17,7 @@ from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots
 
-LABEL_WIDTH = 22  # width of a table's first column
+WIDTH = 22  # width of a table's first column
 
 
 @dataclass
@@ -68,17 +68,17 @@ def describe(content: dict) -> list[str]:
         f"impossible fabrics rejected: {rate['dataset']:.2%}, by the prior itself "
         f"{rate['prior']:.2%}",
         "",
-        f"{'initial state':<{LABEL_WIDTH}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
-        *(f"{name:<{LABEL_WIDTH}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
+        f"{'initial state':<{WIDTH}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
+        *(f"{name:<{WIDTH}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
           for name, row in content["starts"].items()),
         "",
     ]
     if content["failures"]:
-        lines += [f"{'failure':<{LABEL_WIDTH}}{'drapes':>8}  first", *(
-            f"{row['status']:<{LABEL_WIDTH}}{row['drapes']:>8}  {row['first']}: {row['message']}"
+        lines += [f"{'failure':<{WIDTH}}{'drapes':>8}  first", *(
+            f"{row['status']:<{WIDTH}}{row['drapes']:>8}  {row['first']}: {row['message']}"
             for row in content["failures"]), ""]
     low, high = RANGE
-    lines.append(f"{'at 300 g/m²':<{LABEL_WIDTH}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
+    lines.append(f"{'at 300 g/m²':<{WIDTH}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
                  f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
     for name, row in content["parameters"].items():
         label = f"{name.replace('_over_', '/').replace('_', ' ')} [{row['unit']}]"
@@ -92,8 +92,8 @@ def describe(content: dict) -> list[str]:
         "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
         _self_intersections(content["self_intersections"], content["converged"]),
         "",
-        f"{'disk':<{LABEL_WIDTH}}{'MB':>8}{'kB a drape':>12}",
-        *(f"{part:<{LABEL_WIDTH}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
+        f"{'disk':<{WIDTH}}{'MB':>8}{'kB a drape':>12}",
+        *(f"{part:<{WIDTH}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
           for part, size in disk.items()),
     ]
     return lines
@@ -106,7 +106,7 @@ def _number(value: float | None) -> str:
 def _range(label: str, quantiles: dict[str, float] | None) -> str:
     columns = ("0.01", "0.1", "0.5", "0.9", "0.99")
     values = [_number(None if quantiles is None else quantiles[q]) for q in columns]
-    return f"{label:<{LABEL_WIDTH}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
+    return f"{label:<{WIDTH}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
 
 
 def _self_intersections(figures: dict, converged: int) -> str:

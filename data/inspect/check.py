@@ -30,10 +30,10 @@ def _check_shards(root: Path, manifest: dict) -> None:
     digests = manifest["shards"]
     there = {path.name for path in root.glob(SHARDS)}
     if missing := sorted(digests.keys() - there):
-        raise InputError(f"{root} lacks {_abbreviated(missing)}; generate the missing shards with "
+        raise InputError(f"{root} lacks {_listed(missing)}; generate the missing shards with "
                          f"python -m data.generate out={root} and the dataset's settings")
     if extra := sorted(there - digests.keys()):
-        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_abbreviated(extra)}; "
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
                          "move them elsewhere")
     changed: list[str] = []
     indices: list[int] = []
@@ -52,7 +52,7 @@ def _check_shards(root: Path, manifest: dict) -> None:
         indices.extend(shard.column("index").tolist())
         outcomes.update(shard.column("status").tolist())
     if changed:
-        raise InputError(f"{root}: the content of {_abbreviated(changed)} differs from its digest in "
+        raise InputError(f"{root}: the content of {_listed(changed)} differs from its digest in "
                          f"{MANIFEST}; remove these files and generate them again")
     if indices != list(range(manifest["drapes"])):
         raise InputError(f"{root} should hold the drapes 0 to {manifest['drapes'] - 1} once each, "
@@ -63,6 +63,6 @@ def _check_shards(root: Path, manifest: dict) -> None:
                          "shards; generate the dataset again, in another folder")
 
 
-def _abbreviated(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     """The first names of many."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
