@@ -1,4 +1,4 @@
-"""Scanned drapes of real fabrics on the disc rig, as meshes."""
+"""Meshes of scanned drapes of real fabrics on the disc rig."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,17 +11,17 @@ from sim.mesh import Mesh
 from sim.scene import Rig
 
 MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
-_PLANE_TOLERANCE = 5e-3  # m, how far cloth on the support may lie from its plane
-_MAX_RADIUS_RATIO = 1.02  # rest points may lie this much beyond the specimen's radius
-_MAX_EDGE_RATIO = 2.0  # edges may be this many times as long or short as at rest; of other units over 20
+_PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
+_MAX_RADIUS_RATIO = 1.02  # largest radius of rest points over the specimen's radius
+_MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong units it exceeds 20
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A scanned drape; z up, the support's top in the plane z = 0, its axis through the origin.
+    """A scanned drape; z up, the support's top at z = 0, its axis through the origin.
 
     Attributes:
-        name: of the file, without its ending.
+        name: of the file, without suffix.
         positions: (V, 3) m.
         rest: (V, 2) m, the same vertices on the flat specimen, whose centre is the origin.
         faces: (F, 3) int64, counter-clockwise at rest.
@@ -37,8 +37,8 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
 
     Raises:
-        InputError: not such a file, numbers that are no mesh, or a drape that does not lie on
-            the support of ``rig``.
+        InputError: not such a file, an invalid mesh, or a drape that is not placed on the support
+            of ``rig``.
     """
     keys = ("vertices", "rest", "faces")
     arrays = read_arrays(path, keys, what="the scan",
@@ -82,7 +82,7 @@ def read_scan(path: Path, rig: Rig) -> Scan:
 
 
 def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
-    """Refuse other units, other axes and drapes that hang beside the support."""
+    """InputError for wrong units or axes, and for drapes that are not placed on the support."""
     radius = np.linalg.norm(scan.rest, axis=1)
     largest = rig.specimen_size / 2
     if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
@@ -97,20 +97,20 @@ def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
         raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
     if (off := np.abs(flat[:, 2]).max()) > _PLANE_TOLERANCE:
         raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
-                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the support's "
-                         "top to z = 0, with z pointing up")
+                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the "
+                         "support's top to z = 0, with z pointing up")
     if scan.positions[:, 2].min() > -_PLANE_TOLERANCE:
         raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
 
 
 def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
-    """Mean length of the triangles' sides, in the unit of ``points`` (V, 2 or 3)."""
+    """Mean side length of the triangles, in the unit of ``points`` (V, 2 or 3)."""
     sides = points[faces] - points[np.roll(faces, 1, axis=1)]
     return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def read_scans(folder: Path, rig: Rig) -> list[Scan]:
-    """All scans (``*.npz``) of a folder, by name.
+    """Read all scans (``*.npz``) of a folder, sorted by name.
 
     Raises:
         InputError: no scan in the folder, or one that cannot be read.

@@ -1,4 +1,4 @@
-"""Worker processes that make whole shards."""
+"""Parallel simulation of shards, one worker process per shard."""
 
 import tempfile
 import time
@@ -12,7 +12,7 @@ from common.workers import worker_pool
 from data.folder import DatasetFolder
 from data.records import Solver, load_solver, make_record
 
-POLL_INTERVAL = 0.3  # s between two looks at what the workers have done
+POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
 
 def _make_shard(
@@ -20,9 +20,8 @@ def _make_shard(
 ) -> Counter[str]:
     """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
 
-    ``counts`` is a file that all processes share, (shards, 2): of the shard at each place, the
-    drapes made and those of them that failed. There is no lock, which would stay closed if its
-    holder was killed.
+    ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
+    at each index (``place``). There is no lock, as it would remain locked if its holder was killed.
     """
     cpu, wall, seconds = time.process_time(), time.perf_counter(), Counter(solver=0.0)
     solver = solver or load_solver()
@@ -56,12 +55,12 @@ def make_shards(
     solver: Solver | None = None,
     report: Callable[[int, int], None] = lambda drapes, failed: None,
 ) -> str:
-    """Make ``shards``, each in one of ``workers`` processes; return what took the time.
+    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text.
 
-    ``report`` is called now and then with the number of drapes made, and of those that failed.
+    ``report`` is called periodically with the numbers of drapes made and failed.
 
     Raises:
-        InputError: a shard cannot be written; a worker was ended from outside.
+        InputError: a shard cannot be written; a worker was killed from outside.
     """
     if not shards:
         return ""
@@ -77,22 +76,21 @@ def make_shards(
                 for future in done:
                     seconds.update(future.result())
     except BaseException:
-        folder.remove_partial()  # processes were ended, perhaps while they wrote
+        folder.remove_partial()  # processes may have been killed while writing
         raise
     return _time_spent(workers, time.time() - began, seconds)
 
 
 def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
-    """Shares of the time that ``workers`` processes had in ``wall`` seconds: CPU, and no work.
+    """Breakdown of the time of ``workers`` processes in ``wall`` seconds: CPU time and idle time.
 
-    Time in which another program had the core, or in which the process waited for the disk, is
-    stated separately. ``seconds`` are sums over the workers: CPU time of ``solver`` and the
-    ``rest``; ``wall``, at work.
+    Time of waiting for a core or the disk is stated separately. ``seconds`` are sums over the
+    workers: CPU time of ``solver`` and ``rest``; ``wall``, elapsed time of their tasks.
     """
     spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
              "start and idle": max(workers * wall - seconds["wall"], 0.0)}
     total = max(sum(spent.values()), 1e-9)
     shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
-    return (f"time of {workers} worker processes: {shares}; besides, they waited "
+    return (f"time of {workers} worker processes: {shares}; in addition, they waited "
             f"{max(workers * wall - total, 0.0):.0f} of {workers * wall:.0f} s for a core or the "
             "disk")

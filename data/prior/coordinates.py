@@ -13,10 +13,10 @@ from common.errors import InputError
 from data.fabrics import THETA_NAMES
 from data.prior.base import Stored, array
 
-ARCSINH_SCALE = 2e-3
+BEND = 2e-3
 """beta/alpha, m, at which arcsinh turns from a straight line into a logarithm."""
 
-OUTLIER_THRESHOLD = 4.0
+MAX_DEVIATIONS = 4.0
 """Robust deviations (1.48 times the median distance from the median) beyond which a measurement
 is drawn in: one of +40 mm and one of -17 mm among the 603 ratios of the published table."""
 
@@ -25,22 +25,22 @@ TOLERANCE = 1e-9
 
 
 def _compress(theta: np.ndarray) -> np.ndarray:
-    return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / ARCSINH_SCALE)], axis=-1)
+    return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / BEND)], axis=-1)
 
 
 def _expand(folded: np.ndarray) -> np.ndarray:
-    return np.concatenate([folded[..., :3], ARCSINH_SCALE * np.sinh(folded[..., 3:])], axis=-1)
+    return np.concatenate([folded[..., :3], BEND * np.sinh(folded[..., 3:])], axis=-1)
 
 
 def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (6,) and (6,) of theta, ``OUTLIER_THRESHOLD`` robust deviations around the medians of (F, 6).
+    """Bounds (6,) and (6,) of theta, ``MAX_DEVIATIONS`` robust deviations around the medians of (F, 6).
 
     Drawing fabrics in to these bounds leaves the bounds as they are.
     """
     folded = _compress(theta)
     middle = np.median(folded, axis=0)
     deviation = 1.4826 * np.median(np.abs(folded - middle), axis=0)
-    return _expand(middle - OUTLIER_THRESHOLD * deviation), _expand(middle + OUTLIER_THRESHOLD * deviation)
+    return _expand(middle - MAX_DEVIATIONS * deviation), _expand(middle + MAX_DEVIATIONS * deviation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Coordinates(Stored):
     """The map from theta to coordinates of mean 0 and deviation 1, one by one, and back.
 
     Attributes:
-        mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``ARCSINH_SCALE``).
+        mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``BEND``).
         scale: (6,) standard deviation, positive.
     """
 
-    bend: array(check=lambda bend: "" if bend == ARCSINH_SCALE else f"must be {ARCSINH_SCALE:g} m") = ARCSINH_SCALE
+    bend: array(check=lambda bend: "" if bend == BEND else f"must be {BEND:g} m") = BEND
     mean: array(6)
     scale: array(6, check=lambda scale: "" if (scale > 0).all() else "scales must be positive")
 
@@ -81,5 +81,5 @@ class Coordinates(Stored):
 
     def log_volume(self, theta: np.ndarray) -> np.ndarray:
         """Log of the volume of coordinates per volume of theta (..., 6), shape (...)."""
-        slope = -0.5 * np.log(ARCSINH_SCALE**2 + theta[..., 3:] ** 2)
+        slope = -0.5 * np.log(BEND**2 + theta[..., 3:] ** 2)
         return slope.sum(axis=-1) - np.log(self.scale).sum()
