@@ -69,7 +69,7 @@ class SamplingConfig:
         if self.starts_per_fabric < 1:
             raise InputError(f"starts_per_fabric={self.starts_per_fabric} must be at least 1")
         if not set(self.starts) <= {*STARTS, BORROWED}:
-            raise InputError(f"starts={list(self.starts)} must be from {', '.join(STARTS)}, "
+            raise InputError(f"starts={list(self.starts)} must contain only {', '.join(STARTS)}, "
                              f"{BORROWED}")
         if not set(self.starts) & set(STARTS):
             raise InputError(f"starts={list(self.starts)} must contain "

@@ -150,19 +150,19 @@ class Setups:
         return SyntheticCapture(noisy, given, turns, orientation, name)
 
     def camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
-        """A camera on its tripod; ``nominal`` as for :meth:`capture`."""
+        """Draw a camera with random pose; ``nominal`` as for :meth:`capture`."""
         distance = rng.uniform(*self.distance)
-        far = distance / REFERENCE_DISTANCE
-        pose = Pose(distance, rng.uniform(*self.pitch), far * rng.uniform(*self.above),
-                    far * rng.uniform(*self.aside), self.roll * rng.standard_normal())
-        focal = nominal.fx * far * rng.uniform(*self.fill)
+        ratio = distance / REFERENCE_DISTANCE
+        pose = Pose(distance, rng.uniform(*self.pitch), ratio * rng.uniform(*self.above),
+                    ratio * rng.uniform(*self.aside), self.roll * rng.standard_normal())
+        focal = nominal.fx * ratio * rng.uniform(*self.fill)
         return Camera(focal, focal, nominal.cx, nominal.cy, nominal.width, nominal.height,
                       pose.world_to_camera())
 
     def _cut_out(
         self, noisy: np.ndarray, views: np.ndarray, camera: Camera, rng: np.random.Generator
     ) -> None:
-        """Remove, in place, what an imperfect cut-out takes off views (K, H, W)."""
+        """Remove, in place, parts of the cloth in views (K, H, W), as an imperfect cut-out does."""
         border = int(rng.integers(self.border + 1))
         lowest = None
         if rng.random() < self.hem_share:

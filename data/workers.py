@@ -91,6 +91,6 @@ def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
              "start and idle": max(workers * wall - seconds["wall"], 0.0)}
     total = max(sum(spent.values()), 1e-9)
     shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
-    return (f"time of {workers} worker processes: {shares}; in addition, they waited "
+    return (f"time of {workers} worker processes: {shares}; besides, they waited "
             f"{max(workers * wall - total, 0.0):.0f} of {workers * wall:.0f} s for a core or the "
             "disk")

@@ -1,9 +1,9 @@
-"""Check a dataset of drapes, and report what it holds.
+"""Verify a dataset of drapes and report its statistics.
 
     python -m data.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
-Checks that the shards of the dataset in FOLDER are those that its dataset.json lists, then says
-what is in it: outcomes, parameters against the prior, drapes, disk use. Writes report.json,
+Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
+outcomes, parameters compared with the prior, drapes and disk use. Writes report.json,
 histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
@@ -32,7 +32,7 @@ class InspectConfig:
 
 @command("inspect", InspectConfig, first="data", swept_out=".")
 def main(config: InspectConfig) -> None:
-    """Check, print, and write the report."""
+    """Verify the dataset; print and write the report."""
     if not config.data:
         raise InputError("the folder of a dataset is missing: python -m data.inspect FOLDER")
     if config.intersections < 0:
@@ -57,7 +57,7 @@ def main(config: InspectConfig) -> None:
 
 
 def describe(content: dict) -> list[str]:
-    """Lines for people of what :func:`data.inspect.figures.report` says."""
+    """Format the result of :func:`data.inspect.figures.report` as lines of text."""
     n, disk = content["drapes"], content["disk"]
     rate = content["rejection_rate"]
     lines = [

@@ -1,4 +1,4 @@
-"""Whether a dataset's shards are those that its manifest lists."""
+"""Verification of a dataset's shards against its manifest."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from data.shards import SHARDS, Shard
 
 
 def check_dataset(root: str | Path) -> dict:
-    """The manifest of the finished dataset in ``root``, once all its shards agree with it.
+    """Verify all shards of the complete dataset in ``root``; return its manifest.
 
     Raises:
-        InputError: no dataset, an unfinished one, a manifest that contradicts itself, a shard
-            that is missing, unlisted, damaged, changed or of another dataset, a drape too few
-            or too many, or other outcomes.
+        InputError: no dataset, an incomplete dataset, an inconsistent manifest; a shard that is
+            missing, unlisted, damaged, changed or of another dataset; missing or repeated drapes;
+            other outcomes.
     """
     root = Path(root)
     manifest = finished_manifest(root)
@@ -26,13 +26,13 @@ def check_dataset(root: str | Path) -> dict:
 
 
 def _check_shards(root: Path, manifest: dict) -> None:
-    """Compare the shards in ``root`` with what the manifest says of them."""
+    """Compare the shards in ``root`` with the manifest."""
     digests = manifest["shards"]
-    there = {path.name for path in root.glob(SHARDS)}
-    if missing := sorted(digests.keys() - there):
+    found = {path.name for path in root.glob(SHARDS)}
+    if missing := sorted(digests.keys() - found):
         raise InputError(f"{root} lacks {_listed(missing)}; generate the missing shards with "
                          f"python -m data.generate out={root} and the dataset's settings")
-    if extra := sorted(there - digests.keys()):
+    if extra := sorted(found - digests.keys()):
         raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
                          "move them elsewhere")
     changed: list[str] = []
@@ -64,5 +64,5 @@ def _check_shards(root: Path, manifest: dict) -> None:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """The first names of many."""
+    """The first three names, and the number of others."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
