@@ -211,7 +211,7 @@ def test_files_are_read_back_bit_by_bit(prior, tmp_path):
 
 @pytest.mark.parametrize(("change", "complaint"), [
     ({"weights": [0.5, 0.6, 0.1]}, "add up to 1"),
-    ({"weights": [1.0]}, "as many"),
+    ({"weights": [1.0]}, "equal in number"),
     ({"weights": []}, "weights: "),
     ({"means": None}, "means: give K × 6 finite"),
     ({"covariances": [(-np.eye(6)).tolist()] * 3}, "positive definite"),
