@@ -1,1 +1,1 @@
-"""Shared conduct of commands: errors, files, words of the command line, worker processes."""
+"""Shared by all commands: errors, files, command-line arguments, worker processes."""

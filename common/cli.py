@@ -1,4 +1,4 @@
-"""Shared conduct of the command lines: one-line errors, exit codes."""
+"""Running commands: one-line error messages, exit codes."""
 
 import errno
 import os
@@ -13,13 +13,13 @@ from common.errors import InputError
 from common.memory import keep_freed_memory
 
 FULL_ERROR = "HYDRA_FULL_ERROR"
-"""With the value 1 in the environment, a user's mistake has its traceback, as with Hydra."""
-LIMITS = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
-"""The most that keys of these names take: what 64 bits hold, and what no machine is asked for."""
+"""Environment variable: with the value 1, an InputError has a traceback, as in Hydra."""
+MAX_VALUES = {"seed": 2**63 - 1, "workers": 1024, "threads": 1024}
+"""Upper limits of keys: 63 bits of a seed, and more processes or threads than machines have."""
 
 
 def refuse_repeated(words: Iterable[str]) -> None:
-    """InputError for words ``key=value`` that give a key twice."""
+    """InputError for arguments ``key=value`` that set a key twice."""
     keys = [word.partition("=")[0].lstrip("+") for word in words]
     for key in keys:
         if keys.count(key) > 1:
@@ -27,21 +27,21 @@ def refuse_repeated(words: Iterable[str]) -> None:
 
 
 def check_counts(config: Mapping[str, Any]) -> None:
-    """InputError for numbers beyond :data:`LIMITS`."""
-    for key, most in LIMITS.items():
-        if isinstance(value := config.get(key), int) and value > most:
-            raise InputError(f"{key}={value} must not be above {most}")
+    """InputError for numbers above :data:`MAX_VALUES`."""
+    for key, limit in MAX_VALUES.items():
+        if isinstance(value := config.get(key), int) and value > limit:
+            raise InputError(f"{key}={value} must not be above {limit}")
 
 
 def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) -> NoReturn:
-    """Run ``main(sys.argv[1:])``; a user's mistake ends with one line and exit code 2.
+    """Run ``main(sys.argv[1:])`` and exit; an InputError is printed as one line, exit code 2.
 
-    With ``usage``, the words -h and --help print that text instead.
+    With ``usage``, the options -h and --help print that text instead.
     """
     if usage and {"-h", "--help"} & set(sys.argv[1:]):
         print(usage)
         sys.exit(0)
-    import common.interrupt  # noqa: F401 (of a command that does not begin with it)
+    import common.interrupt  # noqa: F401 (for commands that do not import it first)
 
     keep_freed_memory()
     open_output()
@@ -59,8 +59,7 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
         signal.signal(signal.SIGINT, end)
         sys.exit(130)
     except BrokenPipeError:
-        # Whoever read the output, such as `head`, has seen enough; Python's own last flush must
-        # not complain about it.
+        # The reader, such as `head`, has closed the pipe; Python's final flush must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
@@ -74,8 +73,8 @@ def run_command(main: Callable[[list[str]], None], *, usage: str | None = None) 
 
 
 def open_output() -> None:
-    """Let standard output and error be there, whoever closed them, and take every text: names of
-    files may be none, and terminals may know ASCII only.
+    """Make standard output and error usable: replace closed streams, and escape characters that
+    they cannot encode, such as undecodable file names or non-ASCII text on ASCII terminals.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:

@@ -1,14 +1,14 @@
 """Commands as Hydra applications: ``@command("infer", InferConfig)`` above a function.
 
 ``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema the types and
-ranges. On top of Hydra's own command line, with its options, groups, sweeps and launchers:
+ranges. Extends Hydra's command line, with its options, groups, sweeps and launchers:
 
-- a mistake is one line on standard error and exit code 2 (:func:`common.cli.run_command`);
-- the value of a text needs no quotes, whatever a path contains, except ``${key}``, which stands for
-  the value of a key. In a sweep (``--multirun``) it is Hydra's grammar, where commas separate jobs;
+- an input error is one line on standard error and exit code 2 (:func:`common.cli.run_command`);
+- text values need no quotes, whatever a path contains; only ``${key}`` is replaced by the value of
+  a key. In a sweep (``--multirun``) values follow Hydra's grammar, where commas separate jobs;
 - a list of numbers needs no brackets;
-- each job of a sweep has an ``out`` that no other has: by default its folder of the sweep;
-- the first word may stand for the value of a key, or choose among several commands
+- each job of a sweep has a unique ``out``: by default its folder of the sweep;
+- the first argument may be the value of a key, or choose among several commands
   (:func:`commands`).
 """
 
@@ -38,16 +38,16 @@ def command(
     name: str, schema: type, *, check: Callable[[Any], object] | None = None, first: str = "",
     swept_out: str | None = None,
 ) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """Decorator: a function of a ``schema`` object becomes the command of ``configs/NAME.yaml``.
+    """Decorator: make a function of a ``schema`` object the command of ``configs/NAME.yaml``.
 
-    The command takes the words of the command line and ends the process; given a list of words, as
-    tests do, it returns, or raises InputError. Its help begins with its module's docstring.
+    The command reads ``sys.argv`` and ends the process; called with a list of arguments, as in
+    tests, it returns or raises InputError. Its help begins with its module's docstring.
 
     Args:
-        check: raises InputError for settings that make no sense, before the jobs of a sweep start.
-        first: the key whose value the first word is, unless that sets a key.
-        swept_out: the default of ``out`` in a sweep, relative to the job's folder. None: the name
-            of the file that it is without a sweep, or the folder itself; nothing where it is empty.
+        check: raises InputError for invalid settings before the jobs of a sweep start.
+        first: key whose value is the first argument, unless that sets a key.
+        swept_out: default of ``out`` in a sweep, relative to the job's folder. None: the file name
+            of the default ``out``, or the job's folder if it is a folder; unset if it is empty.
     """
 
     def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
@@ -63,7 +63,7 @@ def command(
 def commands(
     named: Mapping[str, Callable[[list[str]], None]], *, usage: str
 ) -> Callable[..., None]:
-    """A command whose first word chooses among those ``named``; without it, --help is ``usage``."""
+    """A command whose first argument chooses among those ``named``; --help prints ``usage``."""
 
     def choose(words: list[str]) -> None:
         name, *others = words or [""]
@@ -72,8 +72,8 @@ def commands(
         elif name in named:
             named[name](others)
         else:
-            unknown = f"unknown command '{name}'{_nearest(name, named)}" if name else "no command"
-            raise InputError(f"{unknown}; the first word is one of: {', '.join(named)}")
+            fault = f"unknown command '{name}'{_suggestion(name, named)}" if name else "no command"
+            raise InputError(f"{fault}; the first word is one of: {', '.join(named)}")
 
     def main(words: Sequence[str] | None = None) -> None:
         run_command(choose) if words is None else choose(list(words))
@@ -95,13 +95,13 @@ def _run(
         "help", lambda: describe(name, sys.modules[task.__module__].__doc__), replace=True)
     words, overrides, sweep = _hydra_words(name, schema, first, words)
     failed: list[Exception] = []
-    inside: str | None = None  # a sweep's job's folder, its out=
+    inside: str | None = None  # out= of a job of a sweep, relative to its folder
 
-    @functools.wraps(task)  # Hydra looks where the task is from
+    @functools.wraps(task)  # Hydra reads the task's module
     def job(config: Any) -> None:
         swept, folder = HydraConfig.get().mode is RunMode.MULTIRUN, _job_folder()
         try:
-            with explained(name, schema, overrides):
+            with input_errors(name, schema, overrides):
                 if inside is not None:
                     config.out = str(folder / inside)
                 settings = as_schema(config, schema)
@@ -109,19 +109,19 @@ def _run(
         except Exception as error:
             if swept:
                 raise
-            failed.append(error)  # past Hydra, which would print its words
+            failed.append(error)  # raised below: Hydra would print a message
         finally:
             if swept:
-                with suppress(OSError):  # what is in it stays
+                with suppress(OSError):  # it is not empty
                     folder.rmdir()
 
     argv, full = sys.argv, os.environ.get(FULL_ERROR, "0")
-    with explained(name, schema, overrides, sweep=sweep):
+    with input_errors(name, schema, overrides, sweep=sweep):
         if sweep:
             inside = _swept_out(name, overrides, swept_out)
         if sweep and check:
-            check(as_schema(_compose(name, _single(overrides)), schema))
-        try:  # Hydra reads the command line itself, and should raise its errors
+            check(as_schema(_compose(name, _job_overrides(overrides)), schema))
+        try:  # Hydra reads sys.argv, and raises errors if FULL_ERROR is set
             sys.argv, os.environ[FULL_ERROR] = [argv[0], *words], "1"
             main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=name)(job)()
         finally:
@@ -133,10 +133,10 @@ def _run(
 def _hydra_words(
     name: str, schema: type, first: str, words: list[str]
 ) -> tuple[list[str], list[str], bool]:
-    """A command line for Hydra, the overrides in it, and whether it asks for a sweep.
+    """Arguments for Hydra, the overrides among them, and whether they request a sweep.
 
     Raises:
-        InputError: an option that Hydra does not have, a word that is no override, a key twice.
+        InputError: an unknown option, an argument that is not an override, a key twice.
     """
     from hydra._internal.utils import get_args_parser  # as hydra.main does
 
@@ -147,8 +147,9 @@ def _hydra_words(
     parser = get_args_parser()
     parser.error = refuse
     keys = keys_of(name, schema)
-    if first and words and words[0][:1] not in "-+~" and _top(words[0]) not in {*keys, "hydra"}:
-        words = [f"{first}={words[0]}", *words[1:]]  # folders of sweeps have = in their names
+    if first and words and words[0][:1] not in "-+~" and (
+            _outermost_key(words[0]) not in {*keys, "hydra"}):
+        words = [f"{first}={words[0]}", *words[1:]]  # folder names of sweeps contain =
     options = parser.parse_intermixed_args(words)
     for word in options.overrides:
         if "=" not in word and not word.startswith("~"):
@@ -158,15 +159,15 @@ def _hydra_words(
     overrides = []
     for word in options.overrides:
         overrides.append(word if options.multirun else to_hydra(word, schema))
-        if (key := word.partition("=")[0]) in params:  # in place of the files' own sweep
+        if (key := word.partition("=")[0]) in params:  # replaces the sweep of the config file
             overrides.append(f"~hydra.sweeper.params.{key}")
     sweep = options.multirun or any("launcher=" in word for word in overrides)
     others = [word for word in words if word not in options.overrides]
-    return [*overrides, *others], overrides, sweep  # Hydra takes them in this order only
+    return [*overrides, *others], overrides, sweep  # the only order that Hydra accepts
 
 
-def _single(overrides: list[str]) -> list[str]:
-    """Overrides of the job alone that give a key one value; ``out`` may depend on the job."""
+def _job_overrides(overrides: list[str]) -> list[str]:
+    """Overrides of the job that set a key to a single value; ``out`` may depend on the job."""
     return [word for word, override in zip(overrides, _parsed(overrides), strict=True)
             if not word.lstrip("+~").startswith(("hydra", "out=")) and
             not override.is_sweep_override()]
@@ -179,11 +180,11 @@ def _parsed(overrides: list[str]) -> list[Any]:
 
 
 def _swept_out(name: str, overrides: list[str], swept_out: str | None) -> str | None:
-    """``out`` relative to the folder of each job of a sweep; None where ``out`` is given, the
-    command has none, or the jobs are those that the command's file divides one result into.
+    """``out`` of a sweep's jobs, relative to each job's folder; None if ``out`` is given, if the
+    command has none, or if the jobs are the parts of one result, as listed in the config file.
 
     Raises:
-        InputError: an ``out`` that several jobs share.
+        InputError: several jobs share an ``out``.
     """
     content = read_config(name)
     divided = content.get("hydra", {}).get("sweeper", {}).get("params", {}).keys()
@@ -213,7 +214,7 @@ def _is_scalar(content: Any, key: str) -> bool:
 
 
 def _job_folder() -> Path:
-    """Of the job of a sweep under way."""
+    """Output folder of the current job of a sweep."""
     from hydra.core.hydra_config import HydraConfig
 
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -221,9 +222,9 @@ def _job_folder() -> Path:
 
 
 def to_hydra(word: str, schema: type) -> str:
-    """``word`` in Hydra's grammar: texts in quotes, lists of numbers in brackets.
+    """Convert an argument to Hydra's grammar: texts in quotes, lists of numbers in brackets.
 
-    The type Any stands for one text, or a list of texts in brackets. What is in quotes stays.
+    The type Any is one text, or a list of texts in brackets. Quoted values are unchanged.
     """
     key, equals, value = word.partition("=")
     kind = _kind(schema, key)
@@ -241,20 +242,20 @@ def to_hydra(word: str, schema: type) -> str:
 
 
 def _kind(schema: type, key: str) -> Any:
-    """The type of a key of ``schema``, with dots for inner ones; None if there is none."""
+    """Type of a (dotted) key of ``schema``; None for unknown keys."""
     kind: Any = schema
     for name in key.split("."):
         kind = get_type_hints(kind).get(name) if is_dataclass(kind) else None
     return kind
 
 
-def _top(word: str) -> str | None:
-    """The key that an override sets, the outermost of nested ones; None where there is no =."""
+def _outermost_key(word: str) -> str | None:
+    """First part of the dotted key that an override sets; None without =."""
     return word.partition("=")[0].partition(".")[0] if "=" in word else None
 
 
 def _quoted(text: str) -> str:
-    """``text`` as a quoted value of Hydra, which takes backslashes before quotes for escapes."""
+    """Quote ``text`` for Hydra, with backslashes before quotes escaped."""
     return "'" + re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", text)) + "'"
 
 
@@ -262,14 +263,14 @@ def _quoted(text: str) -> str:
 
 
 def store_schema(name: str, schema: type) -> None:
-    """Let ``configs/NAME.yaml`` find its schema, by the name ``NAME_schema``."""
+    """Register ``schema`` for ``configs/NAME.yaml`` under the name ``NAME_schema``."""
     from hydra.core.config_store import ConfigStore
 
     ConfigStore.instance().store(name=f"{name}_schema", node=schema)
 
 
 def schema_of(name: str) -> type:
-    """A schema for ``configs/NAME.yaml``, and the files that it includes, by what it holds."""
+    """Derive a schema for ``configs/NAME.yaml`` and included files from their values."""
     from omegaconf import OmegaConf
 
     def kind(value: Any) -> Any:
@@ -281,13 +282,13 @@ def schema_of(name: str) -> type:
 
 
 def compose_config(name: str, words: list[str], *, schema: type) -> Any:
-    """An instance of ``schema`` from ``configs/NAME.yaml`` under the overrides ``words``.
+    """Compose ``configs/NAME.yaml`` with the overrides ``words`` into an instance of ``schema``.
 
     Raises:
-        InputError: as the command line would.
+        InputError: as on the command line.
     """
     store_schema(name, schema)
-    with explained(name, schema, words):
+    with input_errors(name, schema, words):
         return as_schema(_compose(name, [to_hydra(word, schema) for word in words]), schema)
 
 
@@ -296,7 +297,7 @@ def _compose(name: str, words: list[str]) -> Any:
     from hydra.core.global_hydra import GlobalHydra
 
     state = GlobalHydra.instance()
-    state.hydra, running = None, state.hydra  # that of a command under way
+    state.hydra, running = None, state.hydra  # of the running command
     try:
         with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
             return compose(name, overrides=words)
@@ -305,10 +306,10 @@ def _compose(name: str, words: list[str]) -> Any:
 
 
 def as_schema(config: Any, schema: type) -> Any:
-    """A composed ``config`` as an instance of ``schema``; InputError where a value is missing."""
+    """Convert a composed ``config`` to ``schema``; InputError for missing or invalid values."""
     from omegaconf import OmegaConf
 
-    content = OmegaConf.to_container(config, resolve=True)  # keys that + has added are refused
+    content = OmegaConf.to_container(config, resolve=True)  # refuses keys added by +
     typed = OmegaConf.merge(OmegaConf.structured(schema), content)
     if missing := OmegaConf.missing_keys(typed):
         raise InputError(f"a value is missing for {', '.join(sorted(missing))}; give it as "
@@ -321,8 +322,7 @@ def as_schema(config: Any, schema: type) -> Any:
 
 
 def _require_ranges(settings: Any, inside: str = "") -> None:
-    """InputError for a value outside the range that its type states: Annotated[int, Field(ge=1)].
-    """
+    """InputError for a value outside the range of its type, such as Annotated[int, Field(ge=1)]."""
     from pydantic import create_model
 
     from common.documents import Schema
@@ -344,14 +344,14 @@ def _require_finite(content: dict[str, Any], inside: str = "") -> None:
                 raise InputError(f"{inside}{key}={number} must be a finite number, such as 3")
 
 
-# --- Complaints -----------------------------------------------------------------------------
+# --- Error messages -------------------------------------------------------------------------
 
 
 @contextmanager
-def explained(
+def input_errors(
     name: str, schema: type, words: list[str], *, sweep: bool = False
 ) -> Iterator[None]:
-    """Turn what Hydra has against the ``words`` for ``configs/NAME.yaml`` into an InputError."""
+    """Convert Hydra's errors about the arguments ``words`` to InputError."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -360,26 +360,26 @@ def explained(
     except InputError:
         raise
     except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_complaint(error, name, schema)) from error
+        raise InputError(_message(error, name, schema)) from error
     except Exception as error:
-        if sweep:  # whatever the launcher's classes are
+        if sweep:  # error classes depend on the launcher
             raise InputError(f"a job could not be started, or ended early ({one_line(error)}); "
                              "complete files are kept: run the same command again") from error
         if not isinstance(error, ValueError | TypeError):
             raise
-        # Hydra's own checks of what a group is set to, as in "dataset=null", name no word.
+        # Hydra's checks of a group's value, as in "dataset=null", do not name the argument.
         raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
 
 
-_WANTED = {"Integer": "a whole number, such as 3", "Float": "a finite number, such as 3",
+_EXPECTED = {"Integer": "a whole number, such as 3", "Float": "a finite number, such as 3",
            "bool": "true or false"}
-_CONVERSION = re.compile(  # OmegaConf's complaint
+_CONVERSION = re.compile(  # OmegaConf's message
     r"Value '(.*)' (?:of type '.*' could not be converted to|is not a valid) (\w+)")
 
 
-def _complaint(error: Exception, name: str, schema: type) -> str:
+def _message(error: Exception, name: str, schema: type) -> str:
     if str(error).startswith("Error merging override ") and error.__cause__:
-        error = error.__cause__  # that says why
+        error = error.__cause__  # states the reason
     first, key = str(error).partition("\n")[0], getattr(error, "full_key", None)
     if unknown := re.match(r"Could not override '(.+)'|Key '.+' not in ", first):
         key = unknown[1] or key
@@ -390,11 +390,11 @@ def _complaint(error: Exception, name: str, schema: type) -> str:
             return f"{key} goes with {' or '.join(fitting)}"
         inside = _names(_kind(schema, group)) if group else set()
         if inside := inside.union(*options.values()):
-            return (f"unknown key '{key}'{_nearest(inner, inside)}; keys of {group}: "
+            return (f"unknown key '{key}'{_suggestion(inner, inside)}; keys of {group}: "
                     f"{', '.join(sorted(inside))}")
-        return _unknown(key, name, schema)
-    if (wrong := _CONVERSION.match(first)) and wrong[2] in _WANTED:
-        return f"{key}={wrong[1]} must be {_WANTED[wrong[2]]}"
+        return _unknown_key(key, name, schema)
+    if (wrong := _CONVERSION.match(first)) and wrong[2] in _EXPECTED:
+        return f"{key}={wrong[1]} must be {_EXPECTED[wrong[2]]}"
     if key:
         return f"{key}: {first}"
     if word := getattr(error, "override", None):
@@ -407,27 +407,27 @@ def _complaint(error: Exception, name: str, schema: type) -> str:
         known = ", ".join(group_options(option[1]))
         return f"{option[1]}={option[2]} is unknown; choose from {known}"
     if text.startswith("Ambiguous value"):
-        key = _top(re.sub(r"^.*?'[+~]*", "", first))
+        key = _outermost_key(re.sub(r"^.*?'[+~]*", "", first))
         if key and key not in keys_of(name, schema):
-            return _unknown(key, name, schema)
+            return _unknown_key(key, name, schema)
         return f"{first.removesuffix(':')}: it takes one value; --multirun runs a job for each"
     if "hydra/launcher" in text:
         return f"{text}; install it with pip install 'drapenet[cluster]'"
     return text
 
 
-def _unknown(key: str, name: str, schema: type) -> str:
+def _unknown_key(key: str, name: str, schema: type) -> str:
     known = keys_of(name, schema)
-    return f"unknown key '{key}'{_nearest(key, known)}; {known_keys(name, schema)}"
+    return f"unknown key '{key}'{_suggestion(key, known)}; {known_keys(name, schema)}"
 
 
-def _nearest(key: str, known: Iterable[str]) -> str:
+def _suggestion(key: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(key, known, n=1)
     return f", perhaps {near[0]}" if near else ""
 
 
 def known_keys(name: str, schema: type) -> str:
-    """For complaints: keys and groups of ``configs/NAME.yaml``."""
+    """Keys and groups of ``configs/NAME.yaml``, for error messages."""
     return f"known keys: {', '.join(sorted(keys_of(name, schema)))}"
 
 
@@ -441,13 +441,13 @@ def _names(schema: Any) -> set[str]:
 
 
 def groups_of(name: str) -> dict[str, str | None]:
-    """The groups of ``configs/NAME.yaml``, each with the option that it has by default."""
+    """Groups of ``configs/NAME.yaml``, each with its default option."""
     return {group: option for default in read_config(name)["defaults"] if isinstance(default, dict)
             for group, option in default.items() if "override " not in group}
 
 
 def included(name: str) -> dict[str, str]:
-    """The files in the folder of ``configs/NAME.yaml`` that it includes, and the key of each."""
+    """Files that ``configs/NAME.yaml`` includes from its folder, and the key of each."""
     parts = [default.partition("@") for default in read_config(name)["defaults"]
              if isinstance(default, str)]
     files = {(Path(name).parent / file).as_posix(): key for file, _, key in parts}
@@ -459,10 +459,10 @@ def included(name: str) -> dict[str, str]:
 
 
 def describe(name: str, usage: str) -> str:
-    """The template of ``--help``: usage, keys of ``configs/NAME.yaml`` and of its groups.
+    """Template of ``--help``: usage, keys of ``configs/NAME.yaml`` and of its groups.
 
-    Of a group's alternatives to the default option what their files say of themselves, and their
-    keys where the default has others.
+    Other options than a group's default are listed with the comment at the head of their files,
+    and with their keys if these differ from the default's.
     """
     parts = [usage.rstrip()]
     for file, under in {name: "", **included(name)}.items():
@@ -484,7 +484,6 @@ def describe(name: str, usage: str) -> str:
 
 
 _HYDRA = """
-Texts need no quotes, lists are [A,B]; ${key} stands for another key's value. With --multirun,
-values with commas between them are jobs (https://hydra.cc). --cfg job prints the settings instead
-of running, --info where they are from, --config-dir DIR adds files of yours; --hydra-help says
-more."""
+Texts need no quotes, lists are [A,B]; ${key} is the value of another key. With --multirun, values
+separated by commas are jobs (https://hydra.cc). --cfg job prints the settings instead of running,
+--info their sources, --config-dir DIR adds configuration files; --hydra-help lists all options."""

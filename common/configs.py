@@ -1,4 +1,4 @@
-"""The files in ``configs/`` as they stand, without Hydra."""
+"""Reading the files in ``configs/`` without Hydra."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def read_config(name: str) -> dict:
 
 
 def group_options(group: str) -> list[str]:
-    """Names of the alternatives in ``configs/GROUP``."""
+    """Names of the options in ``configs/GROUP``."""
     return sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
 
 

@@ -1,4 +1,4 @@
-"""What Ctrl-C meets, and when; nothing changes by importing this (see :mod:`common.interrupt`)."""
+"""Handlers of Ctrl-C. Importing this installs none (see :mod:`common.interrupt`)."""
 
 import signal
 import threading
@@ -7,31 +7,31 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ONE_PRESS = 0.5
-"""Seconds within which interruptions count as one: `timeout` and some shells send two."""
+MIN_INTERVAL = 0.5
+"""Seconds within which interruptions count as one: `timeout` and certain shells send two."""
 _last = -float("inf")
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """A handler in place of Python's own: KeyboardInterrupt, but once a press."""
+    """Signal handler that raises one KeyboardInterrupt per key press."""
     global _last
-    if time.monotonic() - _last > ONE_PRESS:
+    if time.monotonic() - _last > MIN_INTERVAL:
         _last = time.monotonic()
         raise KeyboardInterrupt
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """A handler for a command that has reported its interruption: another press ends it at once."""
-    if time.monotonic() - _last > ONE_PRESS:
+    """Signal handler after a reported interruption: another key press ends the process at once."""
+    if time.monotonic() - _last > MIN_INTERVAL:
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(number)
 
 
 def require_interruption(error: KeyboardInterrupt | SystemError) -> None:
-    """Raise ``error`` again unless it is Ctrl-C.
+    """Raise ``error`` again unless Ctrl-C caused it.
 
-    A function that Numba compiled calls Python to make its results; an interruption there comes
-    back as the cause of a SystemError, or of several, for as many results.
+    A function compiled by Numba calls Python to create its results; an interruption there becomes
+    the cause of a SystemError, or of a chain of them, one per result.
     """
     cause: BaseException | None = error
     while isinstance(cause, SystemError):
@@ -42,26 +42,26 @@ def require_interruption(error: KeyboardInterrupt | SystemError) -> None:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Ctrl-C within takes effect at the end.
+    """Defer Ctrl-C to the end of the block.
 
-    Nothing changes in other threads than the main one, which never meet it, and where Ctrl-C means
-    something else, as in jobs in the background, which ignore it.
+    Without effect in threads other than the main one, which never receive it, and where another
+    handler is installed, as in background jobs, which ignore it.
 
-    For imports of torch and Open3D: at some moments of their loading an interruption ends the
-    process with an abort and C++'s own words, at others Python swallows it or takes it for a
-    failure of the library. And for the end of worker processes, which would go on if it was cut
-    short.
+    Used for imports of torch and Open3D: depending on the moment, an interruption during loading
+    aborts the process with a C++ message, is swallowed by Python or is taken for a failure of the
+    library. Also used for the shutdown of worker processes, which would continue if it was
+    interrupted.
     """
     if (threading.current_thread() is not threading.main_thread()
             or signal.getsignal(signal.SIGINT) not in (interrupt, signal.default_int_handler)):
         yield
         return
-    came = []
-    # Blocking the signal would leave it to the threads that NumPy has started.
-    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
+    received = []
+    # A blocked signal would be delivered to the threads that NumPy has started.
+    before = signal.signal(signal.SIGINT, lambda *_: received.append(True))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if came:
+    if received:
         raise KeyboardInterrupt

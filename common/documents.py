@@ -1,7 +1,7 @@
-"""Structured data from outside: regular files of bounded size and depth, and what they must hold.
+"""Reading and validation of input documents: regular files of bounded size and nesting depth.
 
-Every reader of YAML, JSON or a table goes through here, with a :class:`Schema` beside it; whatever
-is wrong ends in an InputError of one line: quantity, value, limit, remedy.
+All YAML, JSON and CSV files are read here and validated by a :class:`Schema`; every fault raises an
+InputError of one line: quantity, value, limit, remedy.
 """
 
 import csv
@@ -21,18 +21,18 @@ from pydantic_core import from_json
 
 from common.errors import InputError, one_line
 
-LARGEST_TEXT = 1 << 16  # bytes, of what people write
-LARGEST_TABLE = 8 << 20  # bytes
-LARGEST_DOCUMENT = 64 << 20  # bytes, of what programs write
-DEEPEST = 20  # levels of a YAML text; of JSON the parser allows 200
+MAX_TEXT_BYTES = 1 << 16  # written by people
+MAX_TABLE_BYTES = 8 << 20
+MAX_DOCUMENT_BYTES = 64 << 20  # written by programs
+MAX_LEVELS = 20  # nesting depth of YAML; the JSON parser allows 200
 T = TypeVar("T", bound="Schema")
 
 
 class Schema(BaseModel):
-    """What a document must hold; a field's description is the remedy where it does not.
+    """Required content of a document; a field's description is the remedy in error messages.
 
-    Numbers are finite, whole ones and truth values are not taken for each other, and text is never
-    taken for a number. Unknown keys are refused unless a schema ignores them.
+    Validation is strict: numbers are finite, and text, integers and booleans are not converted to
+    each other. Unknown keys are refused unless a schema ignores them.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
@@ -40,15 +40,15 @@ class Schema(BaseModel):
 
     @classmethod
     def of(cls: type[T], content: object, what: str | Path) -> T:
-        """The content, validated, of the document called ``what``, which messages begin with."""
+        """Validate the content of the document ``what``, which error messages begin with."""
         try:
             return cls.model_validate(content)
         except ValidationError as error:
             prefix = f"{what}: " if what else ""
-            raise InputError(prefix + cls._complaint(error)) from None
+            raise InputError(prefix + cls._message(error)) from None
 
     @classmethod
-    def _complaint(cls, error: ValidationError) -> str:
+    def _message(cls, error: ValidationError) -> str:
         first = min(error.errors(include_url=False), key=lambda one: one["type"] != _UNKNOWN)
         place, kind = first["loc"], first["type"]
         field = cls.model_fields.get(str(place[0])) if place else None
@@ -62,21 +62,21 @@ class Schema(BaseModel):
         else:
             limits = {key: getattr(limit, key) for limit in (field.metadata if field else ())
                       for key in ("ge", "le") if hasattr(limit, key)}
-            words = _WORDS["outside" if len(limits) == 2 and kind.endswith("_equal") else kind
-                           if kind in _WORDS else "value_error"].format_map(
+            words = _MESSAGES["outside" if len(limits) == 2 and kind.endswith("_equal") else kind
+                           if kind in _MESSAGES else "value_error"].format_map(
                 {"error": one_line(Exception(first["msg"])), **limits, **first.get("ctx", {})})
             complaint = (f"{name}={shown(first['input'])} " if name else "") + words
         return complaint + (f"; {remedy}" if remedy else "")
 
 
 class Excerpt(Schema):
-    """What is read of a document that holds more."""
+    """Schema that ignores unknown keys."""
 
     model_config = ConfigDict(extra="ignore")
 
 
 _UNKNOWN = "extra_forbidden"
-_WORDS = {
+_MESSAGES = {
     "outside": "is outside {ge:g}-{le:g}",
     "float_type": "is not a number", "int_type": "is not a whole number",
     "finite_number": "is not a finite number", "string_type": "is not a text",
@@ -89,11 +89,11 @@ _WORDS = {
     "string_pattern_mismatch": "is not of the expected form", "literal_error": "must be {expected}",
     "int_from_float": "is not a whole number", "value_error": "{error}",
 }
-"""Pydantic's complaints in the words of this project."""
+"""Error messages by Pydantic's error type."""
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader without aliases, which multiply, and without repeated keys or deep nesting."""
+    """SafeLoader that refuses aliases (exponential expansion), repeated keys and deep nesting."""
 
     depth = 0
 
@@ -101,8 +101,8 @@ class _Loader(yaml.SafeLoader):
         """Compose one node."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases (*name) are not taken: write the value out")
-        if self.depth == DEEPEST:
-            raise yaml.YAMLError(f"more than {DEEPEST} levels")
+        if self.depth == MAX_LEVELS:
+            raise yaml.YAMLError(f"more than {MAX_LEVELS} levels")
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -115,7 +115,7 @@ class _Loader(yaml.SafeLoader):
                                  for key, value in node.value])
 
     def construct_yaml_map(self, node: Any) -> Any:
-        """Construct a mapping at once: nothing refers to it."""
+        """Construct a mapping at once; without aliases nothing refers to it before."""
         return self.construct_mapping(node, deep=True)
 
 
@@ -126,17 +126,17 @@ def _without_repeats(pairs: list[tuple[Any, Any]]) -> dict:
     found = dict(pairs)
     if len(found) < len(pairs):
         (twice, _), = Counter(key for key, _ in pairs).most_common(1)
-        raise ValueError(f"the key {shown(twice)} is there twice; remove one")
+        raise ValueError(f"the key {shown(twice)} occurs twice; remove one")
     return found
 
 
 def parse_yaml(text: str, what: str | Path) -> Mapping:
-    """A YAML text of ``key: value`` lines, called ``what`` in messages."""
+    """Parse YAML text of ``key: value`` lines; ``what`` names it in error messages."""
     try:
         content = yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError,
             RecursionError) as error:
-        # Most come from values that contradict their tag: "!!int ''".
+        # Mostly values that contradict their tag: "!!int ''".
         raise InputError(f"{what} is not valid YAML ({one_line(error)})") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
@@ -144,7 +144,7 @@ def parse_yaml(text: str, what: str | Path) -> Mapping:
 
 
 def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again") -> Any:
-    """A JSON document called ``what``: neither NaN, nor deep nesting, nor repeated keys."""
+    """Parse JSON, named ``what`` in errors, without NaN, deep nesting and repeated keys."""
     try:
         from_json(data, allow_inf_nan=False)  # bounds the depth, which json does not
         return json.loads(data, object_pairs_hook=_without_repeats)
@@ -154,32 +154,32 @@ def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again
 
 
 def read_yaml(file: Path) -> Mapping:
-    """A YAML file of ``key: value`` lines."""
+    """Read a YAML file of ``key: value`` lines."""
     return parse_yaml(read_text(file), file)
 
 
 def read_json(file: Path, *, remedy: str = "copy it again") -> Any:
-    """A JSON file."""
-    return parse_json(read_bytes(file, LARGEST_DOCUMENT, "JSON file"), file, remedy)
+    """Read a JSON file."""
+    return parse_json(read_bytes(file, MAX_DOCUMENT_BYTES, "JSON file"), file, remedy)
 
 
-def read_text(file: Path, largest: int = LARGEST_TEXT, kind: str = "description") -> str:
-    """A short text file in UTF-8, with or without a byte order mark."""
+def read_text(file: Path, max_bytes: int = MAX_TEXT_BYTES, kind: str = "description") -> str:
+    """Read a text file in UTF-8, with or without byte order mark, of up to ``max_bytes`` bytes."""
     try:
-        return read_bytes(file, largest, kind).decode("utf-8-sig")
+        return read_bytes(file, max_bytes, kind).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{file} is not UTF-8 text; save it in this encoding") from None
 
 
 def read_table(
-    file: Path, kind: str, largest: int = LARGEST_TABLE
+    file: Path, kind: str, max_bytes: int = MAX_TABLE_BYTES
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """A CSV file: cells of its header, and of each further row, with the number of its line.
+    """Read a CSV file: the cells of its header, and line number and cells of each further row.
 
-    Empty rows are left out; the header of an empty file is empty.
+    Empty rows are skipped; the header of an empty file is empty.
     """
-    lines = read_text(file, largest, kind).splitlines()
-    # Spreadsheets write semicolons where the comma is decimal.
+    lines = read_text(file, max_bytes, kind).splitlines()
+    # In locales with a decimal comma, spreadsheets separate cells by semicolons.
     separator = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
@@ -190,20 +190,20 @@ def read_table(
     return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
 
 
-def read_bytes(file: Path, largest: int, kind: str) -> bytes:
-    """A regular file of up to ``largest`` bytes, which should be a ``kind``.
+def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:
+    """Read a regular file of up to ``max_bytes`` bytes; ``kind`` names its type in errors.
 
-    Neither a pipe, which would block, nor a device, which may have no end.
+    Pipes, which would block, and devices, which may be endless, are refused.
     """
     try:
         descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            size = _require(file, os.fstat(descriptor), largest, kind)
+            size = _checked_size(file, os.fstat(descriptor), max_bytes, kind)
             with open(descriptor, "rb", closefd=False) as stream:
-                data = stream.read(size + 1)  # which allocates as much
+                data = stream.read(size + 1)  # allocates this much
         finally:
             os.close(descriptor)
-    except (OSError, ValueError) as error:  # ValueError of a name with a null byte
+    except (OSError, ValueError) as error:  # ValueError: null byte in the name
         raise _unreadable(file, error) from None
     if len(data) > size:
         raise InputError(f"{file} was being written while it was read; run the command again when "
@@ -211,12 +211,10 @@ def read_bytes(file: Path, largest: int, kind: str) -> bytes:
     return data
 
 
-def require_regular(file: Path, largest: int, kind: str) -> None:
-    """InputError unless ``file`` can be read as :func:`read_bytes` does; for libraries that open
-    files themselves.
-    """
+def require_regular(file: Path, max_bytes: int, kind: str) -> None:
+    """Check ``file`` as :func:`read_bytes` does, for libraries that open files themselves."""
     try:
-        _require(file, os.stat(file), largest, kind)
+        _checked_size(file, os.stat(file), max_bytes, kind)
     except (OSError, ValueError) as error:
         raise _unreadable(file, error) from None
 
@@ -228,23 +226,23 @@ def _unreadable(file: Path, error: Exception) -> InputError:
                       "the path and the permissions")
 
 
-def _require(file: Path, found: os.stat_result, largest: int, kind: str) -> int:
+def _checked_size(file: Path, found: os.stat_result, max_bytes: int, kind: str) -> int:
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{file} is not a regular file; give a {kind}")
-    if found.st_size > largest:
-        raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {largest}")
+    if found.st_size > max_bytes:
+        raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {max_bytes}")
     return found.st_size
 
 
 def shown(value: object) -> str:
-    """``value`` as Python writes it, cut short: a hostile file's may be endless, or have lines."""
-    with suppress(ValueError):  # of whole numbers with thousands of digits
+    """``repr`` of a value, shortened: values from files may be long or contain line breaks."""
+    with suppress(ValueError):  # integers of thousands of digits
         return reprlib.repr(value)[:60]
     return "a number of thousands of digits"
 
 
 def differences(old: object, new: object, prefix: str = "") -> list[str]:
-    """Dotted names of the settings that differ."""
+    """Dotted names of the settings in which ``old`` and ``new`` differ."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         return [] if old == new else [prefix]
     names = sorted(old.keys() | new.keys())

@@ -1,23 +1,23 @@
-"""The one exception that stands for a user's mistake."""
+"""The exception for invalid input."""
 
-LONGEST, LONGEST_LIST = 700, 4000  # characters of a message, of one that lists many faults
+MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of faults
 
 
 class InputError(ValueError):
-    """Bad input: the message is one line that says what is wrong and how to mend it.
+    """Invalid input: the message is one line that states the fault and its remedy.
 
-    Command lines turn it into that line on standard error and exit code 2
-    (:func:`common.cli.run_command`); nobody should see a traceback for it. Names that it repeats
-    may have lines, be long or be no text: the message is one short line of text all the same.
+    Commands print it to standard error without a traceback and exit with code 2
+    (:func:`common.cli.run_command`). Names in the message may be long or contain line breaks or
+    unprintable characters: these are escaped, and the message is shortened to ``max_length``.
     """
 
-    def __init__(self, message: str, *, longest: int = LONGEST) -> None:
-        if len(message) > longest:
-            message = f"{message[: longest // 2]} … {message[-longest // 2 :]}"
+    def __init__(self, message: str, *, max_length: int = MAX_LENGTH) -> None:
+        if len(message) > max_length:
+            message = f"{message[: max_length // 2]} … {message[-max_length // 2 :]}"
         super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode()
                                  for c in message))
 
 
 def one_line(error: Exception) -> str:
-    """An error's message without line breaks, cut short; its class's name if it has none."""
+    """An error's message without line breaks, shortened; the class name if it is empty."""
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,4 +1,4 @@
-"""Writing files so that each is either complete under its name or not there."""
+"""Atomic writing of files: a file is complete under its name or does not exist."""
 
 import json
 import math
@@ -13,16 +13,16 @@ from typing import BinaryIO
 from common.errors import InputError, one_line
 
 PARTIAL_SUFFIX = ".part"
-"""Ends the name of a file while it is being written."""
+"""Suffix of a file while it is being written."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Yield a new file beside ``path``; what is written there replaces ``path`` at the end.
+    """Yield a temporary file beside ``path`` that replaces ``path`` at the end of the block.
 
-    The folder is created where it is missing. If the block fails, ``path`` is as it was before
-    and the temporary file is removed. Its name is nobody else's: several processes, on any
-    machines, may write ``path``, and the last one to finish wins; see :func:`remove_partial`.
+    The folder is created if it is missing. If the block fails, ``path`` is unchanged and the
+    temporary file is removed. Temporary names are unique: several processes, on any machines, may
+    write ``path``, and the last one to finish wins; see :func:`remove_partial`.
 
     Raises:
         InputError: the system refuses to write.
@@ -32,7 +32,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
             yield file
-            # Without it a power cut could leave an empty file under the final name.
+            # Otherwise the file under the final name could be empty after a power cut.
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
@@ -45,34 +45,34 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def folder_named(out: str) -> Path:
-    """The folder of a key ``out=``, which must have a name: an empty one would be the current."""
+    """Path of the key ``out=``; InputError if it is empty, which would be the current folder."""
     if not out:
         raise InputError("out= is empty; give the name of a folder")
     return Path(out)
 
 
 def require_folder(out: Path) -> None:
-    """InputError where ``out`` is no folder to write in and cannot become one.
+    """InputError if ``out`` is not a writable folder and cannot be created.
 
-    Called before long work, not after. Nothing is made of it yet.
+    Called before long computations; does not create the folder.
     """
-    if reason := reason_closed(out):
+    if reason := reason_not_writable(out):
         raise InputError(f"cannot write to the folder {out}: {reason}; choose another place")
 
 
 def require_file(path: Path) -> None:
-    """InputError where no file ``path`` can be written; like :func:`require_folder`."""
-    if reason := "it is a folder" if os.path.isdir(path) else reason_closed(path.parent):
+    """InputError if the file ``path`` cannot be written; like :func:`require_folder`."""
+    if reason := "it is a folder" if os.path.isdir(path) else reason_not_writable(path.parent):
         raise InputError(f"cannot write {path}: {reason}; choose another place")
 
 
-def reason_closed(folder: Path) -> str:
-    """Why nothing can be written into ``folder``, there or yet to be made; empty where it can."""
+def reason_not_writable(folder: Path) -> str:
+    """Why ``folder``, existing or not, cannot be written to; empty if it can."""
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     if not os.path.isdir(nearest):
         return "a file is in the way"
     try:
-        # Permissions alone do not show: of a file system that is read only, or root's.
+        # Permissions do not suffice: the file system may be read-only, or the user root.
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
         return error.strerror or one_line(error)
@@ -87,15 +87,15 @@ def replace_file(path: Path, data: bytes) -> None:
                 file.write(data)
             return
         except InputError as error:
-            # Another process has taken the file for a leftover.
+            # Another process has removed the temporary file in remove_partial.
             if attempt == 9 or not isinstance(error.__cause__, FileNotFoundError):
                 raise
 
 
 def replace_json(path: Path, content: object) -> None:
-    """Write ``content`` to ``path`` as JSON, as a whole or not at all.
+    """Write ``content`` to ``path`` as JSON in one step, see :func:`replacing`.
 
-    Numbers that are not finite become null: JSON has none, and few programs read Python's.
+    Numbers that are not finite become null, as JSON has no notation for them.
     """
     text = json.dumps(_with_finite_numbers(content), indent=2, allow_nan=False)
     replace_file(path, (text + "\n").encode())
@@ -110,7 +110,7 @@ def _with_finite_numbers(content: object) -> object:
 
 
 def remove_file(path: Path) -> None:
-    """Remove the file ``path`` if it is there, and what writers of it have left behind.
+    """Remove the file ``path``, if it exists, and temporary files of interrupted writers.
 
     Raises:
         InputError: the system refuses.
@@ -119,14 +119,14 @@ def remove_file(path: Path) -> None:
         path.unlink(missing_ok=True)
         remove_partial(path.parent, path.name)
     except OSError as error:
-        raise InputError(f"cannot remove {path}, which is left from an earlier run: "
+        raise InputError(f"cannot remove {path}, which is from an earlier run: "
                          f"{error.strerror}; remove it by hand") from None
 
 
 def remove_partial(folder: Path, pattern: str) -> None:
-    """Remove what writers of files named like ``pattern`` have left behind.
+    """Remove temporary files of interrupted writers of files that match ``pattern``.
 
-    Whoever is writing one with :func:`replace_file` at this moment writes it again.
+    A process that is writing such a file with :func:`replace_file` at this moment repeats it.
     """
     for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
         leftover.unlink(missing_ok=True)

@@ -1,7 +1,8 @@
-"""Import this before everything else of a command: it sees to what Ctrl-C does.
+"""Install the Ctrl-C handler. A command imports this module before all others.
 
-During the other imports, which take seconds, it is one line, before :func:`common.cli.run_command`
-can see to it. The exit code is that of a process ended by Ctrl-C, 130 in a shell.
+The other imports take seconds; an interruption during them, before
+:func:`common.cli.run_command` runs, then prints one line instead of a traceback. The exit code is
+that of a process ended by Ctrl-C, 130 in a shell.
 """
 
 import signal
@@ -11,18 +12,18 @@ from types import TracebackType
 
 from common.ctrl_c import interrupt
 
-_others = sys.excepthook
+_previous_hook = sys.excepthook
 
 
-def _tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """In place of Python's own report of an error that nothing has caught."""
+def _report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Report an uncaught exception: one line for Ctrl-C, a traceback otherwise."""
     if issubclass(kind, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
     else:
-        _others(kind, error, trace)
+        _previous_hook(kind, error, trace)
 
 
-sys.excepthook = _tell
+sys.excepthook = _report
 if (threading.current_thread() is threading.main_thread()
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
     signal.signal(signal.SIGINT, interrupt)

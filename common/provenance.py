@@ -1,4 +1,4 @@
-"""What made a result: the project's release and commit, and the versions it computes with."""
+"""Provenance of results: release, commit, versions of packages, processor."""
 
 import functools
 import platform
@@ -10,8 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mkl", "pypardiso", "ipctk", "open3d", "h5py",
             "scikit-learn", "torch")
-"""Packages whose version may change a drape, a view or a file in its last digits."""
-_PATIENCE = 20  # s for git; slow file systems are many, hung ones should not hang the work
+"""Packages whose version may change the last digits of a drape, view or file."""
+_GIT_TIMEOUT = 20  # s; long enough for slow file systems, finite for file systems that hang
 
 
 def release() -> str:
@@ -20,10 +20,10 @@ def release() -> str:
 
 
 def code_state(root: Path = ROOT) -> dict[str, object]:
-    """The code that runs: ``release``, and of a git checkout its commit.
+    """State of the running code: ``release``, ``commit`` and ``dirty``.
 
-    ``commit`` is None outside of a checkout, which then leaves only the release. ``dirty`` says
-    whether files differ from the commit or are new to it.
+    ``commit`` is None outside a git checkout. ``dirty`` is whether files differ from the commit
+    or are untracked.
     """
     return {"release": release(), **_commit(root)}
 
@@ -34,7 +34,7 @@ def _commit(root: Path) -> dict[str, object]:
     if top is None:
         return none
     folder, commit = top.splitlines()
-    # An environment installed inside another project's checkout is none of the project's.
+    # The package may be installed inside another project's checkout.
     if Path(folder).resolve() != root.resolve() or not re.fullmatch(r"[0-9a-f]{40,64}", commit):
         return none
     changes = _git(root, "status", "--porcelain")
@@ -42,17 +42,17 @@ def _commit(root: Path) -> dict[str, object]:
 
 
 def _git(root: Path, *words: str) -> str | None:
-    """What git prints about the checkout ``root``; None where it knows none."""
+    """Output of git in the checkout ``root``; None if git fails."""
     try:
         run = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True,
-                             timeout=_PATIENCE, check=False)
+                             timeout=_GIT_TIMEOUT, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
     return run.stdout if run.returncode == 0 else None
 
 
 def package_versions(*names: str) -> dict[str, str]:
-    """Versions of the installed ones among the packages ``names``."""
+    """Versions of those packages ``names`` that are installed."""
     found = {name: _version(name) for name in names}
     return {name: text for name, text in found.items() if text is not None}
 
@@ -65,7 +65,7 @@ def _version(name: str) -> str | None:
 
 
 def processor() -> str:
-    """The processor's name."""
+    """Name of the processor."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             return next(line.split(":")[1].strip() for line in file if "model name" in line)
@@ -75,11 +75,11 @@ def processor() -> str:
 
 @functools.cache
 def environment() -> dict[str, object]:
-    """Everything here, in JSON's types: ``code``, ``python``, ``packages``, ``processor``.
+    """Full provenance in JSON types: ``code``, ``python``, ``packages``, ``processor``.
 
-    As it was at the first call, about when the code was loaded: a checkout may move on while a
-    long run goes on with what it has. Equal settings give equal bytes in equal environments; in
-    others, perhaps only nearly.
+    The state at the first call, near the time when the code was loaded: a checkout may change
+    during a long run. Equal settings give equal bytes in equal environments; in others, the last
+    digits may differ.
     """
     return {
         "code": code_state(),

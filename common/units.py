@@ -1,4 +1,4 @@
-"""SI units from the units of configuration files, which end the names of their keys."""
+"""Conversion of configuration values to SI units; the unit is the suffix of a key's name."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -13,12 +13,12 @@ _UNITS: dict[str, Callable[[float], float]] = {
 
 
 def si(settings: Mapping[str, object]) -> dict:
-    """``settings`` in SI units and radians, their names without the unit; lists become tuples.
+    """Convert ``settings`` to SI units and radians, without unit suffixes; lists become tuples.
 
     ``{"pitch_deg": [0, 180], "seed": 3}`` gives ``{"pitch": (0.0, 3.14...), "seed": 3}``.
 
     Raises:
-        TypeError: a value with a unit that is not a number.
+        TypeError: the key has a unit but the value is not a number.
     """
     found = {}
     for key, value in settings.items():

@@ -1,15 +1,15 @@
-"""Drapes of fabrics for networks to learn from, and captures of real ones.
+"""Datasets of simulated drapes for training, and captures of real drapes.
 
-- ``fabrics``, ``prior``: tables of measured fabrics, the distributions fitted to them;
-- ``nuisances``, ``sampling``, ``options``: which fabric, specimen and start a drape has, by seed;
-- ``records``, ``workers``, ``generate``: from its index to a drape's record, by many processes;
+- ``fabrics``, ``prior``: tables of measured fabrics, and distributions fitted to them;
+- ``nuisances``, ``sampling``, ``options``: random fabric, specimen and initial state of a drape;
+- ``records``, ``workers``, ``generate``: simulation of drapes by parallel processes;
 - ``shards``, ``manifest``, ``folder``, ``splits``, ``inspect``: datasets on disk;
-- ``cameras``, ``rasterise``, ``rasterise_cpu``, ``render``, ``picture``: depth pictures, and shaded
-  ones for people;
-- ``sensor``, ``sensor_noise``, ``structured_light``, ``time_of_flight``, ``remap``: their noise;
-- ``setups``, ``scenes``: simulated captures, cut out to the cloth or whole;
-- ``arrays``, ``reading``, ``recordings``, ``frames``: depth in files of all kinds;
-- ``board``, ``plate``, ``cutout``: turns of the table, and the cloth in whole scenes;
-- ``captures``, ``capture``: captures read, checked and written; the command that cuts them out;
+- ``cameras``, ``rasterise``, ``rasterise_cpu``, ``render``, ``picture``: depth images and shaded
+  images;
+- ``sensor``, ``sensor_noise``, ``structured_light``, ``time_of_flight``, ``remap``: sensor noise;
+- ``setups``, ``scenes``: simulated captures, segmented to the cloth or of the full scene;
+- ``arrays``, ``reading``, ``recordings``, ``frames``: reading depth from files;
+- ``board``, ``plate``, ``cutout``: turns of the table, and segmentation of the cloth;
+- ``captures``, ``capture``: reading, checking and writing captures; the segmentation command;
 - ``scans``: scanned drapes of real fabrics.
 """

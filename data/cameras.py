@@ -1,12 +1,12 @@
-"""Pinhole cameras and the drape tester's camera rig, with its jitter.
+"""Pinhole cameras, and the camera rig of a drape tester with its random variation.
 
-Pictures. Column ``u`` grows to the right, row ``v`` downwards, and the *centre* of the pixel in
-column i and row j lies at (u, v) = (i, j), as in OpenCV and in the intrinsics that depth sensors
-report. The middle of a picture is therefore ((width - 1)/2, (height - 1)/2).
+Pixels. Column ``u`` increases to the right, row ``v`` downwards, and the *centre* of the pixel in
+column i and row j is at (u, v) = (i, j), as in OpenCV and in the intrinsics that depth sensors
+report. The centre of a picture is therefore ((width - 1)/2, (height - 1)/2).
 
 Axes. Camera axes are x right, y down, z forward along the optical axis; depth is the z of a
 point in these axes (z-depth), not the length of the ray. World axes are z up, with the origin at
-the centre of the plate's top face. The camera stands on the -y side and looks towards +y, so that
+the centre of the plate's top face. The camera is on the -y side and looks towards +y, so that
 world +x is to the right in the picture and the direction at 90 degrees points away from it.
 """
 
@@ -23,7 +23,7 @@ from common.units import si
 
 DEFAULT_RIG = "square300_cylinder100"
 
-# Jitter is normal, cut off here, so that no sample leaves the specimen outside the picture.
+# Jitter has a truncated normal distribution, so that the specimen is always in the picture.
 JITTER_LIMIT_SIGMAS = 2.0
 
 
@@ -51,7 +51,7 @@ class Intrinsics:
         if not all(isinstance(size, (int, np.integer)) for size in (self.width, self.height)):
             raise InputError(f"the picture size {self.width}x{self.height} must be two whole "
                              "numbers of pixels")
-        # No lens is centred on a picture's edge; intrinsics of another picture size are.
+        # A principal point near the edge indicates intrinsics of another picture size.
         for centre, size in ((self.cx, self.width), (self.cy, self.height)):
             if not 0.1 * size < centre < 0.9 * size:
                 raise InputError(
@@ -62,7 +62,7 @@ class Intrinsics:
     def directions(self) -> np.ndarray:
         """Ray through every pixel centre in camera axes, scaled to z = 1: (height, width, 3).
 
-        With this scale a hit's ray parameter *is* its z-depth.
+        With this scale the ray parameter of an intersection is its z-depth.
         """
         x = (np.arange(self.width) - self.cx) / self.fx
         y = (np.arange(self.height) - self.cy) / self.fy
@@ -74,14 +74,14 @@ class Intrinsics:
     def back_project(self, depth: np.ndarray) -> np.ndarray:
         """Points (..., height, width, 3) in camera axes, metres, from z-depth (..., height, width).
 
-        Background (depth 0) gives the camera's own position.
+        Background (depth 0) gives the camera's position.
         """
         return self.directions() * np.asarray(depth, dtype=float)[..., None]
 
 
 @dataclass(frozen=True)
 class Camera(Intrinsics):
-    """A posed pinhole camera.
+    """A pinhole camera with a pose.
 
     Attributes:
         world_to_camera: (4, 4) float64, rigid; metres.
@@ -91,7 +91,7 @@ class Camera(Intrinsics):
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """The same without the pose."""
+        """The intrinsics without the pose."""
         return Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,12 +103,12 @@ class Camera(Intrinsics):
         return np.stack([u, v], axis=1), depth
 
     def cloth_points(self, view: np.ndarray) -> np.ndarray:
-        """World points (N, 3), m, of a view's cloth; view (height, width) z-depth, background 0."""
+        """World points (N, 3), m, of the cloth in a view (height, width), z-depth, background 0."""
         rotation, shift = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return (self.back_project(view)[view > 0] - shift) @ rotation
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same view on another pixel grid (pixel *corners* of the picture stay in place)."""
+        """The camera with another pixel grid (the corners of the picture are unchanged)."""
         sx, sy = width / self.width, height / self.height
         return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5,
                       (self.cy + 0.5) * sy - 0.5, width, height, self.world_to_camera)
@@ -116,14 +116,14 @@ class Camera(Intrinsics):
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the plate's centre is seen from: metres and radians.
+    """Camera pose relative to the plate's centre: metres and radians.
 
     Attributes:
-        distance: optical centre to plate centre.
-        pitch: optical axis below the horizontal.
-        above: plate centre above the optical axis, across the picture.
-        aside: plate centre to the right of the optical axis, across the picture.
-        roll: turn of the picture's content about its axis, clockwise positive.
+        distance: from the optical centre to the plate's centre.
+        pitch: of the optical axis below the horizontal.
+        above: offset of the plate's centre above the optical axis, parallel to the picture.
+        aside: offset of the plate's centre to the right of the optical axis, likewise.
+        roll: rotation of the picture's content, clockwise positive.
     """
 
     distance: float
@@ -193,7 +193,7 @@ class CameraRig:
         """Build from the mapping of such a file.
 
         Raises:
-            InputError: an entry is missing or makes no sense.
+            InputError: an entry is missing or invalid.
         """
         try:
             camera, jitter = si(config["camera"]), si(config["jitter"])
@@ -212,10 +212,10 @@ class CameraRig:
         return self._camera(np.zeros(len(JITTERED) + 1))
 
     def sample(self, rng: np.random.Generator) -> Camera:
-        """A camera of a randomly varied set-up; one capture's four views share it.
+        """Camera of a randomly varied set-up, shared by the views of a capture.
 
-        Every deviate is normal, cut off at ``JITTER_LIMIT_SIGMAS``; a fixed number of random
-        numbers is drawn.
+        Every deviate is normal, truncated at ``JITTER_LIMIT_SIGMAS``. The number of random numbers
+        drawn is fixed.
         """
         tail = ndtr(-JITTER_LIMIT_SIGMAS)
         return self._camera(ndtri(tail + (1 - 2 * tail) * rng.random(len(JITTERED) + 1)))

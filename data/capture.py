@@ -1,13 +1,13 @@
-"""Turn depth frames into a cut-out capture.
+"""Convert depth frames to a capture, with the cloth cut out.
 
     python -m data.capture frames=FOLDER out=DIR
     python -m data.capture board=board.png
 
-FOLDER has capture.yaml and frames of the whole scene, or of the cloth alone
-(docs/use.md). Writes the capture in the usual format (16-bit PNG, background 0) to DIR, and
-DIR/capture.png: each frame with the cloth outlined, the plate's rim, and its axes; last, the hems
-of all frames from above, one colour a frame, turned back by turns_deg. Look at it: where two
-colours lie apart, or all on one side, the table was not turned as stated, or the cloth has moved.
+FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md). Writes
+the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
+of the cloth, the plate's rim and its axes; last, the hems of all frames from above, one colour per
+frame, rotated back by turns_deg. Check it: where two colours do not coincide, or all are on one
+side, the turns of the table differ from those stated, or the cloth has moved.
 """
 
 import io
@@ -28,17 +28,17 @@ from data.captures import read_capture, write_capture
 from data.cutout import CutOut, cut_out
 from sim.scene import Rig
 
-DEPTH_UNIT = 1e-4  # m per count, finer than any file's
+DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
 PICTURE = "capture.png"
 _AXIS = 0.04  # m, length of the axes drawn
-_WIDTH = 4.8  # inches, of a frame in the picture
+_WIDTH = 4.8  # inches, width of a frame in the picture
 _RIM, _OUTLINE = "#ffc800", "#3cdc3c"
 _AXES = ("#ff3c3c", "#3cc83c", "#3c78ff")
 _VIEWS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#3c3c3c", "#a01414")
-"""Okabe and Ito's, and two dark ones."""
-_WIDE = 1.02  # of the specimen, the half width of the picture from above
+"""Colours of Okabe and Ito, and two dark ones."""
+_FIELD = 1.02  # half height of the view from above, relative to the specimen's reach
 _SECTORS = 180  # of the hem from above, each with its outermost point
-_SEEN = np.radians(75.0)  # to either side of the camera, where a view shows the hem
+_VISIBLE = np.radians(75.0)  # azimuth on either side of the camera in which a view shows the hem
 
 
 @dataclass
@@ -52,7 +52,7 @@ class CaptureConfig:
 
 @command("capture", CaptureConfig, swept_out=".")
 def main(config: CaptureConfig) -> None:
-    """Cut out, and write the capture and its picture; or write a board."""
+    """Cut out the cloth and write the capture and its picture, or write a board."""
     if config.board:
         replace_file(Path(config.board), board_picture())
         print(f"board: {config.board}; print it on A4 at 100 %: squares of "
@@ -75,7 +75,7 @@ def main(config: CaptureConfig) -> None:
 
 
 def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray) -> bytes:
-    """PNG of the frames, two in a row, and of the hems from above; ``turns`` (K,), rad."""
+    """PNG of the frames, two per row, and of the hems from above; ``turns`` (K,), rad."""
     rows = -(-(len(cut.frames) + (cut.plate is not None)) // 2)
     height = _WIDTH * intrinsics.height / intrinsics.width
     figure = Figure(figsize=(2 * _WIDTH, rows * height), dpi=100)
@@ -87,7 +87,7 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray)
     near, far = (seen.min(), seen.max() + 0.3) if len(seen) else (0.0, 1.0)
     black = far + 0.3 * (far - near)
     for panel, frame, mask in zip(panels, cut.frames, cut.masks, strict=False):
-        # The farthest is dark grey, what is unknown black.
+        # The largest depth is dark grey, unknown depth black.
         panel.imshow(np.where(frame > 0, np.minimum(frame, far), black), cmap="gray_r", vmin=near,
                      vmax=black, interpolation="nearest")
         panel.autoscale(False)
@@ -103,7 +103,7 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray)
 
 
 def _draw_plate(panel: Axes, camera: Camera, rig: Rig) -> None:
-    """The plate's rim and axes."""
+    """Draw the plate's rim and axes."""
     angle = np.linspace(0, 2 * np.pi, 90)
     rim = rig.plate_radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     axes = [np.stack([np.zeros(3), _AXIS * axis]) for axis in np.eye(3)]
@@ -114,7 +114,7 @@ def _draw_plate(panel: Axes, camera: Camera, rig: Rig) -> None:
 def _draw_hems(
     panel: Axes, cut: CutOut, intrinsics: Intrinsics, rig: Rig, turns: np.ndarray
 ) -> None:
-    """The hems of all views from above as in the first one, its right to the right."""
+    """Draw the hems of all views from above, rotated to the first view, x to the right."""
     camera = np.linalg.inv(cut.plate.pose)[:2, 3]
     for k, (view, turn) in enumerate(zip(cut.views, turns, strict=True)):
         points = cut.plate.local(intrinsics.back_project(view)[view > 0])[:, :2]
@@ -124,21 +124,21 @@ def _draw_hems(
         panel.plot(*hem.T, color=_VIEWS[k % len(_VIEWS)], label=label)
     panel.add_patch(Circle((0, 0), rig.plate_radius, fill=False, color="grey", label="plate's rim"))
     panel.set_aspect("equal", adjustable="datalim")
-    panel.set_ylim(-_WIDE * rig.reach, _WIDE * rig.reach)
+    panel.set_ylim(-_FIELD * rig.reach, _FIELD * rig.reach)
     panel.legend(title="hems from above", loc="upper left", frameon=False, fontsize=8,
                  labelcolor="linecolor", alignment="left")
 
 
 def _hem(points: np.ndarray, towards: float) -> np.ndarray:
-    """The outermost (N, 2) of ``points`` (P, 2) in each sector around the plate's axis, m, NaN in
-    gaps; of the sectors that face a camera in the direction ``towards``, rad.
+    """The outermost (N, 2) of ``points`` (P, 2), m, in each sector around the plate's axis, NaN in
+    gaps; only sectors that face the camera, which is in the direction ``towards``, rad.
     """
     distance = np.linalg.norm(points, axis=1)
     away = (np.arctan2(points[:, 1], points[:, 0]) - towards + np.pi) % (2 * np.pi) - np.pi
     sector = np.floor(away / (2 * np.pi / _SECTORS)).astype(int)
     order = np.lexsort((-distance, sector))
     found, first = np.unique(sector[order], return_index=True)
-    outermost = order[first][np.abs((found + 0.5) * (2 * np.pi / _SECTORS)) < _SEEN]
+    outermost = order[first][np.abs((found + 0.5) * (2 * np.pi / _SECTORS)) < _VISIBLE]
     gaps = np.flatnonzero(np.diff(sector[outermost]) > 1) + 1
     return np.insert(points[outermost], gaps, np.nan, axis=0)
 

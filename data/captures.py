@@ -1,17 +1,17 @@
-"""Captures: folders with depth pictures of one specimen, read, checked and written.
+"""Reading, checking and writing of captures: folders with depth pictures of one specimen.
 
 Two formats are recognised by their files:
 
 - ``capture.yaml`` with ``view_0.png`` and so on, one to eight, usually four: 16-bit grey, depth in
-  units of ``depth_unit_m`` (millimetres unless stated), 0 where there is none, any size with
-  matching intrinsics; or other files of depth (:mod:`data.frames`).
+  units of ``depth_unit_m`` (default millimetres), 0 for missing depth, any size with matching
+  intrinsics; or other files of depth (:mod:`data.frames`).
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
   count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
-  taken), the rig's intrinsics.
+  used), the rig's intrinsics.
 
-Of the first kind, frames of the whole scene are cut out to the cloth (:mod:`data.cutout`); others
-show cloth only. Nothing in a capture is trusted; whatever is wrong with one is reported as an
-InputError of one line that names the file.
+In frames of the full scene, in the first format, the cloth is cut out (:mod:`data.cutout`); other
+frames show only cloth. All content is validated; a fault raises an InputError of one line that
+names the file.
 """
 
 import math
@@ -36,8 +36,8 @@ from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
 from data.cutout import CutOut, cut_out, is_raw
 from data.frames import read_frames
 from data.reading import (
-    LARGEST_PICTURE,
-    MOST_VIEWS,
+    MAX_PICTURE,
+    MAX_VIEWS,
     join_views,
     neighbours,
     numbered,
@@ -45,22 +45,22 @@ from data.reading import (
 )
 from sim.scene import Rig
 
-MARKS = ("capture.yaml", "density.txt")
-"""Of these files a capture of either format has one."""
+CAPTURE_FILES = ("capture.yaml", "density.txt")
+"""Files that identify a capture folder: one for each format."""
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
-DENSITIES_APART = 0.1  # as a share of the least, of specimens of one fabric
-DISTANCE_RANGE = (0.2, 2.0)  # m, where the cloth can be; otherwise the depth unit is wrong
+MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
+DISTANCE_RANGE = (0.2, 2.0)  # m, of the cloth; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
-LEAST_AREA = 0.6  # of the median of the views' cloth
-SPECK_SHARE = 0.01  # of the cloth's pixels: what lies apart and is smaller is no cloth
-ISOLATED = 0.025  # m, from the median of its neighbours: such a depth is none
-FEW_ISOLATED = 0.003  # of the cloth's pixels: so many any sensor has
-SPECK_GAP = 3.0  # pixels from the cloth; specks nearer are noise at its edge and do no harm
+MIN_AREA = 0.6  # of the median of the views' cloth
+MAX_SPECK_SHARE = 0.01  # of the cloth's pixels; smaller separate pieces are removed
+OUTLIER_STEP = 0.025  # m, depth difference from the neighbours
+MAX_OUTLIER_SHARE = 0.003  # of the cloth's pixels, usual for sensors; more cause a warning
+MIN_SPECK_GAP = 3.0  # pixels from the cloth; nearer specks are harmless noise at its edge
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
-EQUAL_TURNS = 4  # views, from which on they are taken to share a whole turn unless stated otherwise
-LEAST_TURN = 6.3  # degrees, a whole turn in radians
-LARGEST_WIDTH = 400  # pixels; of larger pictures every n-th is taken
+MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
+MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
+MAX_WIDTH = 400  # pixels; larger pictures are subsampled
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
 
@@ -82,7 +82,7 @@ class _Pixels(Schema):
 
 class Description(_Density):
     """``capture.yaml``: density, g/m²; depth unit, m; intrinsics, px; turns and direction, °; size
-    of the picture that points are projected to, px.
+    of the picture to which points are projected, px.
     """
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
@@ -93,7 +93,7 @@ class Description(_Density):
         None, description="one angle for each view, such as [0, 90, 180, 270]")
     warp_direction_deg: float | None = None
     rig: str = DEFAULT_RIG
-    size_px: list[Annotated[int, Field(ge=1, le=max(LARGEST_PICTURE))]] | None = Field(
+    size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
 
 
@@ -109,9 +109,9 @@ class Capture:
         warp_direction: angle of the warp direction in the first view, in [0, pi) radians, 0 to
             the right in the picture, pi/2 away from the camera; None when it is not marked.
         rig: name of the rig.
-        path: folder it was read from.
+        path: its folder.
         warnings: one line each, for the report.
-        cut: how the views were cut out; None where they came cut out.
+        cut: result of cutting out the cloth; None if the frames showed only cloth.
     """
 
     views: np.ndarray
@@ -157,16 +157,16 @@ def _read(path: Path) -> Capture:
 
 
 def captures_in(path: Path) -> list[Path]:
-    """The captures that ``path`` names: itself, or those in a folder of captures, or of samples
-    with captures, by name.
+    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or of samples.
 
     Raises:
-        InputError: a folder of fabrics.
+        InputError: ``path`` is a folder of fabrics.
     """
-    if not path.is_dir() or any((path / mark).exists() for mark in MARKS):
+    if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
         return [path]
     for below in ("*", "*/*", "*/*/*"):
-        found = sorted({file.parent for mark in MARKS for file in path.glob(f"{below}/{mark}")})
+        found = sorted({file.parent for name in CAPTURE_FILES
+                        for file in path.glob(f"{below}/{name}")})
         if found and below.count("/") == 2:
             raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({found[0]}): give "
                              f"captures={path} for an estimate of each fabric")
@@ -175,14 +175,14 @@ def captures_in(path: Path) -> list[Path]:
     return [path]
 
 
-def require_alike(
+def require_one_fabric(
     rigs: Iterable[str], marked: Iterable[bool], densities: Sequence[float]
 ) -> None:
-    """InputError for captures that cannot be of one fabric's estimate.
+    """InputError for captures that cannot be combined in the estimate of one fabric.
 
     Args:
         rigs: of the captures.
-        marked: whether each says where the warp lies.
+        marked: whether each states the warp direction.
         densities: kg/m².
     """
     for right, values in (("have the same rig", set(rigs)),
@@ -190,11 +190,11 @@ def require_alike(
         if len(values) > 1:
             raise InputError(f"captures of one fabric must all {right}; estimate those that differ "
                              "as another fabric")
-    least, most = min(densities), max(densities)
-    if most > (1 + DENSITIES_APART) * least:
-        raise InputError(f"captures of one fabric state densities from {1e3 * least:g} to "
-                         f"{1e3 * most:g} g/m², more than {DENSITIES_APART:.0%} apart; correct "
-                         "density_g_m2, or give different fabrics apart")
+    low, high = min(densities), max(densities)
+    if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
+        raise InputError(f"captures of one fabric state densities from {1e3 * low:g} to "
+                         f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
+                         "correct density_g_m2, or give different fabrics apart")
 
 
 def write_capture(
@@ -209,12 +209,12 @@ def write_capture(
     depth_unit: float = 1e-3,
     background: np.ndarray | None = None,
 ) -> None:
-    """Write a capture in the 16-bit format, whole or not at all, to a new or empty folder.
+    """Write a capture in the 16-bit format to a new or empty folder, in one step.
 
     Args:
         views: (K, H, W) z-depth in metres, background 0.
         density: kg/m²; warp_direction: radians in the first view; depth_unit: metres per count.
-        turns: (K,) nominal turns of the table, rad; None: K-ths of a turn.
+        turns: (K,) nominal turns of the table, rad; None: equally spaced.
         background: (H, W) z-depth of the scene without cloth, m.
 
     Raises:
@@ -227,8 +227,8 @@ def write_capture(
         raise InputError(f"views have the shape {views.shape}, but the intrinsics are for "
                          f"{intrinsics.width}x{intrinsics.height} pixels; give the intrinsics of "
                          "this picture size")
-    if not 1 <= len(views) <= MOST_VIEWS:
-        raise InputError(f"{len(views)} views given; a capture has 1 to {MOST_VIEWS}")
+    if not 1 <= len(views) <= MAX_VIEWS:
+        raise InputError(f"{len(views)} views given; a capture has 1 to {MAX_VIEWS}")
     pictures = {f"view_{k}": view for k, view in enumerate(views)}
     if background is not None:
         pictures["background"] = background
@@ -245,7 +245,7 @@ def write_capture(
         "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
         "rig": rig,
     }
-    if turns is None and 1 < len(views) < EQUAL_TURNS:
+    if turns is None and 1 < len(views) < MIN_EQUAL_TURNS:
         turns = whole_turns(len(views))
     if turns is not None:
         description["turns_deg"] = np.degrees(turns).round(6).tolist()
@@ -267,7 +267,7 @@ def write_capture(
 
 
 def whole_turns(count: int) -> np.ndarray:
-    """(count,) turns of the table, rad, that share a whole turn equally."""
+    """(count,) equally spaced turns of the table, rad."""
     return np.arange(count) * (2 * np.pi / count)
 
 
@@ -291,7 +291,7 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = _intrinsics(known.intrinsics, file, width, height)
     turns = (board_turns(found.color, intrinsics) if board and known.turns_deg is None
              else _turns(known.turns_deg, file, len(views)))
-    step = -(-width // LARGEST_WIDTH)
+    step = -(-width // MAX_WIDTH)
     if step > 1:
         views = views[:, ::step, ::step]
         intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
@@ -312,7 +312,7 @@ def _cut(
     path: Path, frames: np.ndarray, intrinsics: Intrinsics, rig: str,
     background: np.ndarray | None,
 ) -> CutOut | None:
-    """The cloth of frames (K, H, W), m, of whole scenes; None of those that are cut out."""
+    """Cut the cloth out of frames (K, H, W), m, of full scenes; None if they show only cloth."""
     tester = Rig.from_name(rig)
     if not any(is_raw(frame, intrinsics, tester) for frame in frames):
         return None
@@ -350,7 +350,7 @@ def checked_capture(
     rig: str,
     warnings: tuple[str, ...],
 ) -> Capture:
-    """The capture without specks, once its pictures have shown a piece of cloth within reach.
+    """Build a capture: remove specks, check size and distance of the cloth, collect warnings.
 
     Views (K, H, W), m, turns (K,) and the warp's direction, rad, density, kg/m².
     """
@@ -380,49 +380,50 @@ def checked_capture(
         if border.any():
             warnings += (f"view {k}: the cloth touches the picture's border",)
     areas = (views > 0).sum(axis=(1, 2))
-    if areas.min() < LEAST_AREA * np.median(areas):
+    if areas.min() < MIN_AREA * np.median(areas):
         warnings += (f"view {areas.argmin()} shows {areas.min()} pixels of cloth, less than "
-                     f"{LEAST_AREA:.0%} of the median of the views, {np.median(areas):.0f}: take "
+                     f"{MIN_AREA:.0%} of the median of the views, {np.median(areas):.0f}: take "
                      "it again if the cloth was missing or hidden",)
     return Capture(views, intrinsics, turns, density, warp_direction, rig, path, warnings)
 
 
 def _remove_isolated(view: np.ndarray, name: str) -> tuple[str, ...]:
-    """Set to background, in place, depths of a view (H, W) unlike all around them; warnings.
+    """Set isolated outliers of a view (H, W) to background, in place; return warnings.
 
-    Folds jump in depth too, but never by a pixel or two.
+    A pixel is isolated if fewer than two neighbours have a similar depth. Depth also jumps at
+    folds, but there a pixel has neighbours on the same fold.
     """
     cloth = view > 0
-    around = neighbours(view)
-    near = ((np.abs(around - view) < ISOLATED) & (around > 0)).sum(axis=0)
+    adjacent = neighbours(view)
+    near = ((np.abs(adjacent - view) < OUTLIER_STEP) & (adjacent > 0)).sum(axis=0)
     isolated = cloth & (near < 2) & (ndimage.median_filter(cloth.astype(np.uint8), 3) > 0)
     view[isolated] = 0
-    if isolated.sum() <= FEW_ISOLATED * cloth.sum():
+    if isolated.sum() <= MAX_OUTLIER_SHARE * cloth.sum():
         return ()
-    return (f"{name}: {isolated.sum()} pixels left out whose depth differs from all around them; "
+    return (f"{name}: {isolated.sum()} pixels left out whose depth differs from their neighbours'; "
             "check the sensor's settings",)
 
 
 def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
-    """Set to background, in place, what of a view (H, W) lies apart from its cloth; warnings.
+    """Set small pieces of a view (H, W) apart from its cloth to background, in place; warnings.
 
-    The network looks at a window around all that is not background: a single far pixel, such as
-    time-of-flight sensors leave, moves it and halves the moduli. Larger pieces stay: whether they
-    are cloth, only a person can judge.
+    The network's input is the bounding window of the foreground: a single distant pixel, as from a
+    time-of-flight sensor, moves it and halves the moduli. Larger pieces are kept with a warning, as
+    they may be cloth.
     """
     pieces, count = ndimage.label(view > 0, structure=np.ones((3, 3)))
     if count < 2:
         return ()
     sizes = np.bincount(pieces.ravel())[1:]
     cloth = 1 + int(sizes.argmax())
-    away = ndimage.minimum(ndimage.distance_transform_edt(pieces != cloth), pieces,
-                           index=np.arange(1, count + 1))
-    apart = away > SPECK_GAP
-    specks = apart & (sizes < SPECK_SHARE * sizes.max())
+    gap = ndimage.minimum(ndimage.distance_transform_edt(pieces != cloth), pieces,
+                          index=np.arange(1, count + 1))
+    apart = gap > MIN_SPECK_GAP
+    specks = apart & (sizes < MAX_SPECK_SHARE * sizes.max())
     warnings = ()
     view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
-    if (left_out := int(sizes[specks].sum())) > FEW_ISOLATED * sizes.sum():
-        warnings += (f"{name}: {left_out} pixels left out that lie apart from the cloth",)
+    if (removed := int(sizes[specks].sum())) > MAX_OUTLIER_SHARE * sizes.sum():
+        warnings += (f"{name}: {removed} pixels left out that lie apart from the cloth",)
     if large := int(sizes[apart & ~specks].sum()):
         warnings += (f"{name}: {large} pixels lie apart from the cloth; set to 0 what is not "
                      "cloth",)
@@ -430,7 +431,7 @@ def _remove_specks(view: np.ndarray, name: str) -> tuple[str, ...]:
 
 
 def _read_density(file: Path) -> tuple[str, str]:
-    """The number in ``density.txt`` (one line, 'name value') and what to call it."""
+    """The number in ``density.txt`` (one line, 'name value') and the file's name for messages."""
     lines = [line.split() for line in read_text(file).splitlines() if line.strip()]
     if len(lines) != 1 or len(lines[0]) > 2:
         raise InputError(f"{file} must hold one line such as 'data0 300' (g/m2)")
@@ -438,7 +439,7 @@ def _read_density(file: Path) -> tuple[str, str]:
 
 
 def checked_density(value: object, what: str = "") -> float:
-    """kg/m2 from g/m2, of the file ``what``; InputError where no fabric can have it."""
+    """Density in kg/m2 from g/m2; InputError, which names the file ``what``, if out of range."""
     with suppress(TypeError, ValueError):
         value = float(value) if isinstance(value, str) else value
     return 1e-3 * _Density.of({} if value is None else {"density_g_m2": value}, what).density_g_m2
@@ -446,16 +447,16 @@ def checked_density(value: object, what: str = "") -> float:
 
 def _turns(degrees: list[float] | None, file: Path, count: int) -> np.ndarray:
     if degrees is None:
-        if 1 < count < EQUAL_TURNS:
-            raise InputError(f"{file}: turns_deg is missing, and {count} views need not share a "
-                             "whole turn; state the table's angles, such as turns_deg: "
+        if 1 < count < MIN_EQUAL_TURNS:
+            raise InputError(f"{file}: turns_deg is missing, and {count} views need not be equally "
+                             "spaced; state the table's angles, such as turns_deg: "
                              f"{[90 * k for k in range(count)]}")
         return whole_turns(count)
     if len(degrees) != count:
         raise InputError(f"{file}: turns_deg={shown(degrees)}: give one angle for each of the "
                          f"{count} views, such as {[0, 90, 180, 270][:count]}")
-    if 0 < (largest := max(map(abs, degrees))) <= LEAST_TURN:
-        raise InputError(f"{file}: turns_deg={shown(degrees)} reach only {largest:.3g}° (a whole "
+    if 0 < (largest := max(map(abs, degrees))) <= MIN_TURN:
+        raise InputError(f"{file}: turns_deg={shown(degrees)} reach only {largest:.3g}° (a full "
                          "turn in radians is 6.28); give degrees, of views from several sides")
     return np.radians(degrees) - np.radians(degrees[0])
 

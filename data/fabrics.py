@@ -1,9 +1,9 @@
-"""Tables of measured fabrics, and the six numbers in which a fabric is learned.
+"""Tables of measured fabrics, and the six parameters of a fabric.
 
 The parameter vector theta = (log alpha_warp, log alpha_bias, log alpha_weft, (beta/alpha)_warp,
 (beta/alpha)_bias, (beta/alpha)_weft) holds the moduli at the reference density of 300 g/m²:
-alpha in N·m inside the logarithm, beta/alpha in m. It is smooth across the sign of beta and, at
-one reference density, says all that determines a drape (Feng et al. 2022, section 5.1.2).
+alpha in N·m inside the logarithm, beta/alpha in m. It is smooth across the sign of beta and
+determines the drape at the reference density (Feng et al. 2022, section 5.1.2).
 """
 
 from dataclasses import dataclass
@@ -34,30 +34,30 @@ TABLE_COLUMNS = {
     "nonlinear weft": "SI*1e12",
     "nonlinear diag": "SI*1e12",
 }
-"""The published columns and their units; note the order warp, weft, bias ("diag")."""
+"""Columns of the published table and their units, in the order warp, weft, bias ("diag")."""
 
 _COLUMNS = ", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
 
-TABLE_DENSITIES = (1e-3, 10.0)  # kg/m²; beyond it, a density has another unit
+TABLE_DENSITIES = (1e-3, 10.0)  # kg/m²; outside, a density has another unit
 LINEAR_UNIT = 1e-9  # N·m
 QUADRATIC_UNIT = 1e-12  # N·m²
 
 
 def to_theta(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Parameters (..., 6) of moduli alpha (..., 3) N·m and beta (..., 3) N·m² at 300 g/m²."""
+    """theta (..., 6) from moduli alpha (..., 3) N·m and beta (..., 3) N·m² at 300 g/m²."""
     alpha = np.asarray(alpha, dtype=np.float64)
     return np.concatenate([np.log(alpha), np.asarray(beta, np.float64) / alpha], axis=-1)
 
 
 def from_theta(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moduli alpha (..., 3) N·m and beta (..., 3) N·m² at 300 g/m² of theta (..., 6)."""
+    """Moduli alpha (..., 3) N·m and beta (..., 3) N·m² at 300 g/m² from theta (..., 6)."""
     theta = np.asarray(theta, dtype=np.float64)
     alpha = np.exp(theta[..., :3])
     return alpha, theta[..., 3:] * alpha
 
 
 def fabric_from_theta(theta: np.ndarray) -> Fabric:
-    """The fabric of theta (6,), at the reference density."""
+    """The fabric with parameters theta (6,), at the reference density."""
     alpha, beta = from_theta(theta)
     return Fabric(alpha=alpha, beta=beta, density=REFERENCE_DENSITY)
 
@@ -70,7 +70,7 @@ class FabricTable:
         density: (F,) measured mass per area, kg/m².
         alpha: (F, 3) linear moduli warp, bias, weft, N·m, normalised to 300 g/m².
         beta: (F, 3) quadratic moduli, same order, N·m², normalised to 300 g/m².
-        multiplicity: (F,) rows that each fabric takes in the published table.
+        multiplicity: (F,) number of rows of each fabric in the published table.
     """
 
     density: np.ndarray
@@ -95,8 +95,8 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     further columns are ignored. Rows that agree in all seven values are one fabric.
 
     Raises:
-        InputError: no such file, a column that is missing or there twice, another unit, a cell
-            that is not a number, an impossible density or linear modulus, a multiplicity below 1.
+        InputError: no such file, a missing or repeated column, another unit, a cell that is not a
+            number, a density or linear modulus out of range, a multiplicity below 1.
     """
     path = Path(path)
     try:

@@ -1,8 +1,8 @@
-"""The folder of a dataset: whose it is, which of its shards are whole, what is in them.
+"""The folder of a dataset: identity, complete shards and their content.
 
-There is no lock, since locks cannot be trusted on the shared file systems of clusters. Any number
-of processes may work in a folder: a file appears under its name by being renamed, complete, and
-whoever writes a shard writes the same bytes, or finds in the manifest that it would not.
+There is no lock, as locks are unreliable on the shared file systems of clusters. Any number of
+processes may work in a folder: a file is renamed to its final name when it is complete, and all
+processes write the same bytes of a shard; the manifest reveals different settings.
 """
 
 from collections import Counter
@@ -30,7 +30,7 @@ from data.shards import SHARDS, Shard, shard_name, write_shard
 
 @dataclass(frozen=True)
 class Content:
-    """What is in a shard: SHA-256 of the file, and columns of its drapes."""
+    """Content of a shard: SHA-256 of the file, and columns of its drapes."""
 
     digest: str
     statuses: list[str]
@@ -68,15 +68,16 @@ class DatasetFolder:
 
     @cached_property
     def _settings(self) -> dict:
-        """The configuration as shards state it: of the prior, which may be large, its digest."""
+        """The configuration as stored in shards: with the digest of the prior, which may be large.
+        """
         return self.config.as_dict() | {"prior": self._prior}
 
     def claim(self) -> None:
-        """Create the folder, or see that it holds this dataset, or part of it.
+        """Create the folder, or check that it holds this dataset or part of it.
 
         Raises:
-            InputError: the folder cannot be made, holds another dataset, more drapes, or other
-                files without a dataset.
+            InputError: the folder cannot be created, or holds another dataset, more drapes, or
+                other files without a dataset.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -94,13 +95,13 @@ class DatasetFolder:
             for path in sorted(shards):
                 self._adopt(path)
             for path in sorted(self.root.iterdir()):
-                # Hidden files are of the system; files being written are of another job.
+                # Hidden files belong to the system, partial files to another job.
                 if path not in shards and path.suffix != PARTIAL_SUFFIX and path.name[0] != ".":
                     raise InputError(f"{self.root} holds {path.name} and no {MANIFEST}: it is not "
                                      "a dataset's; choose a new or empty folder")
 
     def _adopt(self, path: Path) -> None:
-        """Accept a shard without a manifest beside it, if it is this dataset's."""
+        """InputError unless a shard, found without a manifest, belongs to this dataset."""
         try:
             attributes = Shard(path).attributes
         except InputError:
@@ -116,9 +117,9 @@ class DatasetFolder:
                              "another folder, or remove it")
 
     def content(self, shard: int) -> Content | None:
-        """What is in a shard; None where it has yet to be made, or made again.
+        """Content of a shard; None if it is missing, damaged or has other drapes than required.
 
-        The last one grows when a dataset is extended.
+        The last shard grows when a dataset is extended.
         """
         path = self.root / shard_name(shard)
         if not path.exists():
@@ -137,7 +138,8 @@ class DatasetFolder:
         """Write a shard.
 
         Raises:
-            InputError: the system refuses; the folder holds another dataset or more drapes by now.
+            InputError: the file cannot be written; the folder holds another dataset or more drapes
+                by now.
         """
         self.claim()
         name = shard_name(shard)
@@ -153,21 +155,21 @@ class DatasetFolder:
                              "command again: finished shards are kept") from None
 
     def begin(self) -> None:
-        """Say in the manifest that there is work to do."""
+        """Mark the dataset as incomplete in the manifest."""
         found = read_manifest(self.root) or {}
         begun = self._described | {"complete": False, "provenance": _provenance(found, made=True)}
         if found != begun:
             write_manifest(self.root, begun)
 
     def finish(self, *, made: bool = True) -> dict:
-        """Write the manifest if all shards are whole; return it, finished or not.
+        """Write the manifest if all shards are complete; return it, complete or not.
 
-        ``made`` says whether this process has made shards.
+        ``made``: whether this process has made shards.
         """
-        self.claim()  # it may have been extended meanwhile
+        self.claim()  # another process may have extended the dataset meanwhile
         names = [shard_name(shard) for shard in range(self.config.shards)]
         contents: dict[str, Content | None] = {}
-        # All are looked for before the first is read: most parts of a dataset end before others.
+        # Existence first: reading is wasted while other parts are unfinished.
         if all((self.root / name).exists() for name in names):
             contents = {name: self.content(shard)
                         for shard, name in enumerate(over_shards(names, "checking"))}
@@ -182,15 +184,15 @@ class DatasetFolder:
         return manifest
 
     def remove_partial(self) -> None:
-        """Remove what writers that were ended have left behind (:func:`remove_partial`)."""
+        """Remove temporary files of interrupted writers (:func:`remove_partial`)."""
         for pattern in (SHARDS, MANIFEST):
             remove_partial(self.root, pattern)
 
 
 def _provenance(found: dict, *, made: bool) -> list[dict]:
-    """The environments in which shards were made, after those that the manifest names already.
+    """Environments in which shards were made: those in the manifest, and the present one if new.
 
-    They stand in the manifest alone, and no digest covers them.
+    Stored only in the manifest, outside its digests.
     """
     earlier = found.get("provenance", [])
     if not made:

@@ -1,16 +1,16 @@
-"""Make datasets of simulated drapes of random fabrics.
+"""Generate datasets of simulated drapes of random fabrics.
 
     python -m data.generate out=outputs/dataset drapes=1500 workers=2
     python -m data.generate out=outputs/small drapes=16 edge_mm=5
 
-Writes OUT/shard_*.h5 and OUT/dataset.json (docs/data_format.md). A drape takes about 2 s of one
-core, and 20 kB with edge_mm=3. ``python -m data.inspect OUT`` shows what a dataset holds.
+Writes OUT/shard_*.h5 and OUT/dataset.json (docs/data_format.md). A drape takes about 2 s on one
+core, and 20 kB with edge_mm=3. ``python -m data.inspect OUT`` summarises a dataset.
 
     prior -> plan of a drape -> equilibrium -> record -> shard
 
-A shard depends on the dataset's configuration and its number only, so any number of processes, on
-any number of machines, write the same files. Run again after an interruption, the command goes on,
-and makes damaged shards again; asked for more drapes, it extends the dataset.
+A shard depends only on the dataset's configuration and its number, so any number of processes, on
+any number of machines, write the same files. After an interruption the same command resumes, and
+replaces damaged shards; with a larger drapes= it extends the dataset.
 
 On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
 (docs/cluster.md; needs pip install '.[cluster]'):
@@ -44,22 +44,22 @@ def generate_dataset(
     parts: int = 1,
     solver: Solver | None = None,
 ) -> dict:
-    """Make, complete or extend the dataset in the folder ``out``.
+    """Generate, complete or extend the dataset in the folder ``out``.
 
-    Progress, and what the time was spent on, are shown on standard error.
+    Progress and a breakdown of the time are printed to standard error.
 
     Args:
         config: all that determines the files.
         out: folder; created where it is missing.
-        workers: processes of one thread each; without influence on the files.
+        workers: single-threaded processes; without influence on the files.
         part, parts: make only every ``parts``-th shard, from the ``part``-th on, counted from 0.
-            Parts can be made at the same time, anywhere; the one that finds all others done
+            Parts can be made at the same time on any machines; the one that finds all others done
             finishes the dataset.
-        solver: in place of :func:`sim.drape.drape`; of an importable module.
+        solver: replaces :func:`sim.drape.drape`; must be importable.
 
     Returns:
         The content of ``dataset.json``: configuration, counts of every outcome, digests. While
-        other parts are unfinished it is ``complete: False``, without counts.
+        other parts are unfinished it has ``complete: False`` and no counts.
 
     Raises:
         InputError: ``out`` cannot be written, or holds a dataset of another configuration or with
@@ -77,12 +77,13 @@ def generate_dataset(
                    if folder.content(shard) is None]
         if missing:
             folder.begin()
-        drapes, left = (sum(len(config.rows(shard)) for shard in some)
-                        for some in (mine, missing))
-        with progress_bar(total=drapes, initial=drapes - left, unit="drape", smoothing=0.05) as bar:
+        total, missing_drapes = (sum(len(config.rows(shard)) for shard in shards)
+                                 for shards in (mine, missing))
+        present = total - missing_drapes
+        with progress_bar(total=total, initial=present, unit="drape", smoothing=0.05) as bar:
             def report(made: int, failed: int) -> None:
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
-                bar.update(drapes - left + made - bar.n)
+                bar.update(present + made - bar.n)
 
             spent = make_shards(folder, missing, workers=workers, solver=solver, report=report)
         if missing:
@@ -98,7 +99,7 @@ def generate_dataset(
 
 @command("generate", Options, check=config_from_options)
 def main(options: Options) -> None:
-    """Make the dataset, or the part, that ``options`` ask for; print what became of it."""
+    """Generate the dataset, or part of it, of ``options`` and print a summary."""
     manifest = generate_dataset(config_from_options(options), folder_named(options.out),
                                 workers=options.workers, part=options.part, parts=options.parts)
     if not manifest["complete"]:

@@ -1,4 +1,4 @@
-"""``dataset.json``: what a dataset consists of, with the digests of its settings and shards."""
+"""``dataset.json``, the manifest of a dataset: its settings and shards, with their digests."""
 
 import hashlib
 import json
@@ -13,12 +13,11 @@ from common.files import replace_json
 
 SCHEMA_VERSION = 6  # of manifests and shards
 MANIFEST = "dataset.json"
-REMEDY = ("remove it and run the command that made the dataset again, which keeps shards that are "
-          "whole")
+REMEDY = ("remove it and run the command that made the dataset again, which keeps complete shards")
 
 
 class _Begun(Excerpt):
-    """What a manifest must hold."""
+    """Required content of a manifest."""
 
     remedy = REMEDY
     identity: str
@@ -38,7 +37,7 @@ class _Config(Excerpt):
 
 
 class _Finished(_Begun):
-    """What a finished one must hold."""
+    """Required content of the manifest of a complete dataset."""
 
     config: _Config
     hash: str
@@ -52,7 +51,7 @@ def write_manifest(root: Path, content: dict) -> None:
 
 
 def read_manifest(root: Path) -> dict | None:
-    """The content of ``dataset.json``; None where there is none.
+    """Read ``dataset.json``; None if it does not exist.
 
     Raises:
         InputError: it cannot be read, is damaged, or belongs to another schema version.
@@ -63,7 +62,7 @@ def read_manifest(root: Path) -> dict | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError:
-        pass  # the reader says why
+        pass  # read_json reports the reason
     content = read_json(path, remedy=REMEDY)
     if not isinstance(content, dict):
         raise InputError(f"{path} is damaged; {REMEDY}")
@@ -76,10 +75,10 @@ def read_manifest(root: Path) -> dict | None:
 
 
 def finished_manifest(root: str | Path) -> dict:
-    """The content of a dataset's ``dataset.json``.
+    """Read ``dataset.json`` of a complete dataset.
 
     Raises:
-        InputError: it is missing, unfinished or damaged, or contradicts itself.
+        InputError: it is missing, incomplete, damaged or inconsistent with its digests.
     """
     manifest = read_manifest(Path(root))
     if manifest is None:
@@ -92,7 +91,7 @@ def finished_manifest(root: str | Path) -> dict:
 
 
 def require_digest(root: str | Path, content: dict, digest: str) -> None:
-    """InputError unless a part of the ``dataset.json`` in ``root`` has the digest given there."""
+    """InputError unless ``content``, part of the ``dataset.json`` in ``root``, has ``digest``."""
     if json_digest(content) != digest:
         raise InputError(f"{Path(root) / MANIFEST}: its digests do not match its content; "
                          f"{REMEDY}")

@@ -1,7 +1,7 @@
-"""What specimens differ in beside the moduli of their fabric, and what moves their drape.
+"""Nuisance parameters: properties of specimens and rig, beside the moduli, that affect the drape.
 
-Neither is known of a captured specimen, so datasets draw both for every one and training
-learns what they leave uncertain. ``configs/nuisances`` states how far they spread, and why.
+They are unknown for a captured specimen, so datasets draw them at random and the network learns the
+resulting uncertainty. ``configs/nuisances`` states their distributions with reasons.
 """
 
 import math
@@ -22,15 +22,15 @@ _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percenti
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Of one specimen.
+    """Nuisance parameters of one specimen.
 
     Attributes:
         membrane: stiffness along the yarns, N/m.
-        shear: shear stiffness, relative to that of an isotropic membrane as stiff.
-        friction: bending torque that friction between the yarns takes, N·m per metre.
+        shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
+        friction: frictional bending torque between the yarns, N·m per metre.
         curl_warp, curl_weft: natural curvature, 1/m.
-        size: what the specimen's size, and plate, what the plate's diameter exceeds, m.
-        cut: from the warp to the specimen's side, rad.
+        size, plate: deviations of the specimen's size and of the plate's diameter, m.
+        cut: angle from the warp to the specimen's side, rad.
     """
 
     membrane: float = Corotational().stiffness
@@ -44,12 +44,13 @@ class Nuisances:
 
     @property
     def vector(self) -> np.ndarray:
-        """(8,) of :data:`NAMES`."""
+        """Values (8,) in the order of :data:`NAMES`."""
         return np.array([getattr(self, name) for name in NAMES])
 
     @property
     def laws(self) -> Laws:
-        """The cloth's energies; those that :class:`sim.laws.Laws` has by itself where it can be."""
+        """The cloth's energies; the defaults of :class:`sim.laws.Laws` where they are equivalent.
+        """
         membrane = isotropic = Corotational(self.membrane)
         if self.shear != 1.0:
             membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane,
@@ -60,7 +61,7 @@ class Nuisances:
         return Laws(NaturallyCurved(curvature) if any(curvature) else Laws().bending, membrane)
 
     def rig(self, nominal: Rig) -> Rig:
-        """The rig that the specimen lies on, of sizes near those of the ``nominal`` one."""
+        """The ``nominal`` rig with the deviations in size, plate and cut of this specimen."""
         return replace(nominal, specimen_size=nominal.specimen_size + self.size,
                        plate_diameter=nominal.plate_diameter + self.plate,
                        cut=0.0 if nominal.specimen == "disc" else self.cut)
@@ -69,31 +70,31 @@ class Nuisances:
 NAMES = tuple(field.name for field in fields(Nuisances))
 """Components of :attr:`Nuisances.vector`."""
 LOGARITHMIC = ("membrane", "shear")
-"""Those whose logarithm has a distribution, and derivatives."""
+"""Parameters of which the logarithm is distributed and differentiated."""
 PROPORTIONAL = ("membrane", "friction")
-"""Those that, like the moduli, are in proportion to the density of fabrics that drape alike."""
+"""Parameters that, like the moduli, are proportional to the density at equal drape."""
 
 
 def at_density(values: Mapping[str, float], old: float, new: float) -> dict[str, float]:
-    """``values`` by :data:`NAMES`, SI, of a fabric of the density ``old``, kg/m², as those of the
-    fabric of density ``new`` that drapes the same."""
+    """Convert ``values`` by :data:`NAMES`, SI, of a fabric of density ``old``, kg/m², to those of
+    the fabric of density ``new`` with the same drape."""
     return {name: value * new / old if name in PROPORTIONAL else value
             for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class NuisanceConfig:
-    """How nuisances spread over specimens.
+    """Distributions of the nuisance parameters.
 
     Attributes:
         membrane: 2.5th and 97.5th percentile of a log-normal distribution, N/m.
         shear: limits of a log-uniform distribution.
-        friction: largest, uniform from 0, N·m per metre.
+        friction: upper limit of a uniform distribution from 0, N·m per metre.
         curl: standard deviation along warp and weft each, 1/m.
-        size, plate: standard deviations, m. cut: the same, rad.
+        size, plate: standard deviations, m. cut: standard deviation, rad.
 
     Raises:
-        InputError: a distribution that makes no sense.
+        InputError: limits or standard deviations out of range.
     """
 
     membrane: tuple[float, float] = (Corotational().stiffness,) * 2
@@ -120,7 +121,7 @@ class NuisanceConfig:
                              "5 and 10 are allowed")
 
     def sample(self, cloth: np.random.Generator, specimen: np.random.Generator) -> Nuisances:
-        """Draw those of a cloth and those of a specimen of it, each from its own generator."""
+        """Draw the parameters of a cloth and of one specimen, each from a separate generator."""
         def between(limits: tuple[float, float], share: float) -> float:
             return float(limits[0] * (limits[1] / limits[0]) ** share)
 
@@ -135,14 +136,14 @@ class NuisanceConfig:
 
     @property
     def means(self) -> dict[str, float]:
-        """Means by :data:`NAMES`; of the logarithms of those of :data:`LOGARITHMIC`."""
+        """Means by :data:`NAMES`; of the logarithms for :data:`LOGARITHMIC`."""
         middle = {"membrane": math.log(math.prod(self.membrane)) / 2,
                   "shear": math.log(math.prod(self.shear)) / 2, "friction": self.friction / 2}
         return dict.fromkeys(NAMES, 0.0) | middle
 
     @property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations, likewise; uniform distributions count with theirs."""
+        """Standard deviations, likewise, also of the uniform distributions."""
         (softest, stiffest), (least, most) = self.membrane, self.shear
         return {"membrane": math.log(stiffest / softest) / (2 * _PERCENTILE),
                 "shear": math.log(most / least) / math.sqrt(12),

@@ -1,4 +1,4 @@
-"""The keys of ``configs/generate.yaml``: their types, and the dataset that they ask for."""
+"""Schema of ``configs/generate.yaml``, and its conversion to a dataset configuration."""
 
 from dataclasses import asdict, dataclass
 
@@ -60,7 +60,7 @@ class Options:
 
 
 def config_from_options(options: Options) -> DatasetConfig:
-    """The dataset that the composed options ask for; InputError where a value makes no sense."""
+    """Dataset configuration of the composed options; InputError for invalid values."""
     if options.parts < 1:
         raise InputError(f"parts={options.parts} must be at least 1")
     dataset = si(asdict(options.dataset))

@@ -1,4 +1,4 @@
-"""Shaded pictures of draped cloth, for people to look at."""
+"""Shaded images of draped cloth."""
 
 import cv2
 import numpy as np
@@ -7,15 +7,15 @@ import trimesh
 from data.render import import_open3d
 from sim.mesh import vertex_normals
 
-# Colours and brightnesses are linear, 0 to 1.
+# Colours and intensities are linear, 0 to 1.
 _CLOTH = np.array([0.42, 0.55, 0.72])
 _STAND = np.array([0.62, 0.60, 0.57])
 _LAMPS = (((-0.5, -0.6, 0.8), 0.75), ((0.9, -0.2, 0.3), 0.25), ((0.1, 0.9, 0.4), 0.15))
-"""Direction towards each lamp as (right, away from the viewer, up), and its brightness."""
-_SKY = 0.22
-_THUMBNAIL, _GAP = 120, 12  # pixels, height and distance of thumbnails
-_AWAY = 2.0  # m, of the viewer's plane from the middle
-_MIDDLE = -0.07  # m, height of a drape's middle, in the middle of a picture from the side
+"""Direction towards each lamp as (right, away from the viewer, up), and its intensity."""
+_AMBIENT = 0.22
+_THUMBNAIL, _GAP = 120, 12  # pixels, height of thumbnails and gap between them
+_VIEWER_DISTANCE = 2.0  # m, of the image plane from the centre
+_MIDDLE = -0.07  # m, height of the picture's centre in views from the side
 
 
 def shade(
@@ -28,7 +28,7 @@ def shade(
     field: float = 0.40,
     supersampling: int = 3,
 ) -> np.ndarray:
-    """Orthographic picture (H, W, 3) uint8 of a drape on its cylinder over a floor.
+    """Orthographic image (H, W, 3) uint8 of a drape on its cylinder above a floor.
 
     Args:
         positions: (V, 3) m, z up.
@@ -47,7 +47,7 @@ def shade(
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     meshes = [(positions, faces)]
     if plate_radius > 0:
-        # Its top is just below the plate's, so that cloth hides it.
+        # Slightly lower and narrower than the plate, so that the cloth covers it.
         radius, top = 0.985 * plate_radius, -1e-3
         stand = trimesh.creation.revolve([[radius, floor], [radius, top], [0, top]], sections=96)
         meshes.append((stand.vertices, stand.faces))
@@ -62,9 +62,9 @@ def shade(
     pixel = field / width
     x = (np.arange(width) + 0.5 - width / 2) * pixel
     y = (height / 2 - np.arange(height) - 0.5) * pixel
-    # From above, the plate is in the middle whatever the height.
+    # From above, the plate is always in the middle.
     middle = np.array([0.0, 0.0, _MIDDLE if elevation < 80 else 0.0])
-    starts = middle - _AWAY * forward + x[None, :, None] * right + y[:, None, None] * up
+    starts = middle - _VIEWER_DISTANCE * forward + x[None, :, None] * right + y[:, None, None] * up
     rays = np.concatenate([starts, np.broadcast_to(forward, starts.shape)], -1)
     hits = scene.cast_rays(open3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
     distance = hits["t_hit"].numpy()
@@ -79,14 +79,14 @@ def shade(
         n = normals[k]
         normal = (1 - u - v) * n[corners[:, 0]] + u * n[corners[:, 1]] + v * n[corners[:, 2]]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        normal *= -np.sign(normal @ forward)[:, None]  # both sides of the cloth are lit
+        normal *= -np.sign(normal @ forward)[:, None]  # two-sided shading
         image[seen] = colour * _illumination(normal, right, up, forward)[:, None]
     image = image.reshape(size[1], supersampling, size[0], supersampling, 3).mean((1, 3))
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
 
 
 def _view(elevation: float) -> tuple[np.ndarray, ...]:
-    """The picture's right, up and forward, (3,) each."""
+    """Unit vectors right, up and forward of the view, (3,) each."""
     c, s = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
     return np.array([1.0, 0.0, 0.0]), np.array([0.0, s, c]), np.array([0.0, c, -s])
 
@@ -94,8 +94,8 @@ def _view(elevation: float) -> tuple[np.ndarray, ...]:
 def _illumination(
     normal: np.ndarray, right: np.ndarray, up: np.ndarray, forward: np.ndarray
 ) -> np.ndarray:
-    """Light (N,) on normals (N, 3): the lamps, which go with the viewer, and the sky."""
-    light = _SKY * (0.6 + 0.4 * normal[:, 2])
+    """Light (N,) on normals (N, 3): lamps, fixed to the viewer, and ambient light."""
+    light = _AMBIENT * (0.6 + 0.4 * normal[:, 2])
     for (x, y, z), strength in _LAMPS:
         lamp = x * right + y * forward + z * up
         light = light + strength * np.maximum(normal @ (lamp / np.linalg.norm(lamp)), 0.0)
@@ -105,7 +105,8 @@ def _illumination(
 def _background(
     starts: np.ndarray, forward: np.ndarray, floor: float, positions: np.ndarray
 ) -> np.ndarray:
-    """Nearly white (H, W, 3), with a soft round shadow on the floor unless seen from the side."""
+    """Background (H, W, 3), nearly white, with a soft round shadow on the floor if it is visible.
+    """
     image = np.ones((*starts.shape[:2], 3)) * 0.93
     if forward[2] < -1e-3:
         reach = (floor - starts[..., 2]) / forward[2]
@@ -118,8 +119,8 @@ def _background(
 
 
 def thumbnails(views: np.ndarray) -> bytes:
-    """PNG of depth images (K, H, W), m, background 0, side by side: the cloth alone, near parts
-    bright.
+    """PNG of depth images (K, H, W), m, background 0, side by side, cropped to the cloth; near
+    parts are bright.
     """
     tiles = []
     for view in views:

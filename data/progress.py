@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from tqdm import tqdm
 
-DELAY = 2.0  # s; what takes less has no bar
+DELAY = 2.0  # s; shorter tasks show no bar
 
 # One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
 # them is killed while it holds it.
@@ -14,11 +14,11 @@ tqdm.set_lock(threading.RLock())
 
 
 def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
-    """A bar of tqdm's; a log file has no use for ten lines a second."""
+    """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
     pause = 0.1 if sys.stderr.isatty() else 30.0
     return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
 
 
 def over_shards(shards: Iterable, doing: str) -> tqdm:
-    """``shards``, with a bar that says what is being done to them and vanishes at the end."""
+    """Iterate over ``shards`` with a bar labelled ``doing``, which is cleared at the end."""
     return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY)

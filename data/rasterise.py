@@ -1,21 +1,21 @@
-"""Depth pictures of many drapes at once: a z-buffer in PyTorch, on any device.
+"""Batched rendering of depth pictures of drapes: a z-buffer in PyTorch, on any device.
 
-The pictures are those of :mod:`data.render`: z-depth, pixel centres at whole numbers, background
-0, only the cloth, seen from both sides. There each pixel looks for its triangle; here each triangle
-looks for its pixels:
+The pictures equal those of :mod:`data.render`: z-depth, pixel centres at integers, background 0,
+only the cloth, two-sided. :mod:`data.render` casts rays; this module rasterises triangles:
 
-    corners -> two trapezoids a triangle, cut at the middle corner's row -> rows -> spans -> pixels
+    corners -> two trapezoids per triangle, split at the middle corner's row -> rows -> spans ->
+    pixels
 
-Every step expands items (triangles, rows) into as many copies as each needs, so that no loop runs
-over anything but chunks of pictures, and a pixel outside of a triangle is never touched. Along an
-edge and along a row, 1/z is linear in the picture; the buffer keeps the largest. A maximum does not
-depend on the order of its operands, so equal input gives equal pictures.
+Every step expands items (triangles, rows) into as many copies as each needs, so that the only loop
+is over chunks of pictures, and pixels outside a triangle are not visited. Along an edge and along a
+row, 1/z is linear in the picture; the buffer keeps the largest. A maximum does not depend on the
+order of its operands, so equal input gives equal pictures.
 
-The same steps as plain loops (:mod:`data.rasterise_cpu`) are what a processor runs; it would spend
-its time on memory for the arrays of copies.
+On a CPU the same steps run as compiled loops (:mod:`data.rasterise_cpu`), because the memory
+traffic of the expanded arrays would dominate.
 
-Two triangles that share an edge compute its place in a row with the same operations on the same
-numbers, from the upper corner down, and spans include their ends: a mesh has no cracks.
+Two triangles that share an edge compute its intersection with a row by the same operations on the
+same numbers, from the upper corner down, and spans include their ends: a mesh has no cracks.
 """
 
 import math
@@ -25,15 +25,15 @@ import torch
 
 from common.errors import InputError
 from data.cameras import Camera
-from data.rasterise_cpu import LEAST_HEIGHT, rasterise_arrays
+from data.rasterise_cpu import MIN_HEIGHT, rasterise_arrays
 
-CHUNK = 512  # pictures worked on at a time: about 1 GB at 240x180
+CHUNK = 512  # pictures per chunk: about 1 GB at 240x180
 
 
 def camera_tensors(
     cameras: Sequence[Camera], *, device: torch.device | str | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Intrinsics (B, 4) as fx, fy, cx, cy, px, and world_to_camera (B, 4, 4), m, both float64."""
+    """Intrinsics (B, 4) fx, fy, cx, cy, px, and world_to_camera (B, 4, 4), m, both float64."""
     numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
     poses = [camera.world_to_camera.tolist() for camera in cameras]
     return (torch.tensor(numbers, dtype=torch.float64, device=device),
@@ -56,19 +56,19 @@ def render_batch(
     Args:
         positions: (B, V, 3) vertices in metres, world axes at orientation 0.
         faces: (F, 3) or (B, F, 3) int64 triangles. Meshes with fewer triangles than others are
-            filled up with triangles of one repeated vertex.
-        angles: (B, K) by how much the specimen is turned in each picture, radians,
-            counter-clockwise seen from above (orientation plus the table's turn).
+            padded with triangles of one repeated vertex.
+        angles: (B, K) rotation of the specimen in each picture, radians, counter-clockwise seen
+            from above (orientation plus the table's turn).
         intrinsics: (B, 4) fx, fy, cx, cy of this picture size, px.
         world_to_camera: (B, 4, 4) rigid, m.
         height, width: size of the pictures, px.
 
     Returns:
         (B, K, height, width) float32 z-depth in metres, background 0. Triangles with a corner
-        behind the camera or of a coordinate that is not finite are left out.
+        behind the camera or a coordinate that is not finite are skipped.
 
     Raises:
-        InputError: a face names a vertex that does not exist.
+        InputError: a face refers to a vertex that does not exist.
     """
     points = camera_points(positions.float(), angles, world_to_camera)
     meshes, views, vertices, _ = points.shape
@@ -93,7 +93,7 @@ def camera_points(
     c, s = torch.cos(angles)[..., None], torch.sin(angles)[..., None]
     right, away, up, shift = world_to_camera[:, None, :3, :].unbind(-1)
     axes = (c * right + s * away, c * away - s * right, up, shift)
-    # Not a matrix product, which a GPU may round to ten bits.
+    # Not a matrix product, which a GPU may compute in TF32 with 10 bits.
     x, y, z, shift = (axis.to(positions.dtype)[:, :, None] for axis in axes)
     at = positions[:, None, :, :, None]
     return at[..., 0, :] * x + at[..., 1, :] * y + at[..., 2, :] * z + shift
@@ -125,7 +125,7 @@ def _rasterise(
     long = _edge(upper, lower)
     edges = torch.cat([torch.cat([long, long], 1),
                        torch.cat([_edge(upper, middle), _edge(middle, lower)], 1)])
-    # Trapezoids: above the middle corner's row, and from there on.
+    # Trapezoids: above the middle corner's row, and from this row down.
     cut = middle[1].ceil().clamp(0, height)
     first = torch.cat([upper[1].ceil().clamp(min=0), cut])
     stop = torch.cat([cut, (lower[1].floor() + 1).clamp(max=height)])
@@ -158,9 +158,9 @@ def _rasterise(
 def _corners(
     points: torch.Tensor, faces: torch.Tensor, intrinsics: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Corners of all triangles from the uppermost down: u, v, 1/z as three tensors (3, B*K*F).
+    """Upper, middle and lower corners of all triangles: tensors (3, B*K*F) of u, v, 1/z.
 
-    What lies behind the camera becomes NaN.
+    Corners behind the camera become NaN.
     """
     x, y, z = points.unbind(-1)
     fx, fy, cx, cy = intrinsics[..., None].unbind(2)
@@ -177,14 +177,16 @@ def _corners(
 
 
 def _by_row(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The two corners of each triangle, the upper one first."""
+    """Sort two corners of each triangle, the upper one first."""
     swap = a[1] > b[1]
     return torch.where(swap, b, a), torch.where(swap, a, b)
 
 
 def _edge(upper: torch.Tensor, lower: torch.Tensor) -> torch.Tensor:
-    """(5, ...) row of the upper corner; column there and its slope a row; 1/z and its slope."""
-    down = (lower[1] - upper[1]).clamp(min=LEAST_HEIGHT)
+    """Edges (5, ...): row of the upper corner, column there and its slope per row, 1/z and its
+    slope.
+    """
+    down = (lower[1] - upper[1]).clamp(min=MIN_HEIGHT)
     u, v, w = upper
     return torch.stack([v, u, (lower[0] - u) / down, w, (lower[2] - w) / down])
 

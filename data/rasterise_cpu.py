@@ -1,4 +1,4 @@
-"""The rasteriser of :mod:`data.rasterise` as compiled loops, for processors."""
+"""The rasteriser of :mod:`data.rasterise` as compiled loops, for CPUs."""
 
 from concurrent.futures import ThreadPoolExecutor
 from math import isfinite
@@ -6,7 +6,7 @@ from math import isfinite
 import numba
 import numpy as np
 
-LEAST_HEIGHT = 1e-12  # px, stands for 0 in the slope of a horizontal edge
+MIN_HEIGHT = 1e-12  # px, avoids division by 0 in the slope of a horizontal edge
 
 
 def rasterise_arrays(
@@ -33,7 +33,7 @@ def rasterise_arrays(
     def work(mesh: int) -> None:
         _draw(points[mesh], faces[mesh], intrinsics[mesh], pictures[mesh])
 
-    # Separate threads: those of numba and OpenMP do not survive the fork of a loader's workers.
+    # Python threads: those of numba and OpenMP do not survive the fork of a data loader's workers.
     if threads == 1 or len(points) == 1:
         for mesh in range(len(points)):
             work(mesh)
@@ -45,7 +45,7 @@ def rasterise_arrays(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _draw(points, faces, intrinsics, pictures):
-    """Draw a mesh into its pictures (K, H, W), which are zeros before."""
+    """Draw a mesh into its pictures (K, H, W), initially zeros."""
     views, vertices, _ = points.shape
     height, width = pictures.shape[1:]
     u = np.empty(vertices, points.dtype)
@@ -68,7 +68,7 @@ def _draw(points, faces, intrinsics, pictures):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _draw_triangle(u, v, w, face, nearest):
-    """Bring a triangle with corners at (u, v, 1/z = w) into a picture of largest 1/z."""
+    """Draw a triangle with corners (u, v, 1/z = w) into a picture of the largest 1/z."""
     height, width = nearest.shape
     a, b, c = face
     if v[a] > v[b]:
@@ -79,7 +79,7 @@ def _draw_triangle(u, v, w, face, nearest):
         a, b = b, a
     if not isfinite(u[a] + u[b] + u[c] + v[a] + v[b] + v[c] + w[a] + w[b] + w[c]):
         return
-    # Before they become integers: far outside of the picture they might not fit.
+    # Clamped before conversion: far outside the picture they could overflow an integer.
     first, last = max(np.ceil(v[a]), 0), min(np.floor(v[c]), height - 1)
     for row in range(int(first), int(last) + 1):
         left, w_left = _cross(u, v, w, a, c, row)
@@ -90,15 +90,15 @@ def _draw_triangle(u, v, w, face, nearest):
         slope = (w_right - w_left) / (right - left) if right > left else w_left * 0
         begin, end = max(np.ceil(left), 0), min(np.floor(right), width - 1)
         for column in range(int(begin), int(end) + 1):
-            there = w_left + slope * (nearest.dtype.type(column) - left)
-            if there > nearest[row, column]:
-                nearest[row, column] = there
+            inverse_depth = w_left + slope * (nearest.dtype.type(column) - left)
+            if inverse_depth > nearest[row, column]:
+                nearest[row, column] = inverse_depth
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cross(u, v, w, upper, lower, row):
-    """Where an edge crosses a row: column and 1/z."""
-    down = max(v[lower] - v[upper], v.dtype.type(LEAST_HEIGHT))
+    """Column and 1/z of an edge's intersection with a row."""
+    down = max(v[lower] - v[upper], v.dtype.type(MIN_HEIGHT))
     below = v.dtype.type(row) - v[upper]
     slope, slope_w = (u[lower] - u[upper]) / down, (w[lower] - w[upper]) / down
     return u[upper] + slope * below, w[upper] + slope_w * below

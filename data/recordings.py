@@ -1,8 +1,8 @@
-"""Recordings of a depth camera while the table turns from stop to stop: one frame for each stop.
+"""Depth frames from a recording of a table that turns in steps: one frame for each stop.
 
 RealSense's ``.bag`` and ``.db3``, and other ROS 1 and 2 bags with a topic of 16-bit depth, are read
-by the library rosbags. The table is at rest where nothing moves for :data:`LEAST_REST`; a stop's
-frame is the median of those in its middle.
+with the library rosbags. The table is at rest if nothing moves for :data:`MIN_REST`; the frame of a
+stop is the median of the frames in its middle.
 """
 
 from collections.abc import Iterator
@@ -17,40 +17,40 @@ from scipy import ndimage
 from common.documents import require_regular
 from common.errors import InputError, one_line
 from data.cameras import Intrinsics
-from data.reading import MILLIMETRE, MOST_VIEWS, median_depth, require_size
+from data.reading import MAX_VIEWS, MILLIMETRE, median_depth, require_size
 
-ENDINGS = (".bag", ".db3")
-LARGEST_RECORDING = 16 << 30  # bytes
-MOST_FRAMES = 30_000
-LEAST_REST = 0.45  # s, of frames that are as a moment before
-USED = 15  # frames of a stop, at most
-_LATER = 0.25  # s between two frames that are compared
-_STEP = 2  # of the pixels that are compared
-_FARTHEST = 1.5  # m; noise grows with distance, and the background is not compared
-_MOVED = 0.012, 0.02  # m, and share of the depth, from which a pixel has moved
-_STILL = 0.004, 3.0, 0.02
-"""Share of moved pixels in rest: at least; times that of the stillest quarter, for noisy sensors;
-at most, or a table that never rests would be at rest."""
-_SAME_STOP = 0.01  # share of pixels by which one stop, interrupted, may differ from itself
+SUFFIXES = (".bag", ".db3")
+MAX_RECORDING_BYTES = 16 << 30  # bytes
+MAX_FRAMES = 30_000
+MIN_REST = 0.45  # s
+MAX_USED_FRAMES = 15  # of a stop, for the median
+_COMPARED_INTERVAL = 0.25  # s between two frames that are compared
+_STRIDE = 2  # of the pixels that are compared
+_MAX_DEPTH = 1.5  # m, of compared pixels; noise grows with distance
+_MIN_MOTION = 0.012, 0.02  # m and share of the depth: a pixel has moved if both are exceeded
+_REST_THRESHOLD = 0.004, 3.0, 0.02
+"""Share of moved pixels below which the table rests: lower limit; multiple of the first quartile,
+for noisy sensors; upper limit, for a table that never rests."""
+_MAX_STOP_CHANGE = 0.01  # share of moved pixels between two rests of the same stop
 _PNG = b"\x89PNG"
 _DEPTH16 = ("mono16", "16uc1", "z16")
-_DISTORTED = 1e-3  # largest coefficient that is as good as none
+_MAX_DISTORTION = 1e-3  # coefficient of negligible lens distortion
 
 
 def read_recording(
     file: Path, unit: float | None = None
 ) -> tuple[np.ndarray, Intrinsics | None]:
-    """Frames (K, H, W) float32, m, one for each stop of the table; intrinsics, if it states them.
+    """Read frames (K, H, W) float32, m, one per stop of the table, and intrinsics if stored.
 
     Args:
-        unit: m per count; None: as the recording says, or millimetres.
+        unit: m per count; None: as stored in the recording, or millimetres.
 
     Raises:
-        InputError: no recording with depth, one that is damaged or too long, lens distortion, or
-            no stops, or more than :data:`data.reading.MOST_VIEWS`.
+        InputError: not a recording of depth, damaged or too long; lens distortion; no stops, or
+            more than :data:`data.reading.MAX_VIEWS`.
     """
-    require_regular(file, LARGEST_RECORDING, "recording")
-    # Loaded late: few captures are recordings.
+    require_regular(file, MAX_RECORDING_BYTES, "recording")
+    # Imported late: few captures are recordings.
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -60,36 +60,36 @@ def read_recording(
             topic = _depth_topic(reader, file)
             scale = unit or _unit(reader, topic) or MILLIMETRE
             times, moved = _motion(_frames(reader, topic), scale, file)
-            chosen = _median_frames(_frames(reader, topic), rests(times, moved), scale)
+            chosen = _median_frames(_frames(reader, topic), find_rests(times, moved), scale)
             intrinsics = _camera(reader, topic, chosen.shape[1:], file)
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged file makes of the library
+    except Exception as error:  # a damaged file may raise any error in the library
         raise InputError(f"{file} cannot be read as a recording ({one_line(error)}); record it "
                          "again, or save its frames as 16-bit PNG") from None
-    if not 1 <= len(chosen) <= MOST_VIEWS:
+    if not 1 <= len(chosen) <= MAX_VIEWS:
         raise InputError(f"{file}: {len(chosen)} stops of the table found; let it rest for a "
-                         f"second at each of 1 to {MOST_VIEWS} stops, hands out of the picture")
+                         f"second at each of 1 to {MAX_VIEWS} stops, hands out of the picture")
     return chosen * np.float32(scale), intrinsics
 
 
-def rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
-    """First and last frame of each span of rest.
+def find_rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
+    """First and last frame of each period of rest.
 
     Args:
-        times: (N,) s. moved: (N,) share of pixels that have moved since a moment before.
+        times: (N,) s. moved: (N,) share of pixels that moved in the interval before.
     """
     if len(times) < 2:
         return [(0, 0)] if len(times) else []
-    least, times_stillest, most = _STILL
-    limit = float(np.clip(times_stillest * np.quantile(moved, 0.25), least, most))
+    low, factor, high = _REST_THRESHOLD
+    limit = float(np.clip(factor * np.quantile(moved, 0.25), low, high))
     spans = ndimage.find_objects(ndimage.label(moved < limit)[0])
     return [(span.start, span.stop - 1) for (span,) in spans
-            if times[span.stop - 1] - times[span.start] >= LEAST_REST]
+            if times[span.stop - 1] - times[span.start] >= MIN_REST]
 
 
 def _depth_topic(reader: Any, file: Path) -> Any:
-    """The connection of 16-bit depth pictures."""
+    """Connection of the depth topic."""
     pictures = [one for one in reader.connections
                 if one.msgtype.endswith(("/Image", "/CompressedImage")) and "epth" in one.topic]
     if not pictures:
@@ -98,10 +98,10 @@ def _depth_topic(reader: Any, file: Path) -> Any:
 
 
 def _frames(reader: Any, topic: Any) -> Iterator[tuple[float, np.ndarray]]:
-    """Time, s, and counts (H, W) uint16 of every picture."""
+    """Time, s, and counts (H, W) uint16 of each depth picture."""
     for number, (_, stamp, raw) in enumerate(reader.messages(connections=[topic])):
-        if number >= MOST_FRAMES:
-            raise InputError(f"the recording has more than {MOST_FRAMES} frames; record the stops "
+        if number >= MAX_FRAMES:
+            raise InputError(f"the recording has more than {MAX_FRAMES} frames; record the stops "
                              "alone")
         yield 1e-9 * stamp, _counts(reader.deserialize(raw, topic.msgtype))
 
@@ -116,7 +116,7 @@ def _counts(message: Any) -> np.ndarray:
         rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
         return np.ascontiguousarray(rows[:, : 2 * message.width]).view(order).astype(np.uint16)
     data = bytes(message.data)
-    start = data.find(_PNG, 0, 64)  # behind the header of ROS's compressed depth
+    start = data.find(_PNG, 0, 64)  # after the header of ROS's compressed depth
     if start < 0 or "16uc1" not in message.format.lower():
         raise InputError(f"depth of kind {message.format[:40]} is not read; record 16-bit depth")
     require_size("depth pictures", *(int.from_bytes(data[start + at : start + at + 4], "big")
@@ -130,16 +130,16 @@ def _counts(message: Any) -> np.ndarray:
 def _motion(
     frames: Iterator[tuple[float, np.ndarray]], scale: float, file: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) times, s, and shares of pixels that have moved within the moment before."""
+    """Times (N,), s, and shares (N,) of pixels that moved in the interval before."""
     times: list[float] = []
     moved: list[float] = []
     recent: list[tuple[float, np.ndarray]] = []
     for time, counts in frames:
-        small = counts[::_STEP, ::_STEP].astype(np.float32) * np.float32(scale)
+        small = counts[::_STRIDE, ::_STRIDE].astype(np.float32) * np.float32(scale)
         if recent and small.shape != recent[0][1].shape:
             raise InputError(f"{file}: the size of its depth pictures changes; record again with "
                              "one resolution")
-        while len(recent) > 1 and time - recent[1][0] >= _LATER:
+        while len(recent) > 1 and time - recent[1][0] >= _COMPARED_INTERVAL:
             recent.pop(0)
         times.append(time)
         moved.append(_moved_share(small, recent[0][1]) if recent else 0.0)
@@ -150,19 +150,20 @@ def _motion(
 
 
 def _moved_share(one: np.ndarray, other: np.ndarray) -> float:
-    near = (one > 0) & (other > 0) & (np.minimum(one, other) < _FARTHEST)
-    gap = np.abs(one - other) > np.maximum(_MOVED[0], _MOVED[1] * one)
+    near = (one > 0) & (other > 0) & (np.minimum(one, other) < _MAX_DEPTH)
+    gap = np.abs(one - other) > np.maximum(_MIN_MOTION[0], _MIN_MOTION[1] * one)
     return float((near & gap).sum() / max(near.sum(), 1))
 
 
 def _median_frames(
     frames: Iterator[tuple[float, np.ndarray]], stops: list[tuple[int, int]], scale: float
 ) -> np.ndarray:
-    """(K, H, W) float32 counts: of each stop the median of its middle frames without zeros."""
+    """(K, H, W) float32 counts: the median of each stop's middle frames, without zeros."""
     wanted = {}
     for stop, (first, last) in enumerate(stops):
-        # The edges of a rest are the ends of a movement.
-        inner = np.linspace(first + 0.3 * (last - first), last - 0.1 * (last - first), USED)
+        # Motion continues at the edges of a rest.
+        inner = np.linspace(first + 0.3 * (last - first), last - 0.1 * (last - first),
+                            MAX_USED_FRAMES)
         wanted |= {int(number): stop for number in np.unique(inner.round())}
     kept: list[list[np.ndarray]] = [[] for _ in stops]
     for number, (_, counts) in enumerate(frames):
@@ -171,7 +172,7 @@ def _median_frames(
     found: list[np.ndarray] = []
     for pictures in kept:
         median = median_depth(np.stack(pictures))
-        if not found or _moved_share(scale * median, scale * found[-1]) > _SAME_STOP:
+        if not found or _moved_share(scale * median, scale * found[-1]) > _MAX_STOP_CHANGE:
             found.append(median)
     return np.stack(found) if found else np.zeros((0, 1, 1), np.float32)
 
@@ -183,7 +184,7 @@ def _messages(reader: Any, topic: str) -> Iterator[Any]:
 
 
 def _unit(reader: Any, topic: Any) -> float | None:
-    """m per count, as RealSense writes it; the number is a text in newer recordings."""
+    """m per count in RealSense recordings, None if not stored; newer ones store it as text."""
     head = "/".join(topic.topic.split("/")[:3])
     for message in _messages(reader, f"{head}/option/Depth_Units/value"):
         unit = float(message.data)
@@ -192,7 +193,8 @@ def _unit(reader: Any, topic: Any) -> float | None:
 
 
 def _camera(reader: Any, topic: Any, shape: tuple[int, ...], file: Path) -> Intrinsics | None:
-    """Of the camera_info whose topic is most like that of the pictures."""
+    """Intrinsics of the camera_info whose topic has the longest common prefix with the pictures'.
+    """
     def common(name: str) -> int:
         return len(commonprefix([name, topic.topic]))  # noqa: RUF071 (topics are no paths)
 
@@ -201,14 +203,14 @@ def _camera(reader: Any, topic: Any, shape: tuple[int, ...], file: Path) -> Intr
         return None
     best = max(infos, key=lambda one: common(one.topic))
     for message in _messages(reader, best.topic):
-        # ROS 1 writes capitals.
+        # Field names are upper case in ROS 1.
         matrix, lens = (np.asarray(getattr(message, name, getattr(message, name.upper(), None)))
                         for name in ("k", "d"))
         if (message.height, message.width) != tuple(shape):
             return None
-        if lens.size and np.abs(lens).max() > _DISTORTED:
+        if lens.size and np.abs(lens).max() > _MAX_DISTORTION:
             raise InputError(f"{file}: the lens distortion {np.abs(lens).max():.3g} exceeds "
-                             f"{_DISTORTED:g}; record undistorted depth")
+                             f"{_MAX_DISTORTION:g}; record undistorted depth")
         fx, _, cx, _, fy, cy = (float(value) for value in matrix.ravel()[:6])
         return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=int(message.width),
                           height=int(message.height))

@@ -1,4 +1,4 @@
-"""From the index of a drape to its record: plan, equilibrium, measures, rows of a shard."""
+"""Simulation of a dataset's drape by its index: plan, equilibrium, measures, record."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -16,26 +16,26 @@ from sim.mesh.specimens import EDGE_RANGE, default_edge
 from sim.scene import RIGS, Rig
 
 Solver = Callable[..., object]
-"""Like :func:`sim.drape.drape`."""
+"""A function such as :func:`sim.drape.drape`."""
 Record = Mapping[str, np.ndarray]
-"""What :func:`data.shards.write_shard` takes."""
+"""One drape of a shard by field, see :func:`data.shards.write_shard`."""
 
-ACCIDENTS = (ArithmeticError, np.linalg.LinAlgError)
-"""What befalls the numbers of a single drape, which then fails alone."""
+NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
+"""Exceptions of a single simulation: the drape is recorded as failed, the others continue."""
 
 
 @dataclass(frozen=True)
 class DatasetConfig:
-    """All that determines a dataset's bytes.
+    """All settings that determine a dataset's bytes.
 
     Attributes:
         drapes: number of drapes.
         sampling: fabrics, specimens, starts, seed.
         prior: distribution of the fabrics.
         rig: specimen and plate.
-        edge: length of the meshes' edges at the plate's rim, m; 0: chosen for each fabric, see
+        edge: edge length of the meshes at the plate's rim, m; 0: chosen for each fabric, see
             :func:`sim.mesh.specimens.default_edge`.
-        drapes_per_shard: drapes in a file.
+        drapes_per_shard: drapes per file.
     """
 
     drapes: int
@@ -58,7 +58,8 @@ class DatasetConfig:
                              f"choose one of {known}")
 
     def as_dict(self) -> dict:
-        """All that determines a drape and its record, in JSON's types; not their number."""
+        """Settings that determine each drape and its record, in JSON types; without their number.
+        """
         settings = {
             "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
@@ -81,17 +82,19 @@ class DatasetConfig:
 
 
 def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record]) -> Record | None:
-    """The record of ``earlier`` ones whose drape the plan's starts from; None where there is none.
+    """Choose the record among ``earlier`` whose drape is the plan's initial state; None if the plan
+    has another start or there is no candidate.
 
-    Only converged drapes of other fabrics are lent (Feng et al. 2022, section 5.2.1).
+    Candidates are converged drapes of other fabrics (Feng et al. 2022, section 5.2.1).
     """
     if plan.start != BORROWED:
         return None
-    able = {int(record["index"]): record for record in earlier
+    candidates = {int(record["index"]): record for record in earlier
             if record["status"] == b"converged" and record["fabric"] != plan.fabric}
-    if not able:
+    if not candidates:
         return None
-    return able[choose_lender(plan.index, seed=config.sampling.seed, candidates=sorted(able))]
+    return candidates[choose_lender(plan.index, seed=config.sampling.seed,
+                                    candidates=sorted(candidates))]
 
 
 def simulate(
@@ -99,12 +102,12 @@ def simulate(
 ) -> tuple[dict, object]:
     """Drape the plan's fabric; return the record without measures, and the solver's result.
 
-    A drape that fails, even by an arithmetical exception, keeps its record, which says why; of it
-    there is no result.
+    For a drape that fails, also by an arithmetic exception, the record states the reason and the
+    result is None.
     """
     start: dict = {"start": plan.fallback}
     if lender is not None:
-        # As stored, so that the shard alone is enough to repeat the drape.
+        # Rounded as stored, so that the drape can be repeated from the shard alone.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
     edge = config.edge or default_edge(fabric, config.rig)
@@ -119,8 +122,8 @@ def simulate(
             laws=plan.nuisances.laws,
             **start,
         )
-    except ACCIDENTS as error:
-        return record | _accident(error), None
+    except NUMERICAL_ERRORS as error:
+        return record | _numerical_failure(error), None
     record |= _outcome(str(getattr(result.status, "value", result.status)), result.message)
     record |= {"residual": result.residual, "iterations": result.iterations}
     try:
@@ -138,7 +141,7 @@ def simulate(
 
 
 def _planned(plan: DrapePlan, lender: Record | None) -> dict:
-    """The record of a drape that is not yet made."""
+    """The record of a drape before its simulation."""
     return {name: np.zeros(field.shape, field.dtype) for name, field in fields(0).items()} | {
         FACES: np.zeros((0, 3), np.int32),
         "index": plan.index,
@@ -163,12 +166,13 @@ def _outcome(status: str, message: str) -> dict:
             "message": message.encode("ascii", "replace")[:160]}
 
 
-def _accident(error: Exception) -> dict:
+def _numerical_failure(error: Exception) -> dict:
     return _outcome("exception", f"{type(error).__name__}: {error}")
 
 
 def load_solver() -> Solver:
-    """The simulator; imported late: the main process and --help do without compiled kernels."""
+    """The simulator; imported late, because the main process and --help need no compiled kernels.
+    """
     from sim.drape import drape
 
     return drape
@@ -181,13 +185,12 @@ def make_record(
     earlier: Sequence[Record] = (),
     solver: Solver | None = None,
 ) -> dict[str, np.ndarray]:
-    """The record of drape ``index``: arrays by field, such as positions (V, 3).
+    """Simulate drape ``index``; return its record: arrays by field, such as positions (V, 3).
 
-    A drape of which no measures can be taken fails, and keeps its mesh.
+    A drape whose measures cannot be computed is marked as failed, with its mesh.
 
     Args:
-        earlier: records of the drapes before it in the same shard; a borrowed start is taken
-            from them.
+        earlier: records of the drapes before it in the same shard, candidates for a borrowed start.
     """
     plan = plan_drape(index, config=config.sampling, prior=config.prior)
     lender = find_lender(plan, config, earlier)
@@ -196,12 +199,12 @@ def make_record(
         return record
     try:
         return record | _measures(result, plan.nuisances.rig(config.rig))
-    except ACCIDENTS as error:
-        return record | _accident(error)
+    except NUMERICAL_ERRORS as error:
+        return record | _numerical_failure(error)
 
 
 def _measures(result: object, rig: Rig) -> dict:
-    """The part of a record that describes the drape in figures."""
+    """Drape coefficient and number of folds."""
     # Imported here like the solver, see load_solver.
     from sim.measures import drape_coefficient, fold_count
 

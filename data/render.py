@@ -1,9 +1,8 @@
-"""Depth pictures of a drape from several sides, usually four, a quarter turn of the table apart.
+"""Depth pictures of a drape by ray casting, usually four, a quarter turn of the table apart.
 
-The table turns counter-clockwise seen from above and the camera stands still: in view k the
-specimen's warp axis points along (cos a, sin a) in the world, a = orientation + turn of view k
-(Feng et al. 2022, section 3.1). Only the cloth is in the picture. The cylinder is left out because
-captures are cut out to the cloth; its top is covered by the specimen anyway.
+The table turns counter-clockwise seen from above and the camera is static: in view k the specimen's
+warp axis points along (cos a, sin a) in the world, a = orientation + turn of view k (Feng et al.
+2022, section 3.1). Only the cloth is rendered, as in captures; the cylinder is not.
 """
 
 import math
@@ -18,16 +17,16 @@ from data.cameras import Camera
 
 VIEWS = 4
 QUARTERS = tuple(k * math.pi / 2 for k in range(VIEWS))
-"""rad, how far the table has turned in each of four views."""
+"""Turns of the table in four views, rad."""
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 
 
 def import_open3d() -> ModuleType:
-    """The module open3d; InputError with the remedy when its system libraries are missing."""
-    # Imported late: it takes a second, and needs system libraries that inference on a picture
-    # alone can do without.
+    """Import open3d; InputError with the remedy if its system libraries are missing."""
+    # Imported late: it takes a second, and needs system libraries that inference from cut-out
+    # pictures does not.
     try:
-        with deferred():  # cut short, it reports that its initialization failed
+        with deferred():  # an interrupted import reports a failed initialization
             import open3d
     except (ImportError, OSError) as error:
         raise InputError(
@@ -38,12 +37,12 @@ def import_open3d() -> ModuleType:
 
 
 class DepthRenderer:
-    """Casts rays at one drape; build it once, then render it from many sides.
+    """Ray caster of one drape, which can be rendered from many sides.
 
     Args:
         positions: (V, 3) vertices in metres, world axes at orientation 0.
         faces: (F, 3) triangles; both sides are visible.
-        threads: ray-casting threads. One is right inside worker processes.
+        threads: ray-casting threads; use one inside worker processes.
     """
 
     def __init__(self, positions: np.ndarray, faces: np.ndarray, *, threads: int = 1) -> None:
@@ -65,13 +64,13 @@ class DepthRenderer:
         Returns:
             (height, width) float32 z-depth in metres, background 0.
         """
-        # The mesh stays and the camera turns the other way, so the ray tree is built only once.
+        # The camera rotates instead of the mesh, so that the ray tree is built only once.
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         specimen_to_camera = camera.world_to_camera[:3, :3] @ turn
         rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
         rays[..., :3] = -specimen_to_camera.T @ camera.world_to_camera[:3, 3]
-        # Directions have z = 1 along the optical axis, so the hit parameter is the z-depth.
+        # Directions have z = 1 along the optical axis, so the ray parameter is the z-depth.
         rays[..., 3:] = camera.directions() @ specimen_to_camera
         hit = self._scene.cast_rays(self._tensor(rays), nthreads=self._threads)["t_hit"].numpy()
         return np.where(np.isfinite(hit), hit, np.float32(0.0))
@@ -81,7 +80,7 @@ class DepthRenderer:
     ) -> np.ndarray:
         """The pictures of a capture, (K, height, width) float32 m, background 0.
 
-        ``orientation``, rad, is that of the warp in the first one: 0 to the right, pi/2 away from
-        the camera. ``turns`` (K,), rad, is how far the table had turned in each.
+        ``orientation``, rad: direction of the warp in the first view, 0 to the right, pi/2 away
+        from the camera. ``turns`` (K,), rad: turn of the table in each.
         """
         return np.stack([self.view(camera, orientation + turn) for turn in turns])

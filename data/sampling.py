@@ -1,8 +1,8 @@
-"""The plan of a dataset: which fabric, specimen and start each drape has.
+"""The plan of a dataset: fabric, specimen and initial state of each drape.
 
-Everything here is a pure function of the dataset's seed and the index of a fabric or drape, so
-a drape is the same whichever process makes it, and however often the work was interrupted. What a
-drape borrows depends on the outcomes of earlier drapes of its shard as well.
+All functions depend only on the dataset's seed and the index of a fabric or drape, so a drape does
+not depend on the process that simulates it or on interruptions. A borrowed initial state depends
+also on the outcomes of earlier drapes of the shard.
 """
 
 import json
@@ -21,11 +21,11 @@ from sim.material import MICRO
 STARTS = ("sine", "fold", "ring")
 """Initial states that need no other drape."""
 BORROWED = "borrowed"
-"""The initial state that is an earlier drape of another fabric in the same shard."""
+"""The initial state is an earlier drape of another fabric in the same shard."""
 SOFT = 4e-6
 """N·m at 300 g/m²: a fabric is soft if the geometric mean of its three alphas is below it."""
-_COUNTED = 20_000  # samples of a prior among which soft ones are counted
-_LARGEST_SHARE = 0.5  # of soft fabrics
+_COUNT_SAMPLES = 20_000  # samples of a prior from which its share of soft fabrics is estimated
+_MAX_SOFT_SHARE = 0.5
 
 
 class Stream(IntEnum):
@@ -33,7 +33,7 @@ class Stream(IntEnum):
 
     FABRIC = 0
     START = 1
-    VIEWS = 2  # of benchmarks that render a drape
+    VIEWS = 2  # used by benchmarks that render a drape
     LENDER = 3
     CLOTH = 4
     SPECIMEN = 5
@@ -41,18 +41,18 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """What determines the drapes of a dataset besides the prior, the solver and the rig.
+    """Settings that determine the drapes of a dataset, besides prior, solver and rig.
 
     Attributes:
         seed: seed of the dataset.
         starts_per_fabric: drapes of each fabric.
-        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1): of
-            :data:`STARTS`, and :data:`BORROWED`.
+        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1), from
+            :data:`STARTS` and :data:`BORROWED`.
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
         soft_share: share of fabrics that are drawn from the soft ones of the prior (:data:`SOFT`);
-            the rest from all of it.
-        nuisances: of the specimens.
+            the others are drawn from the full prior.
+        nuisances: their distributions.
     """
 
     seed: int = 0
@@ -69,28 +69,28 @@ class SamplingConfig:
         if self.starts_per_fabric < 1:
             raise InputError(f"starts_per_fabric={self.starts_per_fabric} must be at least 1")
         if not set(self.starts) <= {*STARTS, BORROWED}:
-            raise InputError(f"starts={list(self.starts)} must be some of {', '.join(STARTS)}, "
+            raise InputError(f"starts={list(self.starts)} must contain only {', '.join(STARTS)}, "
                              f"{BORROWED}")
         if not set(self.starts) & set(STARTS):
             raise InputError(f"starts={list(self.starts)} must contain "
                              f"{' or '.join(STARTS)}: the first drapes have nothing to borrow")
         if not 0 <= self.drift <= 0.02:
             raise InputError(f"drift_mm={self.drift * 1e3:g} must lie between 0 and 20")
-        if not 0 <= self.soft_share <= _LARGEST_SHARE:
+        if not 0 <= self.soft_share <= _MAX_SOFT_SHARE:
             raise InputError(f"soft_share={self.soft_share:g} must lie between 0 and "
-                             f"{_LARGEST_SHARE:g}")
+                             f"{_MAX_SOFT_SHARE:g}")
 
 
 @dataclass(frozen=True)
 class DrapePlan:
-    """What makes one drape.
+    """The settings of one drape.
 
     Attributes:
         index: position in the dataset.
         fabric: index of the fabric; drapes of one fabric share theta.
         theta: (6,) parameters, see :mod:`data.fabrics`.
-        rejected: inadmissible samples drawn before this fabric.
-        weight: density of the prior at theta over that of the fabrics drawn.
+        rejected: number of inadmissible samples drawn before this fabric.
+        weight: importance weight, density of the prior at theta over that of the drawn fabrics.
         nuisances: of the specimen.
         start: initial state, one of :data:`STARTS` or :data:`BORROWED`.
         fallback: one of :data:`STARTS`, for a borrowed start without a lender; else ``start``.
@@ -111,7 +111,7 @@ class DrapePlan:
 
 
 def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
-    """The generator for one purpose, ``kind``, of the fabric or drape ``index``."""
+    """Random generator of the stream ``kind`` for the fabric or drape ``index``."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(kind), index)))
 
 
@@ -123,10 +123,10 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),
                                         stream(config.seed, Stream.SPECIMEN, index))
     rng = stream(config.seed, Stream.START, index)
-    # With one drape a fabric the initial states alternate between fabrics.
+    # With one drape per fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
-    made = [name for name in config.starts if name != BORROWED]
-    fallback = made[(fabric + start_of_fabric) % len(made)] if start == BORROWED else start
+    others = [name for name in config.starts if name != BORROWED]
+    fallback = others[(fabric + start_of_fabric) % len(others)] if start == BORROWED else start
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
     return DrapePlan(index, fabric, theta, rejected, weight, nuisances, start, fallback, seed,
@@ -136,14 +136,14 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
 def draw_fabric(
     prior: Prior, rng: np.random.Generator, *, soft_share: float = 0.0
 ) -> tuple[np.ndarray, int, float]:
-    """theta (6,), how many inadmissible samples were rejected, and :attr:`DrapePlan.weight`."""
+    """theta (6,), the number of rejected inadmissible samples, and :attr:`DrapePlan.weight`."""
     theta, rejected = sample_admissible(prior, rng)
     if not soft_share:
         return theta, rejected, 1.0
     usual = _share_of_soft(json.dumps(prior_content(prior)))
     if not usual:
-        raise InputError(f"soft_share={soft_share:g}: none of {_COUNTED} samples of the prior is "
-                         f"soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
+        raise InputError(f"soft_share={soft_share:g}: none of {_COUNT_SAMPLES} samples of the "
+                         f"prior is soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     if rng.random() < soft_share:
         while not _is_soft(theta):
             theta, more = sample_admissible(prior, rng)
@@ -158,12 +158,12 @@ def _is_soft(theta: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _share_of_soft(content: str) -> float:
-    """Share of soft fabrics in the prior that ``content`` describes, JSON."""
+    """Share of soft fabrics in the prior with the JSON ``content``."""
     prior = prior_from_content(json.loads(content), origin="the prior")
-    return float(_is_soft(prior.sample(_COUNTED, np.random.default_rng(0))).mean())
+    return float(_is_soft(prior.sample(_COUNT_SAMPLES, np.random.default_rng(0))).mean())
 
 
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:
-    """Which of the drapes ``candidates`` drape ``index`` borrows, each with the same chance."""
+    """Choose the initial state of drape ``index`` among the drapes ``candidates``, uniformly."""
     rng = stream(seed, Stream.LENDER, index)
     return candidates[rng.integers(len(candidates))]

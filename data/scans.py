@@ -1,4 +1,4 @@
-"""Scanned drapes of real fabrics on the disc rig, as meshes."""
+"""Meshes of scanned drapes of real fabrics on the disc rig."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,18 +10,18 @@ from data.arrays import read_arrays
 from sim.mesh import Mesh
 from sim.scene import Rig
 
-LARGEST_SCAN = 1_000_000  # vertices or triangles
-_FLAT = 5e-3  # m, how far cloth on the support may lie from its plane
-_OUTSIDE = 1.02  # rest points may lie this much beyond the specimen's radius
-_LONGER = 2.0  # edges may be this many times as long or short as at rest; of other units over 20
+MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
+_PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
+_MAX_RADIUS_RATIO = 1.02  # largest radius of rest points over the specimen's radius
+_MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong units it exceeds 20
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A scanned drape; z up, the support's top in the plane z = 0, its axis through the origin.
+    """A scanned drape; z up, the support's top at z = 0, its axis through the origin.
 
     Attributes:
-        name: of the file, without its ending.
+        name: of the file, without suffix.
         positions: (V, 3) m.
         rest: (V, 2) m, the same vertices on the flat specimen, whose centre is the origin.
         faces: (F, 3) int64, counter-clockwise at rest.
@@ -37,8 +37,8 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
 
     Raises:
-        InputError: not such a file, numbers that are no mesh, or a drape that does not lie on
-            the support of ``rig``.
+        InputError: not such a file, an invalid mesh, or a drape that is not placed on the support
+            of ``rig``.
     """
     keys = ("vertices", "rest", "faces")
     arrays = read_arrays(path, keys, what="the scan",
@@ -53,9 +53,9 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
         raise InputError(f"{path}: arrays have the shapes {positions.shape}, {rest.shape} and "
                          f"{faces.shape}; vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
-    if not 3 <= count <= LARGEST_SCAN or not 1 <= len(faces) <= LARGEST_SCAN:
+    if not 3 <= count <= MAX_SCAN_SIZE or not 1 <= len(faces) <= MAX_SCAN_SIZE:
         raise InputError(f"{path} has {count} vertices and {len(faces)} triangles; a scan has 3 to "
-                         f"{LARGEST_SCAN} vertices and at most as many triangles")
+                         f"{MAX_SCAN_SIZE} vertices and at most as many triangles")
     if faces.dtype.kind not in "iu":
         raise InputError(f"{path}: faces have the type {faces.dtype}; they must be whole numbers")
     if faces.min() < 0 or faces.max() >= count:
@@ -77,40 +77,40 @@ def read_scan(path: Path, rig: Rig) -> Scan:
                          "specimen; reverse their order where they do not")
     if not mesh.vertex_areas.all():
         raise InputError(f"{path}: a vertex belongs to no face; leave such vertices out")
-    _check_place(scan, path, rig)
+    _check_placement(scan, path, rig)
     return scan
 
 
-def _check_place(scan: Scan, path: Path, rig: Rig) -> None:
-    """Refuse other units, other axes and drapes that hang beside the support."""
+def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
+    """InputError for wrong units or axes, and for drapes that are not placed on the support."""
     radius = np.linalg.norm(scan.rest, axis=1)
     largest = rig.specimen_size / 2
-    if not 0.9 * largest < radius.max() < _OUTSIDE * largest:
+    if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
         raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
                          f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
     draped, rest = (_edge_length(points, scan.faces) for points in (scan.positions, scan.rest))
-    if draped > _LONGER * rest or rest > _LONGER * draped:
+    if draped > _MAX_EDGE_RATIO * rest or rest > _MAX_EDGE_RATIO * draped:
         raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
                          f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
     flat = scan.positions[radius < 0.9 * rig.plate_radius]
     if not len(flat):
         raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
-    if (off := np.abs(flat[:, 2]).max()) > _FLAT:
+    if (off := np.abs(flat[:, 2]).max()) > _PLANE_TOLERANCE:
         raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
-                         f"plane z = 0, at most {1e3 * _FLAT:g} mm is allowed; move the support's "
-                         "top to z = 0, with z pointing up")
-    if scan.positions[:, 2].min() > -_FLAT:
+                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the "
+                         "support's top to z = 0, with z pointing up")
+    if scan.positions[:, 2].min() > -_PLANE_TOLERANCE:
         raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
 
 
 def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
-    """Mean length of the triangles' sides, in the unit of ``points`` (V, 2 or 3)."""
+    """Mean side length of the triangles, in the unit of ``points`` (V, 2 or 3)."""
     sides = points[faces] - points[np.roll(faces, 1, axis=1)]
     return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def read_scans(folder: Path, rig: Rig) -> list[Scan]:
-    """All scans (``*.npz``) of a folder, by name.
+    """Read all scans (``*.npz``) of a folder, sorted by name.
 
     Raises:
         InputError: no scan in the folder, or one that cannot be read.

@@ -1,4 +1,4 @@
-"""Models of depth sensors by name, with the settings of ``configs/sensor``."""
+"""Noise models of depth sensors by name, with the settings of ``configs/sensor``."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -10,7 +10,7 @@ from data.structured_light import StructuredLight
 from data.time_of_flight import TimeOfFlight
 
 MODELS: dict[str, type[SensorNoise]] = {
-    "structured_light": StructuredLight,  # that of the paper
+    "structured_light": StructuredLight,  # as in Feng et al. 2022
     "time_of_flight": TimeOfFlight,
 }
 

@@ -1,8 +1,8 @@
-"""What models of a depth sensor share.
+"""Base class and random numbers of the noise models of depth sensors.
 
-They change many captures at once, on the device where the pictures are. All randomness comes from
-the generator given: on one device, equal seeds give equal pictures; on another, the numbers differ
-but their distribution does not.
+The models process many captures at once, on the device of the pictures. All randomness comes from
+the given generator: on one device, equal seeds give equal pictures; on another device the numbers
+differ, but not their distribution.
 """
 
 import math
@@ -19,10 +19,10 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class SensorNoise(Schema, ABC):
-    """Random changes of depth pictures; calling it returns changed copies.
+    """Noise model; calling it returns noisy copies of depth pictures.
 
     Attributes:
-        strength: multiplies everything random; at 0 pictures stay as they are.
+        strength: factor of all random changes; at 0 pictures are unchanged.
     """
 
     remedy = "see configs/sensor"
@@ -51,7 +51,9 @@ class SensorNoise(Schema, ABC):
         return noisy
 
     def reach(self, size: int) -> float:
-        """Pixels by which cloth may grow in a picture of ``size`` pixels along its longer side."""
+        """Largest displacement of the silhouette, pixels, for pictures of ``size`` pixels (longer
+        side).
+        """
         return 0.0
 
     @abstractmethod
@@ -63,11 +65,13 @@ class SensorNoise(Schema, ABC):
         intrinsics: torch.Tensor,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """The part of the noisy pictures outside of which all is background, (..., K, h, w)."""
+        """Noisy pictures (..., K, h, w) in the window outside which all is background."""
 
 
 def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
-    """Rows and columns of all pictures (..., H, W) within ``reach`` pixels of cloth."""
+    """Rows and columns that contain the cloth of all pictures (..., H, W) with ``reach`` pixels
+    around it.
+    """
     cloth = (views > 0).flatten(0, -3).any(0)
     slices = []
     for axis in (1, 0):

@@ -1,8 +1,8 @@
-"""Synthetic captures: a drape as some camera on some tripod sees it on some turntable.
+"""Synthetic captures of a drape with random camera, pose, turntable and sensor.
 
     drape -> set-up -> views without noise -> sensor -> cut-out
 
-``configs/setup`` states what set-ups differ in.
+``configs/setup`` states the distribution of set-ups.
 """
 
 from collections.abc import Mapping
@@ -20,20 +20,20 @@ from common.errors import InputError
 from common.units import si
 from data.cameras import Camera, CameraRig, Intrinsics, Pose
 from data.rasterise import camera_tensors, render_batch
-from data.reading import MOST_VIEWS
+from data.reading import MAX_VIEWS
 from data.sensor import load_sensor
 from data.sensor_noise import Share
 
-REFERENCE_DISTANCE = 0.527  # m, of the lengths across the picture
+REFERENCE_DISTANCE = 0.527  # m, at which offsets parallel to the picture are stated
 
 
 @dataclass(frozen=True)
 class SyntheticCapture:
-    """What a user has of a drape, and what they do not know.
+    """A capture as a user has it, with the true orientation and sensor, which a user does not know.
 
     Attributes:
         views: (K, H, W) float32 z-depth, m, background 0.
-        intrinsics: as given with it.
+        intrinsics: nominal, as stated in the capture.
         turns: (K,) rad, nominal turns of the table.
         orientation: true direction of the warp in the first view, rad.
         sensor: name of its file in ``configs/sensor``.
@@ -50,10 +50,10 @@ _Limits = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class SetupFile(Schema):
-    """``configs/setup/NAME.yaml``, which explains its keys."""
+    """``configs/setup/NAME.yaml``, where the keys are documented."""
 
     remedy = "see configs/setup/real.yaml"
-    views: list[Share] = Field(max_length=MOST_VIEWS)
+    views: list[Share] = Field(max_length=MAX_VIEWS)
     distance_mm: _Limits
     pitch_deg: _Limits
     fill: _Limits
@@ -71,11 +71,11 @@ class SetupFile(Schema):
 
 @dataclass(frozen=True)
 class Setups:
-    """A distribution of set-ups; SI units and radians, see ``configs/setup``. ``orientation`` is
-    that of the warp in the first view.
+    """Distribution of set-ups; SI units and radians, see ``configs/setup``. ``orientation`` is the
+    direction of the warp in the first view.
 
     Raises:
-        InputError: limits that make no sense.
+        InputError: limits in the wrong order, or shares that do not add up to 1.
     """
 
     views: tuple[float, ...]
@@ -108,7 +108,7 @@ class Setups:
 
     @classmethod
     def load(cls, name: str = "real") -> "Setups":
-        """Read ``configs/setup/NAME.yaml``; InputError where there is none."""
+        """Read ``configs/setup/NAME.yaml``; InputError if it does not exist."""
         return cls.from_config(read_option("setup", name))
 
     @classmethod
@@ -124,10 +124,10 @@ class Setups:
         *,
         nominal: Intrinsics | None = None,
     ) -> SyntheticCapture:
-        """One capture of a drape with vertices (V, 3), m, and triangles (F, 3).
+        """Simulate a capture of a drape with vertices (V, 3), m, and triangles (F, 3).
 
         Args:
-            nominal: of the rig's camera at :data:`REFERENCE_DISTANCE`.
+            nominal: intrinsics of the rig's camera, for :data:`REFERENCE_DISTANCE`.
         """
         nominal = nominal or CameraRig.load().intrinsics
         camera = self.camera(rng, nominal)
@@ -150,19 +150,19 @@ class Setups:
         return SyntheticCapture(noisy, given, turns, orientation, name)
 
     def camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
-        """A camera on its tripod; ``nominal`` as for :meth:`capture`."""
+        """Draw a camera with random pose; ``nominal`` as for :meth:`capture`."""
         distance = rng.uniform(*self.distance)
-        far = distance / REFERENCE_DISTANCE
-        pose = Pose(distance, rng.uniform(*self.pitch), far * rng.uniform(*self.above),
-                    far * rng.uniform(*self.aside), self.roll * rng.standard_normal())
-        focal = nominal.fx * far * rng.uniform(*self.fill)
+        ratio = distance / REFERENCE_DISTANCE
+        pose = Pose(distance, rng.uniform(*self.pitch), ratio * rng.uniform(*self.above),
+                    ratio * rng.uniform(*self.aside), self.roll * rng.standard_normal())
+        focal = nominal.fx * ratio * rng.uniform(*self.fill)
         return Camera(focal, focal, nominal.cx, nominal.cy, nominal.width, nominal.height,
                       pose.world_to_camera())
 
     def _cut_out(
         self, noisy: np.ndarray, views: np.ndarray, camera: Camera, rng: np.random.Generator
     ) -> None:
-        """Remove, in place, what an imperfect cut-out takes off views (K, H, W)."""
+        """Remove, in place, parts of the cloth in views (K, H, W), as an imperfect cut-out does."""
         border = int(rng.integers(self.border + 1))
         lowest = None
         if rng.random() < self.hem_share:

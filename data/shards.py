@@ -1,8 +1,8 @@
 """HDF5 shards: the file format of simulated drapes (``docs/data_format.md``).
 
 A shard holds a fixed block of drapes, one row each in every array of :func:`fields`. A file's
-bytes depend on its content only: no times, no machine, no random identifiers. Its first 512 bytes
-hold the checksum of the rest, so that every damage shows, in whichever bit.
+bytes depend only on its content: no times, machine names or random identifiers. Its first 512 bytes
+hold the checksum of the rest, so that any damaged bit is detected.
 """
 
 import hashlib
@@ -20,17 +20,17 @@ from common.files import replace_file
 from data.manifest import SCHEMA_VERSION
 from data.nuisances import NAMES
 
-SEAL_SIZE = 512  # bytes; HDF5 leaves as many at the start of a file to its user
+SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 4  # gzip level
-LARGEST_SHARD = 4 << 30  # bytes, of a file and of each of its arrays
-MOST_EXTENT = 1 << 20  # of an array along one of its axes
-MOST_FOLDS = 1000
+MAX_SHARD_BYTES = 4 << 30  # bytes, of a file and of each of its arrays
+MAX_EXTENT = 1 << 20  # of an array along an axis
+MAX_FOLDS = 1000
 
 
 @dataclass(frozen=True)
 class Field:
-    """One array of a shard: type and shape of a drape's row, unit and meaning."""
+    """An array of a shard: type and shape of a drape's row, unit and meaning."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -38,54 +38,54 @@ class Field:
     meaning: str
 
 
-POINTS = ("positions", "rest")
-"""Arrays whose row is as long as a drape's own mesh asks; in a file, zeros follow."""
+COORDINATES = ("positions", "rest")
+"""Arrays with a row per vertex of a drape's mesh; in a file they are padded with zeros."""
 FACES = "faces"
-"""The array of a shard's triangulations, each once; after the triangles of one follow zeros."""
+"""The array of a shard's distinct triangulations, padded with zeros."""
 
 
 def fields(vertices: int) -> dict[str, Field]:
-    """The arrays of a shard that have the drape in the shard as their first axis.
+    """The arrays of a shard with one row per drape.
 
     Args:
-        vertices: of the drape's mesh, V; of a shard, of its finest one.
+        vertices: V, of the drape's mesh or, for a shard, of its finest mesh.
     """
     return {
-        "index": Field("i8", (), "", "position of the drape in the dataset"),
+        "index": Field("i8", (), "", "index of the drape in the dataset"),
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics"),
-        "rejected": Field("i4", (), "", "impossible samples of the prior before this fabric"),
-        "weight": Field("f8", (), "1", "of the fabric, where soft ones are drawn more often"),
+        "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
+        "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
         "nuisances": Field("f8", (len(NAMES),), "SI", "see data.nuisances"),
         "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
         "start": Field("S8", (), "", "initial state: sine, fold or borrowed"),
-        "planned": Field("S8", (), "", "the same as planned; borrowing needs an earlier drape"),
-        "lender": Field("i8", (), "", "drape that was borrowed; -1 for another start"),
+        "planned": Field("S8", (), "", "planned initial state; borrowing needs an earlier drape"),
+        "lender": Field("i8", (), "", "borrowed drape; -1 for another start"),
         "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
         "offset": Field("f8", (2,), "m", "specimen's centre from the plate's axis: warp, weft"),
         "status": Field("S24", (), "", "outcome of the solver"),
-        "message": Field("S160", (), "", "the solver's words about it"),
-        "residual": Field("f8", (), "a vertex's weight", "force residual at the end"),
+        "message": Field("S160", (), "", "message of the solver"),
+        "residual": Field("f8", (), "a vertex's weight", "final force residual"),
         "iterations": Field("i4", (), "", "Newton iterations"),
         "drape_coefficient": Field("f8", (), "1", "of the drape; NaN unless converged"),
         "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
-        "edge": Field("f8", (), "m", "length of the mesh's edges at the plate's rim"),
-        "vertices": Field("i4", (), "", "vertices of the drape's own mesh"),
-        "mesh": Field("i4", (), "", "the drape's triangulation among those of the shard"),
+        "edge": Field("f8", (), "m", "edge length of the mesh at the plate's rim"),
+        "vertices": Field("i4", (), "", "number of vertices of the drape's mesh"),
+        "mesh": Field("i4", (), "", "index of the drape's triangulation in the shard"),
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
     }
 
 
 def to_counts(coordinates: np.ndarray) -> np.ndarray:
-    """Coordinates, m, as int16 counts of :data:`LENGTH_UNIT`, of the same shape.
+    """Convert coordinates, m, to int16 counts of :data:`LENGTH_UNIT`, of the same shape.
 
     Raises:
-        OverflowError: one is not finite, or too large for the type.
+        OverflowError: a coordinate is not finite or too large for the type.
     """
     counts = np.rint(np.asarray(coordinates, dtype=np.float64) / LENGTH_UNIT)
     limits = np.iinfo(np.int16)
-    if not ((counts >= limits.min) & (counts <= limits.max)).all():  # false of NaN
+    if not ((counts >= limits.min) & (counts <= limits.max)).all():  # also for NaN
         raise OverflowError(f"coordinates outside {limits.min * LENGTH_UNIT:g} to "
                             f"{limits.max * LENGTH_UNIT:g} m")
     return counts.astype(np.int16)
@@ -106,15 +106,15 @@ def write_shard(
     *,
     attributes: Mapping[str, str | int | float],
 ) -> None:
-    """Write ``records`` to ``path``: whole or not at all; several processes may write it.
+    """Write ``records`` to ``path`` in one step; several processes may write the same file.
 
     A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
 
     Raises:
-        InputError: the system refuses to write.
-        ValueError: a row has another shape than :func:`fields` says.
+        InputError: the file cannot be written.
+        ValueError: a row does not have the shape given by :func:`fields`.
     """
-    # In memory, because HDF5 does not survive a full disk.
+    # In memory first, because HDF5 crashes if the disk is full.
     memory = io.BytesIO()
     libver = ("earliest", "v110")
     with h5py.File(memory, "w", libver=libver, userblock_size=SEAL_SIZE) as file:
@@ -123,57 +123,57 @@ def write_shard(
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
         places, meshes = _distinct([record[FACES] for record in records])
         rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
-        own = [fields(int(record["vertices"])) for record in rows]
+        layouts = [fields(int(record["vertices"])) for record in rows]
         for name, field in fields(max(int(record["vertices"]) for record in rows)).items():
-            for record, expected in zip(rows, own, strict=True):
+            for record, expected in zip(rows, layouts, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
                                      f"{expected[name].shape}")
             _write_field(file, name, field, [record[name] for record in rows])
-        most = max(len(mesh) for mesh in meshes)
-        _write_field(file, FACES, Field("i4", (most, 3), "", ""), meshes)
+        triangles = max(len(mesh) for mesh in meshes)
+        _write_field(file, FACES, Field("i4", (triangles, 3), "", ""), meshes)
     content = memory.getbuffer()[SEAL_SIZE:]
     replace_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
 
 
 def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
-    """Which of the distinct triangulations each one is, and these."""
+    """Index of each triangulation among the distinct ones, and the distinct ones."""
     places: dict[bytes, int] = {}
     which = [places.setdefault(np.asarray(f, np.int32).tobytes(), len(places)) for f in faces]
     return which, [faces[which.index(place)] for place in range(len(places))]
 
 
 def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray]) -> None:
-    """Write one array; zeros follow rows that are shorter than its own."""
+    """Write one array; shorter rows are padded with zeros."""
     options = {}
     if field.shape and np.prod(field.shape) > 64:
-        # A chunk is what is read at a time: one drape's mesh.
+        # A chunk is read at a time: the mesh of one drape.
         options = {"chunks": (1, *field.shape), "compression": "gzip", "shuffle": True,
                    "compression_opts": COMPRESSION}
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
-        data[(i, slice(len(row))) if name in (*POINTS, FACES) else i] = row
+        data[(i, slice(len(row))) if name in (*COORDINATES, FACES) else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
 
 def _seal(digest: str) -> bytes:
-    """The start of a shard whose rest has the SHA-256 ``digest``; readable by people."""
+    """Header of a shard whose remaining bytes have the SHA-256 ``digest``, as readable text."""
     text = f"drapes, schema {SCHEMA_VERSION}, SHA-256 of all after byte {SEAL_SIZE}:\n{digest}\n"
     return text.encode().ljust(SEAL_SIZE, b"\0")
 
 
 def _wrong_array(file: h5py.File) -> str:
-    """The first array that is missing, of another type or shape, too large, or that stands in
-    another file; empty where there is none.
+    """Name of the first array that is missing, has another type or shape, is too large or is stored
+    in another file; empty if there is none.
     """
     found = {name: file[name] for name in file
              if isinstance(file.get(name, getlink=True), h5py.HardLink)
              and isinstance(file[name], h5py.Dataset)}
     sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
     if [len(size) for size in sizes] != [1, 3, 3] or any(
-            extent > MOST_EXTENT for size in sizes for extent in size):
+            extent > MAX_EXTENT for size in sizes for extent in size):
         return "index, positions or faces"
     (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
     expected = {name: (field.dtype, (rows, *field.shape))
@@ -182,14 +182,14 @@ def _wrong_array(file: h5py.File) -> str:
         array = found.get(name)
         if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
                 or array.external or array.is_virtual
-                or array.nbytes > LARGEST_SHARD
-                or np.prod(array.chunks or 0, dtype=float) > MOST_EXTENT * 3):
+                or array.nbytes > MAX_SHARD_BYTES
+                or np.prod(array.chunks or 0, dtype=float) > MAX_EXTENT * 3):
             return name
     return ""
 
 
 class Shard:
-    """A shard in memory, read as a whole and compared with its own checksum.
+    """A shard in memory, verified by its checksum.
 
     Attributes:
         path: of its file.
@@ -198,13 +198,13 @@ class Shard:
         storage: bytes on disk of each array's values, compressed.
 
     Raises:
-        InputError: the file cannot be read, is cut short, damaged or of another schema version,
-            or is no shard.
+        InputError: the file cannot be read, is truncated, damaged or of another schema version, or
+            is not a shard.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        data = read_bytes(self.path, LARGEST_SHARD, "shard")
+        data = read_bytes(self.path, MAX_SHARD_BYTES, "shard")
         if data[:SEAL_SIZE] != _seal(hashlib.sha256(memoryview(data)[SEAL_SIZE:]).hexdigest()):
             raise InputError(f"{self.path} is damaged or not a shard of schema version "
                              f"{SCHEMA_VERSION}; generate it again")
@@ -219,34 +219,34 @@ class Shard:
                     self.storage = {name: rows.id.get_storage_size()
                                     for name, rows in file.items()}
         except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
-            # What HDF5 makes of a broken structure.
+            # h5py's errors for an invalid structure.
             raise InputError(f"{self.path} is damaged ({one_line(error)}); generate it again"
                              ) from None
         if wrong:
             raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
                              "docs/data_format.md; generate the shard again")
 
-    def require_sound(self) -> None:
-        """InputError for values that no drape has."""
+    def require_valid(self) -> None:
+        """InputError for values out of range."""
         column = {name: self.column(name) for name, field in fields(0).items()
-                  if name not in POINTS}
+                  if name not in COORDINATES}
         done = column["status"] == "converged"
         vertices, faces = column["vertices"], self._arrays[FACES]
-        sound = {
+        valid = {
             "theta": np.isfinite(column["theta"]).all(),
             "nuisances": np.isfinite(column["nuisances"]).all(),
             "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
-            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MOST_FOLDS)).all(),
+            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MAX_FOLDS)).all(),
             "rejected": column["rejected"].min(initial=0) >= 0,
             "vertices": ((vertices >= 3 * done)
                          & (vertices <= self._arrays["positions"].shape[1])).all(),
             "mesh": ((column["mesh"] >= 0) & (column["mesh"] < len(faces))).all(),
             "faces": faces.min(initial=0) >= 0,
         }
-        if sound["mesh"]:
-            most = faces.max(axis=(1, 2), initial=0)
-            sound["faces"] &= (most[column["mesh"]][done] < vertices[done]).all()
-        if wrong := [name for name, right in sound.items() if not right]:
+        if valid["mesh"]:
+            largest = faces.max(axis=(1, 2), initial=0)
+            valid["faces"] &= (largest[column["mesh"]][done] < vertices[done]).all()
+        if wrong := [name for name, right in valid.items() if not right]:
             raise InputError(f"{self.path}: {wrong[0]} has values that no drape has; generate the "
                              "shard again")
 
@@ -261,6 +261,6 @@ class Shard:
     def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
         vertices = slice(int(self._arrays["vertices"][row]))
-        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in POINTS)
+        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)

@@ -1,4 +1,4 @@
-"""Which fabrics of a dataset make a split."""
+"""Splitting of a dataset by fabric."""
 
 import hashlib
 from bisect import bisect_right
@@ -12,8 +12,8 @@ from common.errors import InputError
 def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> np.ndarray:
     """Name of the split of each drape, from the ids ``fabrics`` (N,) of their fabrics.
 
-    A fabric's split depends on its id alone: drapes of a fabric stay together, and no fabric
-    changes sides when a dataset grows.
+    A fabric's split depends only on its id: all drapes of a fabric are in the same split, also when
+    the dataset is extended.
 
     Raises:
         InputError: the fractions are negative or do not add up to 1.
@@ -29,5 +29,5 @@ def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> n
 
 
 def _uniform(key: str) -> float:
-    """A number in [0, 1) that is the same for ``key`` everywhere and always."""
+    """A number in [0, 1) that depends only on ``key``."""
     return int.from_bytes(hashlib.sha256(key.encode()).digest()[:6], "big") / 2**48

@@ -1,12 +1,12 @@
 """Noise of a time-of-flight sensor such as that of Azure Kinect or Orbbec Femto.
 
-- Random: a pixel's standard deviation falls with the light that comes back, which is
-  proportional to cos(incidence)/z²; neighbours are correlated, by the sensor's own filter.
-- Systematic: an offset and a scale for each capture.
-- Missing: at edges, where a pixel sees two surfaces, it reports nothing or something between them;
-  at grazing incidence too little light comes back; and a few pixels fail anywhere. What is missing
-  is 0, like background.
-- Depth comes in whole millimetres.
+- Random: a pixel's standard deviation decreases with the returned light, which is proportional to
+  cos(incidence)/z²; neighbours are correlated by the sensor's filter.
+- Systematic: bias and scale of each capture.
+- Missing: at edges, where a pixel sees two surfaces, depth is missing or between them (flying
+  pixels); at grazing incidence the returned light is too weak; a few pixels fail anywhere. Missing
+  depth is 0, like background.
+- Quantisation to millimetres.
 
 Defaults: figures published for Azure Kinect, about 0.6 mm of random error at 0.5 m (the
 manufacturer's bounds are 17 mm random and 11 mm + 0.1 % systematic).
@@ -22,27 +22,27 @@ from data.remap import EDGE_STEP
 from data.sensor_noise import Amount, SensorNoise, Share, normal, uniform
 
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
-LEAST_COSINE = 0.05  # beyond 87 degrees a pixel's slope is not resolved
+MIN_COSINE = 0.05  # of the incidence; above 87 degrees a pixel's slope is not resolved
 
 
 class TimeOfFlight(SensorNoise):
     """Random and systematic errors of depth, and missing pixels.
 
     Attributes:
-        strength: multiplies all standard deviations and shares; at 0 nothing is random or rounded.
+        strength: factor of all standard deviations and shares; at 0 pictures are unchanged.
         axial_mm: standard deviation of depth at 0.5 m and normal incidence.
-        signal_exponent: the standard deviation grows as the light that comes back to the power of
-            minus this: 0.5 where photon noise dominates, 1 for noise of the electronics.
-        correlation_px: distance at which the correlation of neighbours has fallen to 1/e.
-        bias_mm: standard deviation of a capture's offset.
+        signal_exponent: the standard deviation is proportional to the returned light to the power
+            of minus this: 0.5 for photon noise, 1 for noise of the electronics.
+        correlation_px: distance at which the correlation of neighbours is 1/e.
+        bias_mm: standard deviation of a capture's bias.
         scale_percent: standard deviation of a capture's scale.
-        edge_invalid_least, edge_invalid_most: share of edge pixels that are missing; a capture's
-            lies anywhere between. Edges are where depth steps by more than 20 mm, or cloth ends.
-        edge_blend: largest share of the other surface in the rest of them.
-        grazing_deg: incidence from which on pixels may be missing.
-        grazing_invalid: share of those that are.
+        edge_invalid_least, edge_invalid_most: range of the share of missing edge pixels, uniform
+            over captures. Edges are depth steps of more than 20 mm and the ends of the cloth.
+        edge_blend: largest weight of the other surface in the remaining edge pixels.
+        grazing_deg: incidence above which pixels may be missing.
+        grazing_invalid: share of these that are missing.
         hole_percent: missing pixels elsewhere.
-        step_mm: step of the depth; 0 for none.
+        step_mm: quantisation step of depth; 0 for none.
     """
 
     axial_mm: Amount = 0.6
@@ -65,7 +65,7 @@ class TimeOfFlight(SensorNoise):
         return self
 
     def reach(self, size: int) -> float:
-        """One pixel, so that all neighbours of cloth are in the window."""
+        """One pixel, so that the window contains all neighbours of cloth."""
         return 1.0
 
     def window(
@@ -92,7 +92,7 @@ class TimeOfFlight(SensorNoise):
 
         blend = self._share(self.edge_blend) * uniform(depth.shape, views, generator)
         mixed = torch.where(other > 0, depth + blend * (other - depth), depth)
-        signal = cosine.clamp(min=LEAST_COSINE) * (REFERENCE_DISTANCE / mixed).square()
+        signal = cosine.clamp(min=MIN_COSINE) * (REFERENCE_DISTANCE / mixed).square()
         sigma = self.strength * self.axial_mm * 1e-3 * signal**-self.signal_exponent
         error = sigma * correlated_normal(depth.shape, self.correlation_px, views, generator)
         scale, bias = self.strength * normal((2, *capture), views, generator)
@@ -103,7 +103,7 @@ class TimeOfFlight(SensorNoise):
         return torch.where(seen, noisy.clamp(min=0), 0)
 
     def _share(self, share: torch.Tensor | float) -> torch.Tensor | float:
-        """A share of pixels under ``strength``."""
+        """A share of pixels multiplied by ``strength``, at most 1."""
         share = share * self.strength
         return share.clamp(max=1) if isinstance(share, torch.Tensor) else min(share, 1.0)
 
@@ -111,12 +111,12 @@ class TimeOfFlight(SensorNoise):
 def _surroundings(
     depth: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """What the four neighbours indicate of each pixel of pictures (..., h, w).
+    """Slopes and edges from the four neighbours of each pixel of pictures (..., h, w).
 
-    Where a picture ends nothing is known, least of all that the cloth ends there.
+    Pixels outside the picture are unknown and do not make an edge.
 
     Returns:
-        Slopes of the surface, m a column and m a row, from the neighbour that differs less;
+        Slopes of the surface, m per column and m per row, from the neighbour that differs less;
         whether the pixel is at an edge; depth of the neighbour across it, 0 for none.
     """
     padded = pad(depth, (1, 1, 1, 1), value=math.nan)
@@ -166,10 +166,10 @@ def _cosine(
 def correlated_normal(
     shape: tuple[int, ...], correlation: float, like: torch.Tensor, generator: torch.Generator
 ) -> torch.Tensor:
-    """Pictures (..., h, w) of normal numbers of unit variance, correlated among neighbours.
+    """Normal noise (..., h, w) of unit variance, correlated among neighbours.
 
-    The correlation of pixels at the distance d is exp(-d²/correlation²): white noise filtered
-    along rows and columns by the square root, in frequencies, of that function.
+    The correlation of pixels at distance d is exp(-d²/correlation²): white noise is filtered along
+    rows and columns with the square root of the power spectrum of that function.
     """
     reach = math.ceil(3 * correlation)
     distance = torch.arange(-4 * reach, 4 * reach, dtype=torch.float64).roll(4 * reach)

@@ -1,4 +1,4 @@
-"""Worker processes that make whole shards."""
+"""Parallel simulation of shards, one worker process per shard."""
 
 import tempfile
 import time
@@ -12,17 +12,16 @@ from common.workers import worker_pool
 from data.folder import DatasetFolder
 from data.records import Solver, load_solver, make_record
 
-REFRESH = 0.3  # s between two looks at what the workers have done
+POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
 
-def _make(
+def _make_shard(
     folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
 ) -> Counter[str]:
     """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
 
-    ``counts`` is a file that all processes share, (shards, 2): of the shard at each place, the
-    drapes made and those of them that failed. There is no lock, which would stay closed if its
-    holder was killed.
+    ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
+    at each index (``place``). There is no lock, as it would remain locked if its holder was killed.
     """
     cpu, wall, seconds = time.process_time(), time.perf_counter(), Counter(solver=0.0)
     solver = solver or load_solver()
@@ -56,12 +55,12 @@ def make_shards(
     solver: Solver | None = None,
     report: Callable[[int, int], None] = lambda drapes, failed: None,
 ) -> str:
-    """Make ``shards``, each in one of ``workers`` processes; return what took the time.
+    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text.
 
-    ``report`` is called now and then with the number of drapes made, and of those that failed.
+    ``report`` is called periodically with the numbers of drapes made and failed.
 
     Raises:
-        InputError: a shard cannot be written; a worker was ended from outside.
+        InputError: a shard cannot be written; a worker was killed from outside.
     """
     if not shards:
         return ""
@@ -69,25 +68,24 @@ def make_shards(
     try:
         with tempfile.NamedTemporaryFile() as file, worker_pool(workers) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
-            running = {pool.submit(_make, folder, file.name, solver, place, shard)
+            running = {pool.submit(_make_shard, folder, file.name, solver, place, shard)
                        for place, shard in enumerate(shards)}
             while running:
-                done, running = wait(running, timeout=REFRESH, return_when=FIRST_COMPLETED)
+                done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
                 report(*counts.sum(axis=0).tolist())
                 for future in done:
                     seconds.update(future.result())
     except BaseException:
-        folder.remove_partial()  # processes were ended, perhaps while they wrote
+        folder.remove_partial()  # processes may have been killed while writing
         raise
     return _time_spent(workers, time.time() - began, seconds)
 
 
 def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
-    """Shares of the time that ``workers`` processes had in ``wall`` seconds: CPU, and no work.
+    """Breakdown of the time of ``workers`` processes in ``wall`` seconds: CPU time and idle time.
 
-    Time in which another program had the core, or in which the process waited for the disk, is
-    stated separately. ``seconds`` are sums over the workers: CPU time of ``solver`` and the
-    ``rest``; ``wall``, at work.
+    Time of waiting for a core or the disk is stated separately. ``seconds`` are sums over the
+    workers: CPU time of ``solver`` and ``rest``; ``wall``, elapsed time of their tasks.
     """
     spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
              "start and idle": max(workers * wall - seconds["wall"], 0.0)}

@@ -28,7 +28,7 @@ from common.documents import (
 )
 from common.errors import InputError, one_line
 from common.files import remove_partial, replace_file
-from data.captures import Capture, require_alike
+from data.captures import Capture, require_one_fabric
 from data.fabrics import THETA_NAMES
 from drapenet.convention import SWAPPED
 
@@ -181,7 +181,7 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
         InputError: several rigs or densities, some captures with a marked warp and some without, or
             a checkpoint of another rig.
     """
-    require_alike([one.rig for one in captures],
+    require_one_fabric([one.rig for one in captures],
                   [one.warp_direction is not None for one in captures],
                   [one.density for one in captures])
     header = read_header(checkpoint or bundled(captures[0].rig))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from common.ctrl_c import require_interruption
-from common.errors import LONGEST_LIST, InputError, one_line
+from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from data.cameras import Camera
 from data.captures import Capture
 from data.nuisances import Nuisances, at_density
@@ -122,7 +122,7 @@ def estimate_capture(
     doubts = capture_doubts(capture, header.setups, camera, found)
     if strict and (wrong := [*doubts, *capture.warnings]):  # pixels left out are the least of it
         raise InputError(f"{capture.path}: refused because strict=true: {'; '.join(wrong)}; "
-                         "strict=false estimates it with a warning", longest=LONGEST_LIST)
+                         "strict=false estimates it with a warning", max_length=MAX_LIST_LENGTH)
     source: dict[str, Any] = {"checkpoint": header.identity}
     about = _about(capture, found, rig)
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from common.files import remove_file, replace_file, replace_json
-from data.captures import require_alike
+from data.captures import require_one_fabric
 from drapenet.content import Result
 from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from drapenet.joint import joint_result
@@ -108,7 +108,7 @@ def write_overview(
 
 def _fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricResult:
     results = [read_result(out / entry.place) for entry in entries]
-    require_alike([one.content["capture"]["rig"] for one in results],
+    require_one_fabric([one.content["capture"]["rig"] for one in results],
                   [one.estimate.names == WARP_WEFT for one in results],
                   [one.estimate.density for one in results])
     joint, scatter = results[0], np.full(3, np.nan)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from common.documents import read_table, shown
 from common.errors import InputError, one_line
-from data.captures import MARKS
+from data.captures import CAPTURE_FILES
 
 COLUMNS = ("fabric", "sample", "capture")
 """Of a list; ``sample`` may be left out, ``capture`` is a folder, relative to the list's."""
@@ -43,7 +43,7 @@ def entries_of(source: Path) -> list[Entry]:
         InputError: no tree and no list, one that cannot be read, or one without captures.
     """
     if source.is_dir():
-        if any((source / mark).exists() for mark in MARKS):
+        if any((source / mark).exists() for mark in CAPTURE_FILES):
             raise InputError(f"{source} is one capture: give capture={source}, or the folder of "
                              "the fabrics")
         named = list(_of_tree(source))
@@ -66,7 +66,7 @@ def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
             inside[:] = sorted(name for name in inside if not name.startswith(".")
                                and not here.is_relative_to(Path(folder, name).resolve()))
             parts = Path(folder).relative_to(root).parts
-            marked = any(mark in files for mark in MARKS)
+            marked = any(mark in files for mark in CAPTURE_FILES)
             if marked:
                 inside.clear()
             elif inside or not any(not name.startswith(".") for name in files):

@@ -1,1 +1,1 @@
-"""Looking at a dataset of drapes: is it whole, and does it look as it should?"""
+"""Verification and statistics of datasets of drapes."""

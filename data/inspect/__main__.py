@@ -1,9 +1,9 @@
-"""Check a dataset of drapes, and report what it holds.
+"""Verify a dataset of drapes and report its statistics.
 
     python -m data.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
-Checks that the shards of the dataset in FOLDER are those that its dataset.json lists, then says
-what is in it: outcomes, parameters against the prior, drapes, disk use. Writes report.json,
+Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
+outcomes, parameters compared with the prior, drapes and disk use. Writes report.json,
 histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
@@ -17,7 +17,7 @@ from data.inspect.check import check_dataset
 from data.inspect.figures import RANGE, prior_samples, read_drapes, report
 from data.inspect.pictures import contact_sheet, histograms, take_shots
 
-LABEL = 22  # width of a table's first column
+WIDTH = 22  # width of a table's first column
 
 
 @dataclass
@@ -32,7 +32,7 @@ class InspectConfig:
 
 @command("inspect", InspectConfig, first="data", swept_out=".")
 def main(config: InspectConfig) -> None:
-    """Check, print, and write the report."""
+    """Verify the dataset; print and write the report."""
     if not config.data:
         raise InputError("the folder of a dataset is missing: python -m data.inspect FOLDER")
     if config.intersections < 0:
@@ -57,7 +57,7 @@ def main(config: InspectConfig) -> None:
 
 
 def describe(content: dict) -> list[str]:
-    """Lines for people of what :func:`data.inspect.figures.report` says."""
+    """Format the result of :func:`data.inspect.figures.report` as lines of text."""
     n, disk = content["drapes"], content["disk"]
     rate = content["rejection_rate"]
     lines = [
@@ -68,17 +68,17 @@ def describe(content: dict) -> list[str]:
         f"impossible fabrics rejected: {rate['dataset']:.2%}, by the prior itself "
         f"{rate['prior']:.2%}",
         "",
-        f"{'initial state':<{LABEL}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
-        *(f"{name:<{LABEL}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
+        f"{'initial state':<{WIDTH}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
+        *(f"{name:<{WIDTH}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
           for name, row in content["starts"].items()),
         "",
     ]
     if content["failures"]:
-        lines += [f"{'failure':<{LABEL}}{'drapes':>8}  first", *(
-            f"{row['status']:<{LABEL}}{row['drapes']:>8}  {row['first']}: {row['message']}"
+        lines += [f"{'failure':<{WIDTH}}{'drapes':>8}  first", *(
+            f"{row['status']:<{WIDTH}}{row['drapes']:>8}  {row['first']}: {row['message']}"
             for row in content["failures"]), ""]
     low, high = RANGE
-    lines.append(f"{'at 300 g/m²':<{LABEL}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
+    lines.append(f"{'at 300 g/m²':<{WIDTH}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
                  f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
     for name, row in content["parameters"].items():
         label = f"{name.replace('_over_', '/').replace('_', ' ')} [{row['unit']}]"
@@ -92,8 +92,8 @@ def describe(content: dict) -> list[str]:
         "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
         _self_intersections(content["self_intersections"], content["converged"]),
         "",
-        f"{'disk':<{LABEL}}{'MB':>8}{'kB a drape':>12}",
-        *(f"{part:<{LABEL}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
+        f"{'disk':<{WIDTH}}{'MB':>8}{'kB a drape':>12}",
+        *(f"{part:<{WIDTH}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
           for part, size in disk.items()),
     ]
     return lines
@@ -106,7 +106,7 @@ def _number(value: float | None) -> str:
 def _range(label: str, quantiles: dict[str, float] | None) -> str:
     columns = ("0.01", "0.1", "0.5", "0.9", "0.99")
     values = [_number(None if quantiles is None else quantiles[q]) for q in columns]
-    return f"{label:<{LABEL}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
+    return f"{label:<{WIDTH}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
 
 
 def _self_intersections(figures: dict, converged: int) -> str:

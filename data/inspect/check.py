@@ -1,4 +1,4 @@
-"""Whether a dataset's shards are those that its manifest lists."""
+"""Verification of a dataset's shards against its manifest."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from data.shards import SHARDS, Shard
 
 
 def check_dataset(root: str | Path) -> dict:
-    """The manifest of the finished dataset in ``root``, once all its shards agree with it.
+    """Verify all shards of the complete dataset in ``root``; return its manifest.
 
     Raises:
-        InputError: no dataset, an unfinished one, a manifest that contradicts itself, a shard
-            that is missing, unlisted, damaged, changed or of another dataset, a drape too few
-            or too many, or other outcomes.
+        InputError: no dataset, an incomplete dataset, an inconsistent manifest; a shard that is
+            missing, unlisted, damaged, changed or of another dataset; missing or repeated drapes;
+            other outcomes.
     """
     root = Path(root)
     manifest = finished_manifest(root)
@@ -26,14 +26,14 @@ def check_dataset(root: str | Path) -> dict:
 
 
 def _check_shards(root: Path, manifest: dict) -> None:
-    """Compare the shards in ``root`` with what the manifest says of them."""
+    """Compare the shards in ``root`` with the manifest."""
     digests = manifest["shards"]
-    there = {path.name for path in root.glob(SHARDS)}
-    if missing := sorted(digests.keys() - there):
-        raise InputError(f"{root} lacks {_some(missing)}; generate the missing shards with "
+    found = {path.name for path in root.glob(SHARDS)}
+    if missing := sorted(digests.keys() - found):
+        raise InputError(f"{root} lacks {_listed(missing)}; generate the missing shards with "
                          f"python -m data.generate out={root} and the dataset's settings")
-    if extra := sorted(there - digests.keys()):
-        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_some(extra)}; "
+    if extra := sorted(found - digests.keys()):
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
                          "move them elsewhere")
     changed: list[str] = []
     indices: list[int] = []
@@ -48,11 +48,11 @@ def _check_shards(root: Path, manifest: dict) -> None:
             raise InputError(f"{root / name} belongs to another dataset (identity "
                              f"{str(identity)[:12]} instead of {manifest['identity'][:12]}); "
                              "remove it and generate it again")
-        shard.require_sound()
+        shard.require_valid()
         indices.extend(shard.column("index").tolist())
         outcomes.update(shard.column("status").tolist())
     if changed:
-        raise InputError(f"{root}: the content of {_some(changed)} differs from its digest in "
+        raise InputError(f"{root}: the content of {_listed(changed)} differs from its digest in "
                          f"{MANIFEST}; remove these files and generate them again")
     if indices != list(range(manifest["drapes"])):
         raise InputError(f"{root} should hold the drapes 0 to {manifest['drapes'] - 1} once each, "
@@ -63,6 +63,6 @@ def _check_shards(root: Path, manifest: dict) -> None:
                          "shards; generate the dataset again, in another folder")
 
 
-def _some(names: Sequence[str]) -> str:
-    """The first names of many."""
+def _listed(names: Sequence[str]) -> str:
+    """The first three names, and the number of others."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

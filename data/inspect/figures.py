@@ -1,4 +1,4 @@
-"""What there is to know of a dataset in numbers."""
+"""Statistics of a dataset."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from data.fabrics import THETA_NAMES
 from data.prior import prior_from_content, sample_admissible
 from data.progress import over_shards
-from data.shards import FACES, POINTS, Shard
+from data.shards import COORDINATES, FACES, Shard
 from sim.material import MICRO
 from sim.measures import maximum_stretch
 from sim.self_contact import self_intersections
@@ -17,7 +17,7 @@ from sim.self_contact import self_intersections
 COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message", "iterations",
            "drape_coefficient", "folds")
 QUANTILES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
-RANGE = (0.01, 0.99)  # quantiles of the prior; beyond them a fabric counts as outside
+RANGE = (0.01, 0.99)  # quantiles of the prior; fabrics beyond them are counted as outside
 PRIOR_SAMPLES = 2000
 
 
@@ -26,12 +26,12 @@ class Drapes:
     """All drapes of a dataset, one row each, in order.
 
     Attributes:
-        columns: arrays of :data:`COLUMNS`, as :meth:`data.shards.Shard.column` gives them.
+        columns: arrays of :data:`COLUMNS`, as returned by :meth:`data.shards.Shard.column`.
         places: shard and row of each drape.
-        stretch: (N,) largest strain in a triangle, NaN unless converged. Vertices are stored to
-            5 µm, which makes about 0.1 % of the figure uncertain.
-        crossings: (N,) edges that pass through a face; -1 where nobody has looked.
-        bytes: of each array of the shards on disk, and ``other`` of the files.
+        stretch: (N,) largest strain of a triangle, NaN unless converged. Vertices are rounded to
+            5 µm, which causes an uncertainty of about 0.1 %.
+        crossings: (N,) number of edges that intersect a face; -1 if not checked.
+        bytes: size on disk of each array of the shards, and ``other`` for the rest of the files.
     """
 
     columns: dict[str, np.ndarray]
@@ -47,8 +47,8 @@ class Drapes:
 
 
 def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
-    """Read and measure a dataset's drapes; of ``intersections`` of them also where they intersect
-    themselves, evenly spread over the converged ones."""
+    """Read and measure a dataset's drapes; count the self-intersections of ``intersections`` of
+    them, evenly spread over the converged ones."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     places, used, seen = [], Counter(), 0
     looked_at = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
@@ -60,7 +60,7 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
         for row in np.flatnonzero(parts["status"][-1] == "converged"):
             drape = len(places) + row
             positions, rest, faces = shard.mesh(row)
-            # Held triangles are not stretched, so that it need not be known which are held.
+            # Triangles held by the plate are not stretched and need not be excluded.
             stretch[drape] = maximum_stretch(positions, rest, faces,
                                              np.zeros(len(rest), dtype=bool))
             if seen in looked_at:
@@ -74,14 +74,14 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
 
 
 def spread(items: np.ndarray, count: int) -> np.ndarray:
-    """At most ``count`` of ``items`` (N, ...), evenly spread, the first and the last among them."""
+    """At most ``count`` of ``items`` (N, ...), evenly spread, with the first and the last."""
     chosen = np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)
     return items[chosen]
 
 
 def prior_samples(manifest: dict) -> tuple[np.ndarray, float]:
-    """Fabrics theta (n, 6), n :data:`PRIOR_SAMPLES`, of the dataset's prior, and the share of its
-    samples that are impossible."""
+    """Draw theta (n, 6), n = :data:`PRIOR_SAMPLES`, from the dataset's prior; return also the share
+    of rejected samples."""
     prior = prior_from_content(manifest["config"]["prior"], origin="the dataset's prior")
     rng = np.random.default_rng(0)
     theta, rejected = zip(*(sample_admissible(prior, rng) for _ in range(PRIOR_SAMPLES)),
@@ -89,27 +89,27 @@ def prior_samples(manifest: dict) -> tuple[np.ndarray, float]:
     return np.array(theta), sum(rejected) / (sum(rejected) + PRIOR_SAMPLES)
 
 
-def for_people(theta: np.ndarray) -> np.ndarray:
-    """Parameters (..., 6) as people read them: alpha in µN·m, beta/alpha in mm."""
+def in_display_units(theta: np.ndarray) -> np.ndarray:
+    """Convert theta (..., 6) to alpha in µN·m and beta/alpha in mm."""
     return np.concatenate([np.exp(theta[..., :3]) / MICRO, theta[..., 3:] * 1e3], axis=-1)
 
 
 PARAMETERS = tuple(name.removeprefix("log_") for name in THETA_NAMES)
 UNITS = ("µN·m",) * 3 + ("mm",) * 3
-"""Names and units of :func:`for_people`; at 300 g/m²."""
+"""Names and units of :func:`in_display_units`; at 300 g/m²."""
 
 
 def draped_fabrics(drapes: Drapes) -> np.ndarray:
-    """theta (F, 6) of the fabrics with a converged drape: what training sees of the prior."""
+    """theta (F, 6) of the fabrics with a converged drape, which are used in training."""
     kept = drapes.converged
     _, first = np.unique(drapes.columns["fabric"][kept], return_index=True)
     return drapes.columns["theta"][kept][first]
 
 
 def report(manifest: dict, drapes: Drapes, prior: tuple[np.ndarray, float]) -> dict:
-    """The figures, in JSON's types; nothing in them depends on the folder or the machine.
+    """Statistics of the dataset in JSON types, independent of folder and machine.
 
-    ``prior``: fabrics (n, 6) and the rejected share, of :func:`prior_samples`.
+    ``prior``: fabrics (n, 6) and the rejected share, from :func:`prior_samples`.
     """
     columns, converged = drapes.columns, drapes.converged
     rejected = columns["rejected"][np.unique(columns["fabric"], return_index=True)[1]]
@@ -151,7 +151,7 @@ def _quantiles(values: np.ndarray) -> dict[str, float] | None:
 
 
 def _starts(columns: dict[str, np.ndarray], converged: np.ndarray) -> dict[str, dict]:
-    """Of each initial state: drapes, how many converged, their mean number of folds."""
+    """By initial state: number of drapes, number of converged ones, their mean number of folds."""
     result = {}
     for start in np.unique(columns["start"]).tolist():
         these = columns["start"] == start
@@ -165,7 +165,7 @@ def _starts(columns: dict[str, np.ndarray], converged: np.ndarray) -> dict[str, 
 
 
 def _failures(columns: dict[str, np.ndarray], converged: np.ndarray) -> list[dict]:
-    """Each reason: how often, and the first drape that says it; the most frequent first."""
+    """Failures by status, the most frequent first: count, and index and message of the first."""
     reasons = Counter(columns["status"][~converged].tolist())
     result = []
     for status, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0])):
@@ -180,8 +180,7 @@ def _failures(columns: dict[str, np.ndarray], converged: np.ndarray) -> list[dic
 
 
 def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
-    """Of each parameter: quantiles in the dataset and the prior, shares beyond the prior's range.
-    """
+    """By parameter: quantiles of dataset and prior, share of fabrics outside the prior's range."""
     fabrics = draped_fabrics(drapes)
     low, high = np.quantile(prior, RANGE, axis=0)
     result = {}
@@ -189,8 +188,8 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
         outside = (fabrics[:, k] < low[k]) | (fabrics[:, k] > high[k])
         result[name] = {
             "unit": unit,
-            "dataset": _quantiles(for_people(fabrics)[:, k]),
-            "prior": _quantiles(for_people(prior)[:, k]),
+            "dataset": _quantiles(in_display_units(fabrics)[:, k]),
+            "prior": _quantiles(in_display_units(prior)[:, k]),
             "outside": float(outside.mean()) if len(fabrics) else None,
         }
     return result
@@ -199,6 +198,6 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
 def _disk(drapes: Drapes) -> dict[str, int]:
     """Bytes of the shards by part."""
     used = dict(drapes.bytes)
-    parts = {"meshes": sum(used.pop(name) for name in (*POINTS, FACES)),
+    parts = {"meshes": sum(used.pop(name) for name in (*COORDINATES, FACES)),
              "file structure": used.pop("other")}
     return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}

@@ -1,4 +1,4 @@
-"""Pictures of a dataset: drapes side by side, and histograms."""
+"""Pictures of a dataset: contact sheet of drapes, and histograms."""
 
 import io
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.cameras import Camera, CameraRig
-from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, for_people, spread
+from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, in_display_units, spread
 from data.render import DepthRenderer
 from data.shards import Shard
 
 ACROSS = 8  # drapes in a row of the contact sheet
-WIDTH, CAPTION = 1.75, 0.25  # inches of one, and of the line above it
+WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
 DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
 STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
 
@@ -24,8 +24,8 @@ class Shot:
     """A drape on the contact sheet.
 
     Attributes:
-        caption: what stands above it.
-        failed: whether its solver gave up.
+        caption: text above it.
+        failed: whether it did not converge.
         view: (H, W) z-depth, m, background 0.
     """
 
@@ -35,8 +35,8 @@ class Shot:
 
 
 def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> list[Shot]:
-    """One view of each of ``count`` converged drapes, from the limpest to the stiffest, and of up
-    to a row of failed ones; by the rig's nominal camera, the warp to the right.
+    """Render ``count`` converged drapes, sorted by drape coefficient, and up to a row of failed
+    ones, with the rig's nominal camera and the warp to the right.
     """
     camera = CameraRig.load(manifest["config"]["rig"]["name"]).nominal()
     converged = np.flatnonzero(drapes.converged)
@@ -49,21 +49,21 @@ def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> lis
 
 
 def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | None:
-    """One drape; None of a failed one whose coordinates could not be stored."""
+    """Render one drape; None for a failed drape without stored coordinates."""
     name, row = drapes.places[drape]
     positions, rest, faces = Shard(root / name).mesh(row)
     if not rest.any():
         return None
     columns = {key: values[drape] for key, values in drapes.columns.items()}
     failed = columns["status"] != "converged"
-    words = columns["status"] if failed else (
+    caption = columns["status"] if failed else (
         f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
-    return Shot(f"{columns['index']}: {words}", failed,
+    return Shot(f"{columns['index']}: {caption}", failed,
                 DepthRenderer(positions, faces).view(camera))
 
 
 def contact_sheet(shots: list[Shot]) -> bytes:
-    """PNG of all shots, cut to what shows cloth in any; nearer is brighter."""
+    """PNG of all shots, cropped to the cloth of all of them; nearer is brighter."""
     views = np.stack([shot.view for shot in shots])
     rows, columns = np.nonzero((views > 0).any(axis=0))
     if len(rows):
@@ -85,27 +85,27 @@ def contact_sheet(shots: list[Shot]) -> bytes:
 
 
 def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
-    """PNG: parameters against samples (n, 6) of the prior, and what the drapes are like, by initial
-    state."""
+    """PNG of histograms: parameters of the dataset and of samples (n, 6) of the prior, and measures
+    of the drapes by initial state."""
     figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
     panels = figure.subplots(3, 4)
-    fabrics = for_people(draped_fabrics(drapes))
+    fabrics = in_display_units(draped_fabrics(drapes))
     for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
-        _parameter(panels[k // 3, k % 3], fabrics[:, k], for_people(prior)[:, k],
+        _parameter(panels[k // 3, k % 3], fabrics[:, k], in_display_units(prior)[:, k],
                    f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
     columns, converged = drapes.columns, drapes.converged
     groups = {start: converged & (columns["start"] == start)
               for start in np.unique(columns["start"]).tolist()}
     folds = columns["folds"][converged]
-    whole = np.arange(*((folds.min(), folds.max() + 2) if len(folds) else (0, 2))) - 0.5
+    integers = np.arange(*((folds.min(), folds.max() + 2) if len(folds) else (0, 2))) - 0.5
     _by_start(panels[2, 0], groups, 100 * columns["drape_coefficient"], "drape coefficient [%]", 20)
-    _by_start(panels[2, 1], groups, columns["folds"], "folds", whole)
+    _by_start(panels[2, 1], groups, columns["folds"], "folds", integers)
     _by_start(panels[2, 2], groups, 100 * drapes.stretch, "largest strain [%]", 20)
     _by_start(panels[2, 3], groups, columns["iterations"], "Newton iterations", 20)
     for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
         panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
         panel.legend(frameon=False, loc="upper left", title=title)
-    _plane(panels[0, 3], fabrics, for_people(prior))
+    _plane(panels[0, 3], fabrics, in_display_units(prior))
     _outcomes(panels[1, 3], columns["status"])
     return _png(figure)
 
@@ -118,7 +118,7 @@ def _parameter(axes: Axes, dataset: np.ndarray, prior: np.ndarray, label: str, *
         edges = np.geomspace(low, high, 25)
     else:
         edges = np.linspace(low, high, 25)
-    # What lies beyond is counted in the outermost bars.
+    # Values beyond the range are counted in the outermost bars.
     for values, style in ((dataset, {"color": DATASET, "alpha": 0.75, "label": "dataset"}),
                           (prior, {"histtype": "step", "color": PRIOR, "lw": 1.5,
                                    "label": "prior"})):

@@ -1,8 +1,8 @@
-"""Which fabrics exist: distributions over theta, fitted to measured fabrics.
+"""Priors of fabrics: distributions over theta, fitted to measured fabrics.
 
 A prior is a JSON file; its "kind" selects the class: one normal distribution (:mod:`gaussian`), a
 mixture (:mod:`mixture`) or a variational autoencoder (:mod:`vae`). Those in ``data/weights`` were
-fitted to the distinct fabrics published with Feng et al. 2022; to fit one to another table,
+fitted to the distinct fabrics published with Feng et al. 2022. To fit one to another table:
 
     python -m data.prior fit fabrics=FILE out=prior.json
 """
@@ -27,7 +27,7 @@ SCHEMA_VERSION = 1
 WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
 BUNDLED = ("gaussian", "mixture", "vae")
 """Names of the priors that ship with the project, ``data/weights/NAME.json``."""
-MAXIMUM_TRIES = 10_000
+MAX_TRIES = 10_000
 
 KINDS = {kind.kind: kind for kind in (GaussianPrior, MixturePrior, VaePrior)}
 
@@ -37,12 +37,12 @@ MODELS: dict[str, Callable[[np.ndarray], Prior]] = {
     **{name: partial(VaePrior.fit, architecture=architecture)
        for name, architecture in ARCHITECTURES.items()},
 }
-"""How to fit each model to the distinct fabrics theta (F, 6); Table 1 of Feng et al. 2022 and the
-Gaussian."""
+"""Functions that fit each model to distinct fabrics theta (F, 6): those of Table 1 of Feng et al.
+2022, and the Gaussian."""
 
 
 def prior_content(prior: Prior) -> dict:
-    """What a prior's JSON file holds."""
+    """Content of a prior's JSON file."""
     return {
         "schema_version": SCHEMA_VERSION,
         "kind": prior.kind,
@@ -53,7 +53,7 @@ def prior_content(prior: Prior) -> dict:
 
 
 def prior_from_content(content: object, *, origin: str) -> Prior:
-    """The prior in a decoded JSON file; ``origin`` names the file in complaints."""
+    """The prior of a decoded JSON file; ``origin`` names the file in error messages."""
     kind = content.get("kind") if isinstance(content, dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{origin} is not a prior; its \"kind\" must be one of {', '.join(KINDS)}")
@@ -70,12 +70,12 @@ def prior_from_content(content: object, *, origin: str) -> Prior:
 
 
 def save_prior(prior: Prior, path: str | Path) -> None:
-    """Write the prior's JSON file; a file that is there is replaced in one step."""
+    """Write the prior's JSON file in one step; an existing file is replaced."""
     replace_json(Path(path), prior_content(prior))
 
 
 def load_prior(name: str | Path) -> Prior:
-    """Read a prior: one of :data:`BUNDLED` by its name, or a file.
+    """Read a prior: one of :data:`BUNDLED` by name, or a file.
 
     Raises:
         InputError: no such file, or not a prior.
@@ -86,19 +86,19 @@ def load_prior(name: str | Path) -> Prior:
 
 
 def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-    """Draw theta (6,) until a stable plate has these moduli; also return how many had none.
+    """Draw theta (6,) until its moduli are admissible; return also the number of rejected samples.
 
-    A stable plate needs positive linear moduli, so that alpha by Feng et al. 2022, Eq. 8, is
-    positive in all directions, and a bias modulus above :func:`sim.material.bias_limit`. The
-    torque of what is left is positive at every curvature, because the law leaves the parabola
-    before its peak (:func:`sim.material.torque`).
+    Moduli are admissible if the plate is stable: linear moduli are positive, so that alpha by Feng
+    et al. 2022, Eq. 8, is positive in all directions, and the bias modulus is above
+    :func:`sim.material.bias_limit`. The torque is then positive at every curvature, because the law
+    departs from the parabola before its peak (:func:`sim.material.torque`).
 
     Raises:
-        InputError: none of the first ``MAXIMUM_TRIES`` is admissible.
+        InputError: none of the first ``MAX_TRIES`` samples is admissible.
     """
-    for rejected in range(MAXIMUM_TRIES):
+    for rejected in range(MAX_TRIES):
         theta = prior.sample(1, rng)[0]
         if is_admissible(*from_theta(theta)):
             return theta, rejected
-    raise InputError(f"none of {MAXIMUM_TRIES} samples of the prior is a possible fabric; fit it "
+    raise InputError(f"none of {MAX_TRIES} samples of the prior is a possible fabric; fit it "
                      "to more fabrics")

@@ -3,9 +3,9 @@
     python -m data.prior fit fabrics=FILE [out=FILE] [model=NAME]
 
 The table is a CSV file in the published format: density [kg.m-2], linear moduli [SI*1e9], nonlinear
-moduli [SI*1e12], each warp, weft, diag. Rows that repeat are one fabric. To draw a dataset's
-fabrics from the prior: python -m data.generate prior.file=outputs/prior.json; ``fit --help`` lists
-the keys.
+moduli [SI*1e12], each warp, weft, diag. Repeated rows are one fabric. To draw a dataset's fabrics
+from the prior: python -m data.generate prior.file=outputs/prior.json; ``fit --help`` lists the
+keys.
 """
 
 import time
@@ -20,7 +20,7 @@ from common.files import require_file
 from data.fabrics import read_fabric_table
 from data.prior import MODELS, sample_admissible, save_prior
 
-SAMPLES = 1000  # of which the printed description is made
+SAMPLES = 1000  # for the printed quantiles
 
 
 @dataclass
@@ -34,7 +34,7 @@ class FitConfig:
 
 @command("prior_fit", FitConfig)
 def fit(config: FitConfig) -> None:
-    """Fit, describe samples beside the table, and write the prior."""
+    """Fit and write a prior; print quantiles of the table and of samples."""
     if not config.fabrics:
         raise InputError("fabrics= is missing; give a table of fabrics: fit fabrics=FILE")
     if config.model not in MODELS:
@@ -44,7 +44,7 @@ def fit(config: FitConfig) -> None:
     start = time.perf_counter()
     prior = MODELS[config.model](table.theta)
     seconds = time.perf_counter() - start
-    # One that cannot be sampled must not take the place of a good one.
+    # Sampled before saving: a prior without admissible samples must not replace a valid file.
     rng = np.random.default_rng(0)
     draws = [sample_admissible(prior, rng) for _ in range(SAMPLES)]
     save_prior(prior, config.out)

@@ -1,4 +1,4 @@
-"""What every prior can do, and how its parameters are written to JSON and read back."""
+"""Interface of priors, and conversion of their parameters to and from JSON."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -10,7 +10,7 @@ from pydantic import Field, PlainValidator, TypeAdapter, ValidationError
 
 from common.errors import InputError, one_line
 
-ROUNDING = 1e-14  # of the largest variance, below which another one is rounding
+ROUNDING = 1e-14  # of the largest variance; smaller eigenvalues are rounding errors
 T = TypeVar("T", bound="Stored")
 
 
@@ -23,21 +23,22 @@ class Prior(Protocol):
         """Draw theta (n, 6), admissible or not."""
 
     def as_dict(self) -> dict:
-        """All parameters, in JSON's types."""
+        """All parameters, in JSON types."""
 
 
 class Stored:
-    """A dataclass in JSON. Annotations of its fields say what is read, see :func:`array`."""
+    """Base of dataclasses stored in JSON; annotations of fields validate them, see :func:`array`.
+    """
 
     def as_dict(self) -> dict:
-        """All parameters, in JSON's types."""
+        """All parameters, in JSON types."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value.as_dict() if isinstance(value, Stored) else np.asarray(value).tolist()
                 for name, value in values.items()}
 
     @classmethod
     def from_dict(cls: type[T], content: object) -> T:
-        """The inverse of :meth:`as_dict`; InputError where a parameter makes no sense."""
+        """Inverse of :meth:`as_dict`; InputError for an invalid parameter."""
         try:
             return TypeAdapter(cls).validate_python(content)
         except ValidationError as error:
@@ -51,9 +52,9 @@ Count = Annotated[int, Field(ge=0, strict=True)]
 
 
 def array(*shape: int | None, check: Callable[[np.ndarray], str] = lambda found: "") -> Any:
-    """The type of a field that holds finite numbers of a shape, None for any length.
+    """Type of a field of finite numbers with a given shape, None for any length.
 
-    ``check`` returns what is wrong with them, if anything.
+    ``check`` returns an error message, empty for valid numbers.
     """
     return Annotated[np.ndarray, PlainValidator(partial(_finite, shape, check))]
 
@@ -75,9 +76,9 @@ def _finite(
 
 
 def wrong_covariance(covariances: np.ndarray) -> str:
-    """What is wrong with covariances (..., K, K), finite, if anything.
+    """Error message for covariances (..., K, K), finite; empty if they are valid.
 
-    They must be symmetric and positive definite, by more than rounding.
+    They must be symmetric and, beyond rounding errors, positive definite.
     """
     variances = np.linalg.eigvalsh(covariances)
     right = np.allclose(covariances, np.swapaxes(covariances, -1, -2)) and (
@@ -86,7 +87,7 @@ def wrong_covariance(covariances: np.ndarray) -> str:
 
 
 def check_fabrics(theta: np.ndarray, *, least: int = 7) -> np.ndarray:
-    """theta as floats (F, 6); InputError if it has another shape or fewer than ``least`` rows."""
+    """theta as floats (F, 6); InputError for another shape or fewer than ``least`` rows."""
     theta = np.asarray(theta, dtype=np.float64)
     if theta.ndim != 2 or theta.shape[1] != 6 or len(theta) < least:
         raise InputError(

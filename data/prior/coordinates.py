@@ -1,8 +1,8 @@
-"""The coordinates in which mixtures and autoencoders see a fabric.
+"""Coordinates of a fabric for mixtures and autoencoders.
 
-Bending ratios beta/alpha have a long tail (median -2.4 mm, lowest -17 mm), which arcsinh folds in
-without a jump where beta changes its sign, and a few measurements that belong to no tail: they
-are drawn in before fitting. What remains is shifted and scaled to mean 0 and deviation 1.
+Bending ratios beta/alpha have a long tail (median -2.4 mm, lowest -17 mm), which arcsinh compresses
+smoothly across the sign of beta, and a few outliers, which are clipped before fitting. The result
+is standardised to mean 0 and standard deviation 1.
 """
 
 from dataclasses import dataclass
@@ -14,38 +14,39 @@ from data.fabrics import THETA_NAMES
 from data.prior.base import Stored, array
 
 BEND = 2e-3
-"""beta/alpha, m, at which arcsinh turns from a straight line into a logarithm."""
+"""beta/alpha, m, at which arcsinh changes from linear to logarithmic."""
 
-REACH = 4.0
-"""Robust deviations (1.48 times the median distance from the median) beyond which a measurement
-is drawn in: one of +40 mm and one of -17 mm among the 603 ratios of the published table."""
+MAX_DEVIATIONS = 4.0
+"""Robust standard deviations (1.48 times the median absolute deviation) beyond which a measurement
+is clipped: one of +40 mm and one of -17 mm among the 603 ratios of the published table."""
 
-SAME = 1e-9
-"""Coordinates that differ by less are equal but for rounding."""
+TOLERANCE = 1e-9
+"""Coordinates that differ by less are equal up to rounding."""
 
 
-def _fold(theta: np.ndarray) -> np.ndarray:
+def _compress(theta: np.ndarray) -> np.ndarray:
     return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / BEND)], axis=-1)
 
 
-def _unfold(folded: np.ndarray) -> np.ndarray:
+def _expand(folded: np.ndarray) -> np.ndarray:
     return np.concatenate([folded[..., :3], BEND * np.sinh(folded[..., 3:])], axis=-1)
 
 
 def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (6,) and (6,) of theta, ``REACH`` robust deviations around the medians of (F, 6).
+    """Bounds (6,) and (6,) of theta, from theta (F, 6) of fabrics.
 
-    Drawing fabrics in to these bounds leaves the bounds as they are.
+    They are ``MAX_DEVIATIONS`` robust standard deviations from the medians. Clipping the fabrics to
+    the bounds does not change the bounds.
     """
-    folded = _fold(theta)
+    folded = _compress(theta)
     middle = np.median(folded, axis=0)
-    deviation = 1.4826 * np.median(np.abs(folded - middle), axis=0)
-    return _unfold(middle - REACH * deviation), _unfold(middle + REACH * deviation)
+    reach = MAX_DEVIATIONS * (1.4826 * np.median(np.abs(folded - middle), axis=0))
+    return _expand(middle - reach), _expand(middle + reach)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates(Stored):
-    """The map from theta to coordinates of mean 0 and deviation 1, one by one, and back.
+    """Map between theta and coordinates, each standardised to mean 0 and standard deviation 1.
 
     Attributes:
         mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``BEND``).
@@ -58,13 +59,14 @@ class Coordinates(Stored):
 
     @classmethod
     def fit(cls, theta: np.ndarray) -> tuple["Coordinates", np.ndarray]:
-        """Fit to theta (F, 6); return also its coordinates (F, 6), outliers drawn in.
+        """Fit to theta (F, 6); return also its coordinates (F, 6), with outliers clipped.
 
         Raises:
-            InputError: most of the fabrics agree in a number, so that all others are outliers.
+            InputError: more than half of the fabrics have the same value of a parameter, so that
+                all others are outliers.
         """
-        folded = _fold(np.clip(theta, *plausible_range(theta)))
-        shared = np.flatnonzero(np.ptp(folded, axis=0) < SAME)
+        folded = _compress(np.clip(theta, *plausible_range(theta)))
+        shared = np.flatnonzero(np.ptp(folded, axis=0) < TOLERANCE)
         if len(shared):
             raise InputError(f"more than half of the fabrics have the same {THETA_NAMES[shared[0]]}"
                              "; a prior needs fabrics that differ")
@@ -72,14 +74,14 @@ class Coordinates(Stored):
         return coordinates, (folded - coordinates.mean) / coordinates.scale
 
     def encode(self, theta: np.ndarray) -> np.ndarray:
-        """Coordinates (..., 6) of theta (..., 6); nothing is drawn in."""
-        return (_fold(np.asarray(theta, dtype=np.float64)) - self.mean) / self.scale
+        """Coordinates (..., 6) of theta (..., 6), without clipping."""
+        return (_compress(np.asarray(theta, dtype=np.float64)) - self.mean) / self.scale
 
     def decode(self, coordinates: np.ndarray) -> np.ndarray:
         """theta (..., 6) of coordinates (..., 6)."""
-        return _unfold(self.mean + self.scale * coordinates)
+        return _expand(self.mean + self.scale * coordinates)
 
     def log_volume(self, theta: np.ndarray) -> np.ndarray:
-        """Log of the volume of coordinates per volume of theta (..., 6), shape (...)."""
+        """Log determinant (...) of the Jacobian of coordinates with respect to theta (..., 6)."""
         slope = -0.5 * np.log(BEND**2 + theta[..., 3:] ** 2)
         return slope.sum(axis=-1) - np.log(self.scale).sum()

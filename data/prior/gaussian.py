@@ -1,4 +1,4 @@
-"""The simplest prior: one normal distribution of theta itself."""
+"""Gaussian prior: a normal distribution of theta."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -26,36 +26,36 @@ class GaussianPrior(Stored):
     kind: ClassVar[str] = "gaussian"
 
     TAIL: ClassVar[float] = 0.01
-    """Share of the fabrics at each end of each parameter that is moved to that quantile before
-    fitting. Cantilever tests of very limp cloth give a few beta/alpha many deviations away (one
-    of +40 mm among 201, all others between -17 and +1), which would otherwise triple the spread
+    """Share of the fabrics at each end of each parameter that is clipped to that quantile before
+    fitting. Cantilever tests of very limp cloth give a few outliers of beta/alpha (one of +40 mm
+    among 201, all others between -17 and +1), which would otherwise triple the standard deviation
     along the warp and make one fabric in ten stiffen when bent instead of one in a hundred."""
 
     @property
     def deviation(self) -> np.ndarray:
-        """(6,) standard deviation of each entry of theta."""
+        """(6,) standard deviation of each component of theta."""
         return np.sqrt(np.diag(self.covariance))
 
     @classmethod
     def fit(cls, theta: np.ndarray) -> "GaussianPrior":
-        """Fit to the distinct fabrics theta (F, 6), F > 6, the tails drawn in by ``TAIL``.
+        """Fit to the distinct fabrics theta (F, 6), F > 6, with tails clipped at ``TAIL``.
 
         Raises:
-            InputError: fewer fabrics, or such as do not differ in all six.
+            InputError: fewer fabrics, or a singular covariance.
         """
         theta = check_fabrics(theta)
         low, high = np.quantile(theta, [cls.TAIL, 1 - cls.TAIL], axis=0)
-        drawn_in = np.clip(theta, low, high)
-        covariance = np.cov(drawn_in.T)
+        clipped = np.clip(theta, low, high)
+        covariance = np.cov(clipped.T)
         if wrong_covariance(covariance):
             raise InputError("the fabrics of the table do not differ in six numbers "
                              f"({', '.join(THETA_NAMES)}) independent of each other, as "
                              "model=gaussian needs; measure more, or other ones")
-        return cls(drawn_in.mean(axis=0), covariance, len(theta))
+        return cls(clipped.mean(axis=0), covariance, len(theta))
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw theta (n, 6), admissible or not."""
-        # The factor is fixed here (numpy's own choice of factorisation may change).
+        # Explicit factor: the factorisation in numpy's multivariate_normal may change.
         factor = np.linalg.cholesky(self.covariance)
         return self.mean + rng.standard_normal((n, 6)) @ factor.T
 

@@ -11,12 +11,11 @@ from common.errors import InputError
 from data.prior.base import Count, Stored, array, check_fabrics, wrong_covariance
 from data.prior.coordinates import Coordinates
 
-ITERATIONS = 200  # of expectation and maximisation, as in the paper
-FIRST_GUESSES = 5
-LEAST_VARIANCE = 0.05
-"""Added to the variances of every component, in units of the whole table's. Far more than the
-library's default of 1e-6, with which a component of thirty fabrics makes much of their accidents:
-0.2 nats less per unseen fabric."""
+ITERATIONS = 200  # of expectation maximisation, as in the paper
+INITIALISATIONS = 5
+VARIANCE_FLOOR = 0.05
+"""Added to the variances of every component, relative to those of the table. With the library's
+default of 1e-6, a component of thirty fabrics overfits: 0.2 nats less per unseen fabric."""
 
 
 def _wrong_weights(weights: np.ndarray) -> str:
@@ -45,22 +44,22 @@ class MixturePrior(Stored):
 
     def __post_init__(self) -> None:
         if not len(self.weights) == len(self.means) == len(self.covariances):
-            raise InputError("weights, means and covariances of a mixture must be as many")
+            raise InputError("weights, means and covariances of a mixture must be equal in number")
 
     @classmethod
     def fit(cls, theta: np.ndarray, *, components: int = 3, seed: int = 0) -> "MixturePrior":
         """Fit ``components`` normal distributions to the distinct fabrics theta (F, 6).
 
         Raises:
-            InputError: fewer than 7 fabrics a component.
+            InputError: fewer than 7 fabrics per component.
         """
-        # Imported late: reading and sampling do without it.
+        # Imported late: reading and sampling do not need it.
         from sklearn.mixture import GaussianMixture
 
         theta = check_fabrics(theta, least=7 * components)
         coordinates, points = Coordinates.fit(theta)
-        fitted = GaussianMixture(components, max_iter=ITERATIONS, n_init=FIRST_GUESSES,
-                                 reg_covar=LEAST_VARIANCE, random_state=seed).fit(points)
+        fitted = GaussianMixture(components, max_iter=ITERATIONS, n_init=INITIALISATIONS,
+                                 reg_covar=VARIANCE_FLOOR, random_state=seed).fit(points)
         return cls(coordinates, fitted.weights_, fitted.means_, fitted.covariances_, len(theta))
 
     @cached_property
@@ -71,7 +70,7 @@ class MixturePrior(Stored):
         """Draw theta (n, 6), admissible or not."""
         bounds = np.cumsum(self.weights)[:-1]
         points = np.empty((n, 6))
-        for point in points:  # one by one, so that more samples begin with the same ones
+        for point in points:  # one by one, so that the first samples do not depend on n
             component = np.searchsorted(bounds, rng.random(), side="right")
             point[:] = self.means[component] + self._factors[component] @ rng.standard_normal(6)
         return self.coordinates.decode(points)
@@ -87,6 +86,6 @@ class MixturePrior(Stored):
         return logsumexp(terms, axis=1) + self.coordinates.log_volume(theta)
 
     def as_dict(self) -> dict:
-        """All parameters, in JSON's types."""
+        """All parameters, in JSON types."""
         found = super().as_dict()
         return {"coordinates": found.pop("coordinates"), "components": len(self.weights), **found}

@@ -1,4 +1,4 @@
-"""The fabrics of a table themselves, each as likely as any other."""
+"""Empirical prior: the fabrics of a table, with equal probability."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,7 +10,7 @@ from data.prior.base import Stored
 
 @dataclass(frozen=True)
 class TablePrior(Stored):
-    """``theta`` (F, 6) of measured fabrics, to judge an estimator on."""
+    """``theta`` (F, 6) of measured fabrics, for the evaluation of estimators."""
 
     theta: np.ndarray
     kind: ClassVar[str] = "table"

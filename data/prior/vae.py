@@ -1,8 +1,9 @@
 """A variational autoencoder as prior (Feng et al. 2022, section 5.1.3, Table 1).
 
-The model: latent variables z ~ N(0, 1), the six coordinates of a fabric ~ N(mean, sigma²), one by
-one, where the decoder gives mean and sigma for z. The encoder's normal distribution q(z | fabric)
-serves training and the estimate of likelihoods. All but the training is NumPy in float64.
+The model: latent variables z ~ N(0, 1); the six coordinates of a fabric ~ N(mean, sigma²),
+independent, where the decoder gives mean and sigma for z. The encoder's normal distribution
+q(z | fabric) is used in training and to estimate likelihoods. All but the training is NumPy in
+float64.
 """
 
 import base64
@@ -24,26 +25,26 @@ from data.prior.coordinates import Coordinates
 if TYPE_CHECKING:
     import torch
 
-BATCH = 16  # fabrics a step, as in the paper
+BATCH = 16  # fabrics per step, as in the paper
 WEIGHT_DECAY = 1e-5  # as in the paper
 DRAWS = 8
-WARM_UP = 0.25  # share of the steps in which p(z) / q(z | fabric) gains its full weight
+WARM_UP = 0.25  # share of the steps in which the weight of log p(z) / q(z | fabric) rises to 1
 
 DECIMALS = 12
-"""Samples are rounded to this many decimals, which nearly always hides the last bits in which the
-libraries of two machines differ."""
+"""Decimals to which samples are rounded, so that they nearly always agree between machines whose
+libraries differ in the last bits."""
 
-CHUNK = 16  # fabrics whose likelihood is estimated at a time, for the sake of memory
+CHUNK_SIZE = 16  # fabrics whose likelihood is estimated at a time, to limit memory
 
 @dataclass(frozen=True)
 class Architecture:
-    """Widths of an autoencoder, and how long it is trained.
+    """Layer sizes and training schedule of an autoencoder.
 
     Attributes:
-        hidden: units of the encoder's layers; the decoder has them in reverse.
-        latent: latent variables.
-        steps: training steps.
-        learning_rate: of Adam, at its highest.
+        hidden: units of the encoder's layers; the decoder has the reverse order.
+        latent: number of latent variables.
+        steps: number of training steps.
+        learning_rate: initial learning rate of Adam.
     """
 
     hidden: tuple[int, ...]
@@ -61,9 +62,8 @@ ARCHITECTURES = {
 """VAE-1 to VAE-4 of Table 1."""
 
 SIGMA_MIDDLE, SIGMA_REACH = -1.0, 1.5
-"""The log of sigma is middle + reach * tanh(output), so that sigma, in deviations of the table,
-lies between 0.08 and 1.65: no fabric is pinned, and no sample is thrown far out."""
-
+"""The log of sigma is middle + reach * tanh(output), so that sigma, relative to the standard
+deviation of the table, is between 0.08 and 1.65. This prevents overfitting and distant samples."""
 
 Layers = list[tuple[np.ndarray, np.ndarray]]
 
@@ -83,7 +83,7 @@ def run_layers(layers: Layers, values: np.ndarray) -> np.ndarray:
 
 
 def _decoded(content: object) -> dict[str, np.ndarray]:
-    """The weights in base64 of a safetensors file: an encoder and a decoder that fit each other."""
+    """Weights of an encoder and a decoder of matching sizes, from base64 of a safetensors file."""
     try:
         weights = load(base64.b64decode(content, validate=True))
     except (TypeError, ValueError, SafetensorError):
@@ -111,14 +111,14 @@ class VaePrior(Stored):
     """A trained autoencoder.
 
     Attributes:
-        coordinates: in which it sees fabrics.
+        coordinates: of its input and output.
         shift: every latent variable of a sample has a mean drawn from [-shift, shift] ...
         spread: ... and a standard deviation drawn from this range (section 5.1.3, last
-            paragraph), so that samples reach beyond the measured fabrics.
+            paragraph), so that samples extend beyond the measured fabrics.
         fabrics: number of fabrics it was fitted to.
         weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0,
             1, ..., the last of which gives the mean and the log variance of z (2 L); the same for
-            "decoder", which ends in means and sigmas (12). Float32. Between layers stands tanh.
+            "decoder", which ends in means and sigmas (12). Float32, with tanh between layers.
     """
 
     coordinates: Coordinates
@@ -155,8 +155,8 @@ class VaePrior(Stored):
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw theta (n, 6), admissible or not, from the widened latent distribution."""
         points = np.empty((n, 6))
-        for point in points:  # one by one, so that more samples begin with the same ones
-            # NumPy refuses the range from 0.0 to -0.0.
+        for point in points:  # one by one, so that the first samples do not depend on n
+            # abs: NumPy refuses the range from 0.0 to -0.0.
             mean = rng.uniform(-abs(self.shift), abs(self.shift), self.latent)
             z = mean + rng.uniform(*self.spread, self.latent) * rng.standard_normal(self.latent)
             middle, log_sigma = self._likelihood(z)
@@ -168,20 +168,21 @@ class VaePrior(Stored):
     ) -> np.ndarray:
         """Log density (n,) of theta (n, 6), per unit of theta, as an importance-weighted bound.
 
-        The logarithm of the mean of p(theta, z) / q(z | theta) over ``draws`` values of z: in
-        expectation below the true value, and rising towards it with their number. It is of
-        z ~ N(0, 1); the widening of :meth:`sample` is not part of it. ``seed`` fixes the draws.
+        The logarithm of the mean of p(theta, z) / q(z | theta) over ``draws`` values of z: its
+        expectation is below the true value and approaches it with their number. It is computed for
+        z ~ N(0, 1), without the widening of :meth:`sample`. ``seed`` determines the draws.
         """
         theta = np.atleast_2d(theta)
         points = self.coordinates.encode(theta)
         rng = np.random.default_rng(seed)
-        chunks = [points[i:i + CHUNK] for i in range(0, len(points), CHUNK)]
+        chunks = [points[i:i + CHUNK_SIZE] for i in range(0, len(points), CHUNK_SIZE)]
         bound = [self._bound(chunk, rng.standard_normal((len(chunk), draws, self.latent)))
                  for chunk in chunks]
         return np.concatenate(bound) + self.coordinates.log_volume(theta)
 
     def posterior(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and deviation (n, L) of q(z | fabric) for ``points`` (n, 6), standardised."""
+        """Mean and standard deviation (n, L) of q(z | fabric) for standardised ``points`` (n, 6).
+        """
         mean, log_variance = np.split(run_layers(self.encoder, points), 2, axis=-1)
         return mean, np.exp(0.5 * log_variance)
 
@@ -203,23 +204,23 @@ class VaePrior(Stored):
         return middle, SIGMA_MIDDLE + SIGMA_REACH * np.tanh(output)
 
     def as_dict(self) -> dict:
-        """All parameters, in JSON's types; the weights as base64 of a safetensors file."""
+        """All parameters, in JSON types; the weights as base64 of a safetensors file."""
         return super().as_dict() | {
             "weights": base64.b64encode(save(self.weights)).decode("ascii")}
 
 
 def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:
-    """Weights of an autoencoder (see :class:`VaePrior`) of points (F, 6).
+    """Train an autoencoder (see :class:`VaePrior`) on points (F, 6); return its weights.
 
-    Adam maximises the importance-weighted bound on the likelihood, of ``DRAWS`` latent vectors a
-    fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more of the latent
-    variables stay unused. The ratio of p(z) to q(z | fabric) grows from no weight to its full
-    weight, the learning rate falls along a cosine.
+    Adam maximises the importance-weighted bound on the likelihood with ``DRAWS`` latent vectors per
+    fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more latent variables
+    collapse. The weight of the ratio of p(z) to q(z | fabric) rises from 0 to 1, and the learning
+    rate follows a cosine.
 
     Args:
-        seed: of the first weights, the batches and all noise.
+        seed: of initial weights, batches and all noise.
     """
-    import torch  # reading and sampling do without
+    import torch  # imported late: reading and sampling do not need it
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # sums do not depend on the machine's number of cores

@@ -20,7 +20,7 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
-from data.scans import LARGEST_SCAN, read_scan
+from data.scans import MAX_SCAN_SIZE, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
 from drapenet.refine.search import CapturedScan
 from drapenet.refine.surface import CapturedShape, Cloud, distances
@@ -181,8 +181,8 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     if bad := int((~np.isfinite(points)).any(axis=1).sum()):
         raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
                          "remove them")
-    if not 200 <= len(points) <= LARGEST_SCAN:
-        raise InputError(f"{path} has {len(points)} points; a scan has 200 to {LARGEST_SCAN}")
+    if not 200 <= len(points) <= MAX_SCAN_SIZE:
+        raise InputError(f"{path} has {len(points)} points; a scan has 200 to {MAX_SCAN_SIZE}")
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
         raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
     reach = np.abs(points).max()

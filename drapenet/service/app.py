@@ -26,7 +26,7 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from common.files import folder_named, require_folder
-from data.captures import MARKS
+from data.captures import CAPTURE_FILES
 from drapenet.export import TARGETS
 from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
@@ -148,7 +148,7 @@ def _add_pages(app: FastAPI, settings: Settings) -> None:
 @cache
 def _example() -> bytes:
     return _zipped({file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
-                    if file.suffix == ".png" or file.name in MARKS})
+                    if file.suffix == ".png" or file.name in CAPTURE_FILES})
 
 
 def _answers(*statuses: int) -> dict[int, dict[str, str]]:

@@ -20,10 +20,10 @@ from PIL import Image
 from pydantic import BeforeValidator, Field
 from starlette.exceptions import HTTPException
 
-from common.documents import LARGEST_TEXT, Schema, parse_yaml, shown
+from common.documents import MAX_TEXT_BYTES, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
 from data.arrays import header_of
-from data.captures import INTRINSICS_KEYS, MARKS, Description, checked_density
+from data.captures import CAPTURE_FILES, INTRINSICS_KEYS, Description, checked_density
 from data.frames import BACKGROUND
 from drapenet.service.settings import Settings
 from drapenet.tree import plain_name
@@ -143,7 +143,7 @@ def write_upload(upload: Upload, folder: Path) -> None:
     folder.mkdir(parents=True)
     files = dict(upload.files)
     if upload.scan is None:
-        if not any(mark in files for mark in MARKS) or "capture.yaml" in files:
+        if not any(mark in files for mark in CAPTURE_FILES) or "capture.yaml" in files:
             files = _numbered(files)
             files["capture.yaml"] = _description(files.pop("capture.yaml", None), upload.fields)
     for name, data in files.items():
@@ -214,8 +214,8 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
     a text that nobody writes.
     """
     suffix = Path(name).suffix
-    if suffix in (".yaml", ".txt") and len(data) > LARGEST_TEXT:
-        raise RequestError(413, f"{name} has {len(data)} bytes; at most {LARGEST_TEXT}")
+    if suffix in (".yaml", ".txt") and len(data) > MAX_TEXT_BYTES:
+        raise RequestError(413, f"{name} has {len(data)} bytes; at most {MAX_TEXT_BYTES}")
     try:
         if suffix == ".png":
             with warnings.catch_warnings():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from common.errors import LONGEST, InputError
+from common.errors import MAX_LENGTH, InputError
 
 ACCEPTED, REFUSED = "accepted", "refused"
 UNCLEAR, TRACEBACK, MEMORY, TIME, CRASH = "unclear message", "traceback", "memory", "time", "crash"
@@ -106,7 +106,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str]:
         return ACCEPTED, ""
     except InputError as error:
         text = str(error)
-        clear = text.isprintable() and 10 < len(text) <= LONGEST + 3
+        clear = text.isprintable() and 10 < len(text) <= MAX_LENGTH + 3
         return (REFUSED if clear else UNCLEAR), text
     except MemoryError:
         return MEMORY, _place()

@@ -20,9 +20,9 @@ from common.workers import worker_pool
 
 @pytest.fixture(autouse=True)
 def none_is_kept():
-    workers._kept.clear()
+    workers._idle_pools.clear()
     yield
-    workers._kept.clear()
+    workers._idle_pools.clear()
 
 
 def process_of(pool) -> int:

@@ -135,7 +135,7 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
     theta, rejected = sample_admissible(Reluctant(3), np.random.default_rng(0))
     assert rejected == 3
     assert is_admissible(*from_theta(theta))
-    monkeypatch.setattr("data.prior.MAXIMUM_TRIES", 5)
+    monkeypatch.setattr("data.prior.MAX_TRIES", 5)
     with pytest.raises(InputError, match="possible fabric"):
         sample_admissible(Reluctant(5), np.random.default_rng(0))
 
@@ -145,7 +145,7 @@ def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
     table.write_text(", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
                      + "\n0.15, 9000, 4000, 6000, -900, -400, -600")
     out.write_text("a good one")
-    monkeypatch.setattr("data.prior.MAXIMUM_TRIES", 5)
+    monkeypatch.setattr("data.prior.MAX_TRIES", 5)
     monkeypatch.setitem(MODELS, "gaussian", lambda theta: Reluctant(5))
     with pytest.raises(InputError, match="possible fabric"):
         main(["fit", f"fabrics={table}", f"out={out}", "model=gaussian"])

@@ -27,7 +27,7 @@ from data.prior import (
     save_prior,
 )
 from data.prior.coordinates import Coordinates, plausible_range
-from data.prior.mixture import LEAST_VARIANCE
+from data.prior.mixture import VARIANCE_FLOOR
 from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from sim.material import plate_constants, torque
 
@@ -117,7 +117,7 @@ def test_an_outlier_is_drawn_in_and_drawing_in_twice_changes_nothing(theta):
 
 def test_mixture_has_the_likelihood_that_scikit_learn_gives_it(theta, mixture):
     points = Coordinates.fit(theta)[1]
-    library = GaussianMixture(3, max_iter=200, n_init=5, reg_covar=LEAST_VARIANCE,
+    library = GaussianMixture(3, max_iter=200, n_init=5, reg_covar=VARIANCE_FLOOR,
                               random_state=0).fit(points)
     drawn = np.clip(theta, *plausible_range(theta))
     expected = library.score_samples(points) + mixture.coordinates.log_volume(drawn)
@@ -211,7 +211,7 @@ def test_files_are_read_back_bit_by_bit(prior, tmp_path):
 
 @pytest.mark.parametrize(("change", "complaint"), [
     ({"weights": [0.5, 0.6, 0.1]}, "add up to 1"),
-    ({"weights": [1.0]}, "as many"),
+    ({"weights": [1.0]}, "equal in number"),
     ({"weights": []}, "weights: "),
     ({"means": None}, "means: give K × 6 finite"),
     ({"covariances": [(-np.eye(6)).tolist()] * 3}, "positive definite"),

@@ -10,7 +10,7 @@ from turntable import FILE, turntable, write_bag
 from common.errors import InputError
 from data.captures import read_capture
 from data.reading import median_depth
-from data.recordings import read_recording, rests
+from data.recordings import find_rests, read_recording
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +58,10 @@ def test_rests_are_long_and_still():
     times = np.arange(40) / 10
     moved = np.full(40, 1e-3)
     moved[10:14], moved[25:27] = 0.2, 0.3
-    assert rests(times, moved) == [(0, 9), (14, 24), (27, 39)]
+    assert find_rests(times, moved) == [(0, 9), (14, 24), (27, 39)]
     moved[17] = 0.1  # leaves 0.2 s before and 0.6 s after it
-    assert rests(times, moved) == [(0, 9), (18, 24), (27, 39)]
-    assert rests(times[:3], moved[:3]) == []
+    assert find_rests(times, moved) == [(0, 9), (18, 24), (27, 39)]
+    assert find_rests(times[:3], moved[:3]) == []
 
 
 def test_the_median_leaves_out_what_was_not_seen():

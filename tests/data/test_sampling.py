@@ -76,7 +76,7 @@ def test_drift_has_its_standard_deviation():
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [({"seed": -1}, "seed=-1"), ({"starts_per_fabric": 0}, "starts_per_fabric"),
-     ({"starts": ("flat",)}, "flat.* must be some of sine, fold"),
+     ({"starts": ("flat",)}, "flat.* must contain only sine, fold"),
      ({"starts": ()}, "must contain sine or fold"),
      ({"starts": ("borrowed",)}, "nothing to borrow"),
      ({"drift": -0.001}, "drift"), ({"drift": float("nan")}, "drift"), ({"drift": 0.1}, "drift"),
