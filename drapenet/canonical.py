@@ -18,26 +18,26 @@ from sim.scene import Rig
 AZIMUTHS, ELEVATIONS = 128, 48
 _UNDER = 0.9  # of the plate's radius, where cloth that hangs straight down is looked for
 _DEPTH = 0.6  # of the point that the drape is seen from below the plate, in overhangs
-_SHARE_FACING = 0.15  # least weight of a pixel, relative to one that faces the camera
+_MIN_FACING = 0.15  # least weight of a pixel, relative to one that faces the camera
 PIXEL = 1.73e-3
 """m, what a pixel spans on the plate, seen by the rig's camera: weights count such pixels."""
-LARGEST_TURN_ERROR = np.radians(6.0)
+MAX_TURN_ERROR = np.radians(6.0)
 """rad, of the table in a view: two and a half deviations of what the network is trained on."""
-_SHORT = (-0.02, 0.01)  # m, by which the cloth from rim to hem may seem longer than it is
-_WRONG = 0.02  # m, beyond which such a length is no worse
+_LENGTH_BIAS = (-0.02, 0.01)  # m, by which the cloth from rim to hem may seem longer than it is
+_MAX_LENGTH_ERROR = 0.02  # m, beyond which such a length is no worse
 SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells over which gaps are filled, one after the other
 
 # How views are registered with each other, in cells of one degree:
 _DEGREES, _ROWS = 360, 24
 _HANGING = 17  # rows below the rim, where all drapes are alike
-_REACH = 12  # degrees, largest error of the table's turn that is looked for
+_MAX_TURN_STEPS = 12  # degrees, largest error of the table's turn that is looked for
 _TURN = 4.0  # degrees, its standard deviation
 _SHIFT = 2.5e-3  # m, standard deviation of the plate's centre as located
-NEARER = 2.0e-3
+CENTRE_BIAS = 2.0e-3
 """m, by which the plate is located too near: cloth bends down over the rim, more of it is seen on
 the camera's side."""
-_GAP, _LARGEST_GAP = 1.5e-3, 6e-3  # m, between two views of the same cloth: usual; beyond, not so
-_COMMON = 60  # cells that two views must share to be compared
+_GAP, _MAX_GAP = 1.5e-3, 6e-3  # m, between two views of the same cloth: usual; beyond, not so
+_MIN_COMMON_CELLS = 60  # cells that two views must share to be compared
 _INDEPENDENT = 20.0  # cells of a pair that count as independent
 _ROUNDS = 3
 
@@ -95,7 +95,7 @@ def drape_map(
     count = len(views)
     turns = np.arange(count) * (2 * np.pi / count) if turns is None else np.asarray(turns, float)
     clouds = [camera.cloth_points(view) for view in views]
-    centre = np.array([0.0, NEARER])
+    centre = np.array([0.0, CENTRE_BIAS])
     if count > 1:
         turns, centre = _registered(clouds, turns, rig)
     clouds = [cloud - [*centre, 0] for cloud in clouds]
@@ -129,7 +129,7 @@ def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
     return [f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
             f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
             for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
-            if not abs(turn - given) < LARGEST_TURN_ERROR]
+            if not abs(turn - given) < MAX_TURN_ERROR]
 
 
 def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
@@ -154,8 +154,8 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     flat = rig.specimen_size / 2 / np.maximum(np.abs(np.cos(direction)), np.abs(np.sin(direction)))
     gap = lengths - (flat - rig.plate_radius)
     # The hem is seen a little short, everywhere alike; one fold seen wrongly must not decide.
-    gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_SHORT)
-    return float(sides[(trust * np.minimum(np.abs(gap), _WRONG)).sum(axis=1).argmin()])
+    gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_LENGTH_BIAS)
+    return float(sides[(trust * np.minimum(np.abs(gap), _MAX_LENGTH_ERROR)).sum(axis=1).argmin()])
 
 
 def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float:
@@ -172,9 +172,9 @@ def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float
     often = np.isfinite(maps).sum(axis=0)
     gap = np.abs(maps - np.nansum(maps, axis=0) / np.maximum(often, 1))[:, often > 1]
     gap = gap[np.isfinite(gap)]
-    if len(gap) <= _COMMON:
+    if len(gap) <= _MIN_COMMON_CELLS:
         return np.nan
-    return float(np.sqrt(np.square(np.minimum(gap, _LARGEST_GAP)).mean()))
+    return float(np.sqrt(np.square(np.minimum(gap, _MAX_GAP)).mean()))
 
 
 def fused(
@@ -202,7 +202,7 @@ def _binned(
     azimuth = np.arctan2(points[inside, 1], points[inside, 0])
     column = np.floor((azimuth - turn) * (columns / (2 * np.pi))).astype(int) % columns
     cell = column * rows + row[inside].astype(int)
-    facing = np.maximum(-np.sin(azimuth), _SHARE_FACING) ** 2  # the camera stands at -y
+    facing = np.maximum(-np.sin(azimuth), _MIN_FACING) ** 2  # the camera stands at -y
     distance = np.hypot(radius[inside], height[inside])
     return tuple(np.bincount(cell, values, minlength=columns * rows).reshape(columns, rows)
                  for values in (facing * distance, facing))
@@ -216,11 +216,11 @@ def _registered(
     First the turns alone, in whole degrees, from what neighbours in the circle have in common;
     then both together, by least squares.
     """
-    shift = np.array([0.0, NEARER])
+    shift = np.array([0.0, CENTRE_BIAS])
     start = turns = turns + np.radians(_whole_degrees(_distances(clouds, shift, turns, rig)))
     for _ in range(_ROUNDS):
         maps = _distances(clouds, shift, turns, rig)
-        change = _least_squares(maps, turns, np.concatenate([shift - [0, NEARER], turns - start]),
+        change = _least_squares(maps, turns, np.concatenate([shift - [0, CENTRE_BIAS], turns - start]),
                                 rig)
         shift, turns = shift + change[:2], turns + change[2:]
     return turns, shift
@@ -240,18 +240,18 @@ def _distances(
 def _whole_degrees(maps: np.ndarray) -> np.ndarray:
     """Corrections (K,), degrees, of all turns but the first, that make neighbours agree best."""
     count = len(maps)
-    steps = np.arange(-_REACH, _REACH + 1)
+    steps = np.arange(-_MAX_TURN_STEPS, _MAX_TURN_STEPS + 1)
     prior = 0.5 * (steps / _TURN) ** 2
     # Cost of each difference of two corrections, from -2 to 2 reaches.
     pairs = [_costs(maps[k], maps[(k + 1) % count]) for k in range(count if count > 2 else 1)]
-    difference = steps[None, :] - steps[:, None] + 2 * _REACH
-    cost, choices = pairs[0][steps + 2 * _REACH] + prior, []
+    difference = steps[None, :] - steps[:, None] + 2 * _MAX_TURN_STEPS
+    cost, choices = pairs[0][steps + 2 * _MAX_TURN_STEPS] + prior, []
     for k in range(1, count - 1):
         table = cost[:, None] + pairs[k][difference]
         choices.append(table.argmin(axis=0))
         cost = table.min(axis=0) + prior
     if count > 2:
-        cost = cost + pairs[-1][-steps + 2 * _REACH]
+        cost = cost + pairs[-1][-steps + 2 * _MAX_TURN_STEPS]
     best = [int(cost.argmin())]
     for choice in reversed(choices):
         best.insert(0, int(choice[best[0]]))
@@ -259,12 +259,12 @@ def _whole_degrees(maps: np.ndarray) -> np.ndarray:
 
 
 def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(4 _REACH + 1,) misfit of two maps with the second turned on by -2 to 2 reaches."""
+    """(4 _MAX_TURN_STEPS + 1,) misfit of two maps with the second turned on by -2 to 2 reaches."""
     costs = []
-    for degrees in range(-2 * _REACH, 2 * _REACH + 1):
+    for degrees in range(-2 * _MAX_TURN_STEPS, 2 * _MAX_TURN_STEPS + 1):
         gap = np.abs(np.roll(other, -degrees, axis=0) - one)
         gap = gap[np.isfinite(gap)]
-        mean = (np.minimum(gap, _LARGEST_GAP) ** 2).mean() if len(gap) > _COMMON else _GAP**2
+        mean = (np.minimum(gap, _MAX_GAP) ** 2).mean() if len(gap) > _MIN_COMMON_CELLS else _GAP**2
         costs.append(0.5 * _INDEPENDENT * mean / _GAP**2)
     return np.array(costs)
 

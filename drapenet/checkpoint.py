@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 SCHEMA = "drapenet-checkpoint"
 SCHEMA_VERSION = 2
 
-LARGEST_WEIGHTS = 2 << 30  # bytes
+MAX_WEIGHTS_BYTES = 2 << 30  # bytes
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
 _Theta = Annotated[list[float], _SIX]
 _Positive = Annotated[float, Field(gt=0)]
@@ -203,7 +203,7 @@ def load_model(header: Header) -> MapNet:
 
     from drapenet.network import MapNet
 
-    data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
+    data = read_bytes(header.path, MAX_WEIGHTS_BYTES, "checkpoint")
     if hashlib.sha256(data).hexdigest() != header.weights.sha256:
         raise InputError(f"{header.path} and its JSON do not belong together (checksum); copy "
                          "both again")
@@ -273,8 +273,8 @@ def load_state(
     """
     from safetensors import safe_open
 
-    require_regular(path, LARGEST_WEIGHTS, "training's state")
-    with _damage_explained(path), safe_open(path, framework="pt") as file:
+    require_regular(path, MAX_WEIGHTS_BYTES, "training's state")
+    with _damage_as_input_error(path), safe_open(path, framework="pt") as file:
         record = Record.of(parse_json((file.metadata() or {}).get("record", ""), "record"), "")
         tensors = {name: file.get_tensor(name) for name in file.keys()}
     if changed := differences(record.run, run):
@@ -282,7 +282,7 @@ def load_state(
         raise InputError(f"{path.parent} contains a training with other settings ({names}); choose "
                          "another out=, or remove it (epochs must be the same, because the "
                          "learning rate depends on them)")
-    with _damage_explained(path):
+    with _damage_as_input_error(path):
         model.load_state_dict({name.removeprefix("model."): value
                                for name, value in tensors.items() if name.startswith("model.")})
         moments: dict[int, dict[str, torch.Tensor]] = {}
@@ -300,7 +300,7 @@ def load_state(
 
 
 @contextmanager
-def _damage_explained(path: Path) -> Iterator[None]:
+def _damage_as_input_error(path: Path) -> Iterator[None]:
     """An InputError for a training's state ``path`` that cannot be resumed."""
     from safetensors import SafetensorError
 

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from drapenet.maps import Maps
     from drapenet.network import MapNet
 
-FEWER = 5  # times as many captures are like those trained on as there are of any other kind
-_AT_ONCE = 64  # captures
-_FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
-_STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
+OTHER_CONDITIONS = 5  # times as many captures are like those trained on as there are of any other kind
+_BATCH_SIZE = 64  # captures
+_FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
+_HIGH_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
 
 Rows = Callable[["Maps"], np.ndarray]
 """(N,) bool: which captures a cell looks at."""
@@ -88,7 +88,7 @@ CELLS: dict[str, Cell] = {
     "membrane x 3": Cell("membrane x 3"),
     "membrane / 3": Cell("membrane / 3"),
     "friction above 150 µN": Cell(
-        rows=lambda maps: maps.nuisance("friction") > _STIFF_FRICTION),
+        rows=lambda maps: maps.nuisance("friction") > _HIGH_FRICTION),
     "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
 }
 
@@ -97,7 +97,7 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
     """The drapes that the matrix needs, from those ``base`` that are like the ones trained on."""
     real = base.sampling.nuisances
     middle = float(np.sqrt(np.prod(real.membrane)))
-    few = replace(base, drapes=-(-base.drapes // FEWER))
+    few = replace(base, drapes=-(-base.drapes // OTHER_CONDITIONS))
 
     def other(nuisances: NuisanceConfig) -> DatasetConfig:
         return replace(few, sampling=replace(base.sampling, nuisances=nuisances))
@@ -105,7 +105,7 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
     return {
         "as trained": base,
         "none": other(NuisanceConfig()),
-        "finer mesh": replace(few, edge=_FINER),
+        "finer mesh": replace(few, edge=_FINE_EDGE),
         **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
            for sign, value in (("x", 3 * middle), ("/", middle / 3))},
     }
@@ -126,7 +126,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
     disc = Rig.from_name(header.rig).specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
     truth, means, places = captures.truth, [], []
-    for rows, batch in captures.in_order(_AT_ONCE, known=known):
+    for rows, batch in captures.in_order(_BATCH_SIZE, known=known):
         samples = sample_targets(network, header, batch)
         means.append(samples.mean(axis=0)[:, :MODULI])
         places.append(ranks(samples, truth[rows])[:, :MODULI])
@@ -180,7 +180,7 @@ def main(config: EvaluateConfig) -> None:
         cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
         out = out / Path(config.fabrics).stem
     results = {}
-    few = -(-base.drapes // (FEWER * base.drapes_per_shard))  # shards of other captures
+    few = -(-base.drapes // (OTHER_CONDITIONS * base.drapes_per_shard))  # shards of other captures
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
         folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
         generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)

@@ -25,7 +25,7 @@ SPECIMEN = 0.10
 """Standard deviation of log alpha between specimens of a fabric, by the network's estimates of the
 scans of Gong et al. (CVPR 2024): 0.11, 0.09 and 0.10 for warp, bias and weft over nine fabrics.
 """
-DOUBTED = 0.01
+CONTRADICTION_LEVEL = 0.01
 """Probability with which captures of one fabric are taken for different ones."""
 _DRAWS = 4000
 
@@ -99,7 +99,7 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
 
     Of log alpha (3,), a capture's posterior mean less that of the others together has the
     covariance of what their errors do not share and of the scatter between specimens. Its
-    chi-square is compared with the quantile of :data:`DOUBTED`, divided by the number of captures
+    chi-square is compared with the quantile of :data:`CONTRADICTION_LEVEL`, divided by the number of captures
     where that exceeds two (Bonferroni). The worst capture is named and left out, then the rest are
     compared.
     """
@@ -109,7 +109,7 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
     directions, unit = estimates[0].names, 1e6 * estimates[0].density / REFERENCE_DENSITY
     left, lines = list(range(len(estimates))), []
     while len(left) > 1:
-        limit = float(chi2.isf(DOUBTED / (len(left) if len(left) > 2 else 1), len(directions)))
+        limit = float(chi2.isf(CONTRADICTION_LEVEL / (len(left) if len(left) > 2 else 1), len(directions)))
         found = []
         for k in left:
             others = [j for j in left if j != k]

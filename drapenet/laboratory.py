@@ -25,7 +25,7 @@ KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 MG_CM = 1e-6 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 mg·cm
 GF_CM = 1e-3 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 gf·cm²/cm
-MOST_OUTSIDE = 0.5  # share of samples outside the law, from which B is not given
+MAX_OUTSIDE_SHARE = 0.5  # share of samples outside the law, from which B is not given
 _SOFTENING = np.sinh(np.linspace(np.arcsinh(-4.0), np.arcsinh(10.0), 240))
 _STEPS, _POINTS = 100, 11  # of the strips' integration: error below 1e-6
 
@@ -74,7 +74,7 @@ def laboratory(estimate: Estimate) -> dict[str, dict[str, Any]]:
         "bending_length_mm": summary(1e3 * length[:, k]),
         "flexural_rigidity_uN_m": summary(rigidity[:, k] / MICRO),
         "flexural_rigidity_mg_cm": summary(rigidity[:, k] / MG_CM),
-        "kes_b_gf_cm2_per_cm": None if outside[k] > MOST_OUTSIDE else summary(kes[:, k] / GF_CM),
+        "kes_b_gf_cm2_per_cm": None if outside[k] > MAX_OUTSIDE_SHARE else summary(kes[:, k] / GF_CM),
         "kes_b_outside_law_probability": round(float(outside[k]), 3),
     } for k, name in enumerate(estimate.names)}
 

@@ -23,12 +23,12 @@ from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
 from sim.mesh import strip
 from sim.scene import GRAVITY
 
-LARGEST_ESTIMATE = 8 << 20  # bytes
-LONGEST_NAME = 80  # characters
+MAX_ESTIMATE_BYTES = 8 << 20  # bytes
+MAX_NAME_LENGTH = 80  # characters
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
           "equal": ("equal", 0.0), "random": ("random", 0.0)}
 """Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
-FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
+MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that a mesh is tried with
 SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
 GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
 
@@ -109,11 +109,11 @@ class Material:
         """Modulus of hinges on the mesh over the plate's that they hang like."""
         natural = np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
         cells = round(natural / self.edge)
-        if cells < FEWEST_CELLS:
+        if cells < MIN_CELLS:
             raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
                              f"folds are about {1e3 * natural:.0f} mm long; at most "
-                             f"{1e3 * natural / FEWEST_CELLS:.1f}")
-        return _ratio(self.mesh, min(cells, MOST_CELLS))
+                             f"{1e3 * natural / MIN_CELLS:.1f}")
+        return _ratio(self.mesh, min(cells, MAX_CELLS))
 
     @property
     def about(self) -> dict[str, Any]:
@@ -157,10 +157,10 @@ def read_material(
         raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
     if not 0 <= curvature <= 1000:
         raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
-    if len(name) > LONGEST_NAME or not name.isprintable():
-        raise InputError(f"name= must be at most {LONGEST_NAME} printable characters")
+    if len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise InputError(f"name= must be at most {MAX_NAME_LENGTH} printable characters")
     path = path / ESTIMATE if path.is_dir() else path
-    data = read_bytes(path, LARGEST_ESTIMATE, "file estimate.json")
+    data = read_bytes(path, MAX_ESTIMATE_BYTES, "file estimate.json")
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     content = parse_json(data, path, EstimateFile.remedy)
     if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
@@ -180,7 +180,7 @@ def _captured_name(capture: dict[str, Any]) -> str:
     sources = capture.get("sources") or [capture.get("source")]
     if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
         return "fabric"
-    return result_name([Path(source) for source in sources])[-LONGEST_NAME:]
+    return result_name([Path(source) for source in sources])[-MAX_NAME_LENGTH:]
 
 
 @cache

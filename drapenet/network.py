@@ -76,7 +76,7 @@ class Batch:
         return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
 
 
-class AroundConv(torch.nn.Conv2d):
+class CircularConv(torch.nn.Conv2d):
     """A convolution of maps (N, C, elevations, azimuths) that go on beyond the last azimuth."""
 
     def forward(self, maps: torch.Tensor) -> torch.Tensor:
@@ -110,7 +110,7 @@ class MapNet(torch.nn.Module):
         self.stages = torch.nn.Sequential(*(
             network._make_layer(block, planes, 2, stride=1 if k == 0 else 2)
             for k, planes in enumerate(widths)))
-        _close(self)
+        _make_circular(self)
         self.shape = {"components": components, "targets": targets}
         features = widths[-1] * (1 + 2 * len(_HARMONICS)) + KNOWN
         self.head = torch.nn.Sequential(
@@ -140,13 +140,13 @@ class MapNet(torch.nn.Module):
         return Mixture.of_outputs(outputs, **self.shape)
 
 
-def _close(module: torch.nn.Module) -> None:
+def _make_circular(module: torch.nn.Module) -> None:
     """Make all convolutions within ``module`` such that close around the axis."""
     for name, child in module.named_children():
         if isinstance(child, torch.nn.Conv2d) and child.kernel_size[0] > 1:
-            around = AroundConv(child.in_channels, child.out_channels, child.kernel_size,
+            around = CircularConv(child.in_channels, child.out_channels, child.kernel_size,
                                 stride=child.stride, bias=child.bias is not None)
             around.load_state_dict(child.state_dict())
             setattr(module, name, around)
         else:
-            _close(child)
+            _make_circular(child)

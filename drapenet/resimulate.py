@@ -24,7 +24,7 @@ FIT_WIDTH = 120  # pixels, of the pictures compared for it
 EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
 PROFILE_HEIGHT, PROFILE_BAND = -0.04, 0.016  # m above the plate, of radius profiles, and around it
 BINS = 180  # of a radius profile
-LEAST_OVERLAP = 0.7
+MIN_OVERLAP = 0.7
 """Of the silhouettes. Sound captures have 0.82 and more (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
@@ -55,7 +55,7 @@ class Resimulation:
     @property
     def doubts(self) -> list[str]:
         """What to say of a drape that is not like the captured one, one line each."""
-        if self.overlap >= LEAST_OVERLAP:
+        if self.overlap >= MIN_OVERLAP:
             return []
         return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
                 "the captured one: check the pictures, their intrinsics and the rig; if they are "

@@ -14,8 +14,8 @@ from drapenet.resimulate import Resimulation, turned
 from sim.mesh import vertex_normals
 from sim.scene import Rig
 
-MOST_POINTS = 16_000  # of the captured surface, all views together
-FOLD = 6e-3  # m, jump in depth from which on two pixels show different cloth
+MAX_POINTS = 16_000  # of the captured surface, all views together
+MAX_JUMP = 6e-3  # m, jump in depth from which on two pixels show different cloth
 _COLUMN = 0.13  # m, height of the support that is drawn
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows: z up to y up
 _COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
@@ -48,7 +48,7 @@ def captured_surface(
     Views overlap; each keeps its own points. Arguments as for :func:`drape_glb`.
     """
     count = (views > 0).sum()
-    step = max(1, int(np.ceil(np.sqrt(count / MOST_POINTS))))
+    step = max(1, int(np.ceil(np.sqrt(count / MAX_POINTS))))
     small = views[:, ::step, ::step]
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     points, faces, before = [], [], 0
@@ -70,7 +70,7 @@ def _between(number: np.ndarray, depth: np.ndarray) -> np.ndarray:
     for trio in ((0, 1, 2), (0, 2, 3)):
         numbers = np.stack([number[corners[k]] for k in trio], axis=-1)
         depths = np.stack([depth[corners[k]] for k in trio], axis=-1)
-        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < FOLD)])
+        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < MAX_JUMP)])
     return np.concatenate(found)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-WIDEST = 28  # characters of a fabric's name
+MAX_NAME_WIDTH = 28  # characters of a fabric's name
 _FORMULA = tuple("=+-@\t\r\n")  # a cell that begins like this is computed by spreadsheets
 
 
@@ -102,7 +102,7 @@ def format_fabrics(rows: Sequence[tuple[str, int, dict[str, Any], int]]) -> str:
     """A line for each fabric: name, captures, alpha with its 68 % interval from the content of
     ``estimate.json``, and the number of warnings.
     """
-    names = [name if len(name) <= WIDEST else f"{name[: WIDEST - 1]}…" for name, *_ in rows]
+    names = [name if len(name) <= MAX_NAME_WIDTH else f"{name[: MAX_NAME_WIDTH - 1]}…" for name, *_ in rows]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
              + "".join(f"{f'alpha {role}':>24}" for role in ("warp/stiff", "bias", "weft/soft"))

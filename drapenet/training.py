@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
     from tqdm import tqdm
 
-_UNSEEN_AT_ONCE = 128
+_VALIDATION_BATCH = 128
 _GIVEN = [NAMES.index(name) for name in ("membrane", "friction")]
-_FEW = 1000  # captures that the mean distance is taken of
+_MEAN_SAMPLE = 1000  # captures that the mean distance is taken of
 
 
 def choose_device(config: TrainConfig) -> torch.device:
@@ -79,7 +79,7 @@ class CaptureSet:
 
     def network(self, config: ModelConfig) -> dict:
         """Arguments of :class:`drapenet.network.MapNet` for these captures."""
-        few = self.maps.distance[:: -(-len(self) // _FEW)].astype(np.float32)
+        few = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
         return {**asdict(config), "targets": self.targets.shape[1],
                 "distance": round(float(few.mean()), 4), "spread": round(float(few.std()), 4)}
 
@@ -159,7 +159,7 @@ def validate(network: MapNet, captures: CaptureSet) -> dict:
     """
     network.eval()
     losses, errors, places = [], [], []
-    for _, batch in captures.in_order(_UNSEEN_AT_ONCE):
+    for _, batch in captures.in_order(_VALIDATION_BATCH):
         mixture = batch.through(network).cpu()
         losses.append(-mixture.log_likelihood(batch.targets))
         draws = mixture.sample(400, torch.Generator().manual_seed(0))

@@ -13,7 +13,7 @@ from data.captures import MARKS
 
 COLUMNS = ("fabric", "sample", "capture")
 """Of a list; ``sample`` may be left out, ``capture`` is a folder, relative to the list's."""
-LONGEST_NAME = 80  # characters, of a folder of results
+MAX_NAME_LENGTH = 80  # characters, of a folder of results
 
 
 @dataclass(frozen=True)
@@ -116,5 +116,5 @@ def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) 
 
 def plain_name(name: str) -> str:
     """``name`` as a folder's name that no file system, address or shell takes for another thing."""
-    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:LONGEST_NAME]
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:MAX_NAME_LENGTH]
     return plain or "unnamed"

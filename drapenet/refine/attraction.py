@@ -27,7 +27,7 @@ from sim.scene import Rig, Scene
 from sim.state import State
 
 _COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
-BENT = 1.5
+MAX_HINGE_ANGLE = 1.5
 """rad; hinges of the first mesh that are bent more are smoothed. Laid on a surface with narrow
 folds, cloth is so crumpled that soft fabrics came out entangled, or no minimum was found at all."""
 _SMOOTHINGS = 50
@@ -109,7 +109,7 @@ def captured_shape(
 
 
 def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
-    """Positions (V, 3), m, with few hinges bent beyond :data:`BENT`.
+    """Positions (V, 3), m, with few hinges bent beyond :data:`MAX_HINGE_ANGLE`.
 
     Free vertices around those move half-way to the mean of their neighbours, again and again.
     """
@@ -117,7 +117,7 @@ def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
     adjacent = adjacency(mesh)
     hinges = Hinges(mesh, scene.active)
     for _ in range(_SMOOTHINGS):
-        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > BENT
+        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
         if not bent.any():
             break
         moving = np.zeros(len(x), dtype=bool)

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from common.ctrl_c import require_interruption
 
-LONGEST = 1.0
+MAX_STEP = 1.0
 """Longest step, in a problem's units: further away a linearised drape says little."""
 
 
@@ -171,7 +171,7 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
     """
     problem, limits = run.problem, run.limits
     x, value = run.best.x, run.best.value
-    radius = 0.5 * LONGEST
+    radius = 0.5 * MAX_STEP
     while True:
         linearised = problem.linearised(x)
         if linearised is None:
@@ -195,7 +195,7 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
             trial = run.value(x + step)
             gain = (value - trial) / promised
             if gain > 0.75 and not whole:
-                radius = min(2 * radius, LONGEST)
+                radius = min(2 * radius, MAX_STEP)
             elif gain < 0.25:
                 radius = 0.3 * length
             if trial < value:

@@ -75,7 +75,7 @@ class Problem:
             ``near``.
         nuisance: (K,) first values of the objective's parameters; its own unless given.
         hold: the springs; None for none.
-        doubt: by which the objective's residuals are divided: where the best cloth meets them
+        error_scale: by which the objective's residuals are divided: where the best cloth meets them
             worse than their errors say.
         effort: to count in; a new one unless given.
 
@@ -98,10 +98,10 @@ class Problem:
         rest: np.ndarray | None = None,
         nuisance: np.ndarray | None = None,
         hold: Hold | None = None,
-        doubt: float = 1.0,
+        error_scale: float = 1.0,
         effort: Effort | None = None,
     ) -> None:
-        self.objective, self.known, self.doubt = objective, known, doubt
+        self.objective, self.known, self.error_scale = objective, known, error_scale
         self.effort = effort or Effort()
         self._near, self._hold, self._cloth = near, hold, cloth
         self._rest = near.rest if rest is None else rest
@@ -145,16 +145,16 @@ class Problem:
         return trial.value
 
     def weigh(self) -> None:
-        """Set :attr:`doubt` by how well the best trial meets the objective, and its value again."""
+        """Set :attr:`error_scale` by how well the best trial meets the objective, and its value again."""
         best = self.best
         found = self.objective.linearised(best.drape.positions, best.nuisance)
         freedom = max(found.independent - len(best.x), 1.0)
-        self.doubt = math.sqrt(max(2 * best.misfit / freedom, 1.0))
+        self.error_scale = math.sqrt(max(2 * best.misfit / freedom, 1.0))
         self.best = self.last = replace(best, value=self.total(best))
 
     def total(self, trial: Trial) -> float:
-        """The value of a trial by the present :attr:`doubt`."""
-        return trial.misfit / self.doubt**2 + value(self._beforehand(trial.cloth, trial.nuisance))
+        """The value of a trial by the present :attr:`error_scale`."""
+        return trial.misfit / self.error_scale**2 + value(self._beforehand(trial.cloth, trial.nuisance))
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best trial's."""
@@ -168,7 +168,7 @@ class Problem:
         number = self.cloths
         jacobian = found.along(moves)
         jacobian[:, number:] += found.by_nuisance
-        jacobian /= self.doubt
+        jacobian /= self.error_scale
         roots = []
         if self.known is not None:
             own = np.zeros((len(UNKNOWNS), len(x)))
@@ -176,7 +176,7 @@ class Problem:
             roots.append(own)
         own = np.zeros((len(trial.nuisance), len(x)))
         own[:, number:] = np.diag(1 / self.objective.deviation)
-        return (np.concatenate([found.residuals / self.doubt,
+        return (np.concatenate([found.residuals / self.error_scale,
                                 self._beforehand(trial.cloth, trial.nuisance)]),
                 np.concatenate([jacobian, *roots, own]) * self.scale)
 

@@ -35,10 +35,10 @@ from sim.drape import DrapeResult
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.scene import Rig
 
-WORST = 10.0
+MAX_REDUCED_CHI2 = 10.0
 """Squared deviations per measurement (sound captures: 0.8 to 2.5) from which on no cloth takes the
 captured surface."""
-FAR = 8.0  # mm, mean distance from the scan at which the estimate's drape is doubted
+MAX_DISPLACEMENT_MM = 8.0  # mm, mean distance from the scan at which the estimate's drape is doubted
 _DRAWS = 4000  # samples of the refined moduli
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
             "friction": ("friction_un", 1 / MICRO), "curl_warp": ("curl_warp_per_m", 1.0),
@@ -108,7 +108,7 @@ def refined_capture(
         positions = drape.positions
         simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
     draws = None
-    if theta is not None and found.improved and found.uncertainty.reduced_chi2 < WORST:
+    if theta is not None and found.improved and found.uncertainty.reduced_chi2 < MAX_REDUCED_CHI2:
         draws = Draws.possible(theta, np.full(len(theta), turn))
     shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
                    positions=positions, statuses=[drape.status.value])
@@ -177,10 +177,10 @@ def _doubts(
 ) -> list[str]:
     """What to say of a search, a line each; ``near``: of the drape let go at a ``scan``."""
     doubts = []
-    if theta is not None and found.uncertainty.reduced_chi2 >= WORST:
+    if theta is not None and found.uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
         doubts.append("no simulated cloth fits the captured surface (squared misfit "
                       f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
-                      f"most {WORST:g}): the network's estimate stands; check rig, specimen, "
+                      f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check rig, specimen, "
                       "cut-out and intrinsics")
     elif not found.improved:
         doubts.append("the refinement found no fabric that agrees better with the capture: the "
@@ -188,9 +188,9 @@ def _doubts(
     elif theta is None:
         doubts.append("the refinement gives no uncertainty: the network's estimate stands")
     unsettled = scan and not near and found.status is not Status.INTERRUPTED
-    if unsettled or (near and near.displacement_mm > FAR):
+    if unsettled or (near and near.displacement_mm > MAX_DISPLACEMENT_MM):
         ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
-                f"{FAR:g} mm)" if near else "does not come to rest at the scan")
+                f"{MAX_DISPLACEMENT_MM:g} mm)" if near else "does not come to rest at the scan")
         doubts.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
                       "and that the cloth hung freely")
     return doubts

@@ -30,20 +30,20 @@ from sim.scene import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """Bends as easily as the softest real fabrics: it irons no fold out."""
-FIRMLY = 30.0
+LAST_PULL = 30.0
 """Last pull, force at 1 mm over the cloth's weight. Nine real scans are met to 0.6 mm, the mesh
 strained by 0.6 % as drapes are; 100 leaves 0.4 mm at 1.1 %."""
-SLID = 0.05
+MAX_STRAIN = 0.05
 """Cloth does not stretch so much by its own weight: a scan whose edges differ by this from their
 rest lengths, root mean square, has vertices that slid along the cloth."""
 RAW = (".ply", ".obj")
-LARGEST_CLOUD = 256 << 20  # bytes
-LEAST_HELD = 0.5  # of the support's radius
+MAX_CLOUD_BYTES = 256 << 20  # bytes
+MIN_HELD = 0.5  # of the support's radius
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
-_FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
-_APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
-_ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
-_FOREIGN = 0.1  # ... and more than this share of them does not go
+_PLATE_TOLERANCE = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
+_MAX_DISTANCE = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
+_FOREIGN_DISTANCE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
+_MAX_FOREIGN_SHARE = 0.1  # ... and more than this share of them does not go
 
 
 @dataclass(frozen=True)
@@ -74,26 +74,26 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
         InputError: no such scan, a surface that the specimen cannot be laid on, or a share out of
             range.
     """
-    if not LEAST_HELD <= held <= 1.0:
-        raise InputError(f"held={held:g} must lie between {LEAST_HELD} and 1 (share of the "
+    if not MIN_HELD <= held <= 1.0:
+        raise InputError(f"held={held:g} must lie between {MIN_HELD} and 1 (share of the "
                          "support's radius)")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
         found = register(cloud, rig, edge=edge, held=held)
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
-        if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
+        if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
             raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
                              f"{rig.name}; cut away all that is not cloth, such as the table")
     else:
         scan = read_scan(path, rig)
         own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
-        if own.strain < SLID:
+        if own.strain < MAX_STRAIN:
             return Registered(own, 0.0)
         found = register(
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
             held=held)
-    if found.distance > _APART:
+    if found.distance > _MAX_DISTANCE:
         raise InputError(f"{path}: the specimen of {rig.name} lies {1e3 * found.distance:.0f} mm "
                          "from this surface on average and does not fit it; give all of the cloth "
                          "and nothing else, in metres")
@@ -150,7 +150,7 @@ def register(
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
-    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
+    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
     shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
     apart = distances(cloud, shape.positions)[shape.hanging].mean()
     return Registered(shape, float(apart))
@@ -165,7 +165,7 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     import trimesh
 
     # In memory first: a scan may name other files, materials for example, which are not read.
-    data = read_bytes(path, LARGEST_CLOUD, "scan")
+    data = read_bytes(path, MAX_CLOUD_BYTES, "scan")
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                               skip_materials=True, force=None)
@@ -192,10 +192,10 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
     if not len(middle):
         raise InputError(f"{path}: no point lies on the plate; move its centre to the origin")
-    if (off := np.abs(np.median(middle[:, 2]))) > _FLAT:
+    if (off := np.abs(np.median(middle[:, 2]))) > _PLATE_TOLERANCE:
         raise InputError(f"{path}: cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 "
-                         f"(median), at most {1e3 * _FLAT:g} mm is allowed; move the plate's top "
+                         f"(median), at most {1e3 * _PLATE_TOLERANCE:g} mm is allowed; move the plate's top "
                          "to z = 0, with z pointing up")
-    if points[:, 2].min() > -_FLAT:
+    if points[:, 2].min() > -_PLATE_TOLERANCE:
         raise InputError(f"{path}: no point lies below the support; z must point up (in metres)")
     return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

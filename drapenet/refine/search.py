@@ -40,8 +40,8 @@ from sim.scene import Rig
 from sim.sensitivity import follow
 
 REACH = 6e-3  # m, beyond which a captured point does not hold cloth
-WORTHWHILE = 3e-3  # share of the value that a step must promise
-IMPROVEMENT = 0.5  # of the logarithm of the probability, below which nothing was gained
+MIN_DECREASE = 3e-3  # share of the value that a step must promise
+MIN_IMPROVEMENT = 0.5  # of the logarithm of the probability, below which nothing was gained
 RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)
 """When cloth that is let go is at rest well enough to be looked at."""
 
@@ -187,7 +187,7 @@ class Found:
     @property
     def improved(self) -> bool:
         """Whether the cloth found explains the capture better than the first start."""
-        return self.start_value is None or self.best.value < self.start_value - IMPROVEMENT
+        return self.start_value is None or self.best.value < self.start_value - MIN_IMPROVEMENT
 
 
 def search(
@@ -246,9 +246,9 @@ class _Run:
         springs become weaker; in the end compare with ``first``.
         """
         before = self.problem
-        nuisance, doubt = (before.best.nuisance, before.doubt) if before else (None, 1.0)
+        nuisance, error_scale = (before.best.nuisance, before.error_scale) if before else (None, 1.0)
         held = self.seen.held(level, cloths[0], nuisance)
-        tried = [self.problem_at(held, held.near, cloth, nuisance, level.pulls[0], doubt)
+        tried = [self.problem_at(held, held.near, cloth, nuisance, level.pulls[0], error_scale)
                  for cloth in cloths]
         tried = [problem for problem in tried if problem.best is not None]
         if not tried:
@@ -257,23 +257,23 @@ class _Run:
         for pull in level.pulls[1:]:
             best = self.problem.best
             problem = self.problem_at(held, best.drape, best.cloth, best.nuisance, pull,
-                                      self.problem.doubt)
+                                      self.problem.error_scale)
             if problem.best is None:
                 return
             self.minimise(problem, level.evaluations)
         if first is not None:
             near = self.problem.best.drape
             self.first = self.problem_at(held, near, first, self.problem.best.nuisance,
-                                         level.pulls[-1], self.problem.doubt).best
+                                         level.pulls[-1], self.problem.error_scale).best
 
     def problem_at(
         self, held: Held, near: DrapeResult, cloth: Cloth, nuisance: np.ndarray | None, pull: float,
-        doubt: float,
+        error_scale: float,
     ) -> Problem:
         """The problem that begins with ``cloth``, seen from where that fits best."""
         problem = Problem(near, cloth, held.objective, free=self.free, known=self.known,
                           rest=held.near.rest, nuisance=nuisance, hold=held.springs(pull),
-                          doubt=doubt, effort=self.effort)
+                          error_scale=error_scale, effort=self.effort)
         problem.value(problem.start)
         if problem.best is not None:
             self.problem = self.problem or problem  # for whoever interrupts the first round
@@ -290,7 +290,7 @@ class _Run:
         problem.weigh()
         problem.start = problem.best.x
         outcome = minimise(
-            problem, limits=Limits(evaluations=evaluations + 1, decrease=WORTHWHILE),
+            problem, limits=Limits(evaluations=evaluations + 1, decrease=MIN_DECREASE),
             report=lambda *_: self.report(problem))
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt

@@ -32,7 +32,7 @@ from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
-from drapenet.service.protocol import ImpatientProtocol
+from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
@@ -41,14 +41,14 @@ from drapenet.tree import plain_name
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "captures" / "twill"
-_TIDY = 600.0  # s between two looks for results that are too old
+_TIDY_INTERVAL = 600.0  # s between two looks for results that are too old
 _SECURE = {
     "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src "
                                "'self' data: blob:; connect-src 'self' data: blob:; "
                                "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"}
-_DRAIN = 1 << 20  # bytes, of a refused upload that are read so that its sender reads the answer
-_PATIENCE = 2.0  # s, for them
+_MAX_DRAINED = 1 << 20  # bytes, of a refused upload that are read so that its sender reads the answer
+_DRAIN_TIMEOUT = 2.0  # s, for them
 _ANSWERS = {404: "no such estimate, or file of it", 408: "the upload paused or took too long",
             409: "not yet available", 413: "too many or too large files",
             415: "a kind of file that is not taken", 422: "not a capture",
@@ -73,7 +73,7 @@ def serve(settings: Settings) -> None:
     require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
-        http=ImpatientProtocol, ws="none",
+        http=TimeoutProtocol, ws="none",
         limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
         timeout_graceful_shutdown=3, server_header=False))
     try:
@@ -251,7 +251,7 @@ async def _form(
         await _drain(request)
         raise RequestError(415, "send the files as multipart/form-data, in the field files")
     stated = request.headers.get("content-length", "0")
-    if stated.isdigit() and int(stated) > settings.bytes + _DRAIN:
+    if stated.isdigit() and int(stated) > settings.bytes + _MAX_DRAINED:
         raise RequestError(413, f"the upload has {int(stated) / 1e6:.0f} MB; at most "
                            f"{settings.bytes / 1e6:g}")
     _limit(request, settings)
@@ -288,7 +288,7 @@ def _limit(request: Request, settings: Settings) -> None:
             raise RequestError(408, f"the upload paused for {settings.idle_seconds:g} s or took "
                                f"more than {settings.upload_seconds:g} s; try again") from None
         total += len(message.get("body", b""))
-        if total > settings.bytes + _DRAIN:
+        if total > settings.bytes + _MAX_DRAINED:
             raise RequestError(413, f"the upload has more than {settings.bytes / 1e6:g} MB")
         return message
 
@@ -301,11 +301,11 @@ async def _drain(request: Request) -> None:
         total = 0
         async for part in request.stream():
             total += len(part)
-            if total > _DRAIN:
+            if total > _MAX_DRAINED:
                 return
 
     with suppress(Exception):  # it is refused anyway
-        await asyncio.wait_for(read(), _PATIENCE)
+        await asyncio.wait_for(read(), _DRAIN_TIMEOUT)
 
 
 async def _guarded(
@@ -338,4 +338,4 @@ async def _closed(request: Request, error: ClientDisconnect) -> JSONResponse:
 async def _tidy(jobs: Jobs) -> None:
     while True:
         await run_in_threadpool(jobs.tidy)
-        await asyncio.sleep(_TIDY)
+        await asyncio.sleep(_TIDY_INTERVAL)

@@ -30,7 +30,7 @@ from drapenet.service.work import (
 )
 
 _ID = re.compile(r"[A-Za-z0-9_-]{22}")
-_SPENT = 500  # estimates after which a worker process makes room for a fresh one
+_MAX_TASKS = 500  # estimates after which a worker process makes room for a fresh one
 _RESTARTED = ("the service was started again before this estimate was finished; upload the capture "
               "again")
 
@@ -57,7 +57,7 @@ class Jobs:
     def _workers(self) -> ProcessPool:
         """Worker processes, getting ready."""
         pool = ProcessPool(
-            max_workers=self.settings.processes, max_tasks=_SPENT, initializer=warm_up,
+            max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
             initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
         pool.schedule(os.getpid)  # starts them
         return pool

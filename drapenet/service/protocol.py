@@ -4,10 +4,10 @@ import asyncio
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-SECONDS = 8.0  # that the head of a request may take
+HEAD_TIMEOUT = 8.0  # that the head of a request may take
 
 
-class ImpatientProtocol(H11Protocol):
+class TimeoutProtocol(H11Protocol):
     """Closes a connection whose next request does not begin, for which uvicorn has no limit."""
 
     _overdue: asyncio.TimerHandle | None = None
@@ -31,7 +31,7 @@ class ImpatientProtocol(H11Protocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _wait(self) -> None:
-        self._overdue = self.loop.call_later(SECONDS, self._close)
+        self._overdue = self.loop.call_later(HEAD_TIMEOUT, self._close)
 
     def _close(self) -> None:
         self._overdue = None

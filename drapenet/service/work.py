@@ -15,7 +15,7 @@ from drapenet.output import ESTIMATE, write_result
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
 ENDED = (DONE, FAILED, LOST)
-_PAUSE = 0.25  # s between two reports of progress
+_PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
@@ -114,7 +114,7 @@ def _throttled(folder: Path) -> Callable[[int, int, float], None]:
 
     def progress(made: int, expected: int, misfit: float) -> None:
         nonlocal last
-        if time.monotonic() - last > _PAUSE:
+        if time.monotonic() - last > _PROGRESS_INTERVAL:
             change_state(folder, progress={"made": made, "expected": max(expected, made),
                                            "misfit": misfit})
             last = time.monotonic()
