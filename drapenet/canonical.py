@@ -33,8 +33,8 @@ _MAX_TURN_STEPS = 12  # degrees, range of the search for a turn's error
 _TURN = 4.0  # degrees, its standard deviation
 _SHIFT = 2.5e-3  # m, standard deviation of the plate's estimated centre
 CENTRE_BIAS = 2.0e-3
-"""m, bias of the plate's estimated centre towards the camera: cloth bends down over the rim, and more
-of it is visible on the camera's side."""
+"""m, bias of the plate's estimated centre towards the camera: cloth bends down over the rim, and
+more of it is visible on the camera's side."""
 _GAP, _MAX_GAP = 1.5e-3, 6e-3  # m, between views of the same cloth: standard deviation; cut-off
 _MIN_COMMON_CELLS = 60  # for a comparison of two views
 _INDEPENDENT = 20.0  # number of independent cells of a pair
@@ -273,7 +273,7 @@ def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _least_squares(
     maps: np.ndarray, turns: np.ndarray, so_far: np.ndarray, rig: Rig
 ) -> np.ndarray:
-    """Gauss-Newton step (2 + K,) of centre, m, and turns, rad, that reduces the misfit of all views.
+    """Gauss-Newton step (2 + K,) of centre, m, and turns, rad, for the misfit of all views.
 
     A move v of a view's points changes the distance in direction u by n·v / n·u, where n is the
     surface normal of the mean map.

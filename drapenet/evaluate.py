@@ -2,12 +2,12 @@
 
     python -m drapenet.evaluate [rig=NAME] [checkpoint=FILE] [drapes=N] [fabrics=TABLE.csv]
 
-Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes, renders
-captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time: mesh,
-sensor, pose, views, membrane, friction, softness. Drapes and maps are cached in ``out``, so that an
-interrupted evaluation can be resumed. Errors are root mean squares, over drapes and directions, of the
-posterior's mean in units of the training fabrics' standard deviation; their intervals are from a
-bootstrap over fabrics.
+Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes,
+renders captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time:
+mesh, sensor, pose, views, membrane, friction, softness. Drapes and maps are cached in ``out``, so
+that an interrupted evaluation can be resumed. Errors are root mean squares, over drapes and
+directions, of the posterior's mean in units of the training fabrics' standard deviation; their
+intervals are from a bootstrap over fabrics.
 """
 
 import common.interrupt  # noqa: F401

@@ -98,8 +98,8 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
     """One line for each capture that contradicts the others.
 
     The difference of log alpha (3,) between a capture's posterior mean and the mean of the others
-    has the covariance of the uncorrelated part of their errors and of the scatter between specimens.
-    Its chi-square is compared with the quantile of :data:`CONTRADICTION_LEVEL`, divided by the
+    has the covariance of the uncorrelated part of their errors and of the scatter of specimens. Its
+    chi-square is compared with the quantile of :data:`CONTRADICTION_LEVEL`, divided by the
     number of captures if that exceeds two (Bonferroni). The worst capture is removed, and the test
     repeated with the remaining ones.
     """

@@ -79,7 +79,8 @@ def _plate(
         centre = weights @ points[on_plate] / weights.sum()
         weight = float(weights.sum())
         # Near the rim the cloth bends down, and more of it is visible in front: a bias.
-        inner = (np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius) & (above > -DEPTH_STEP)
+        near = np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius
+        inner = near & (above > -DEPTH_STEP)
     return normal, centre, weight
 
 

@@ -1,7 +1,7 @@
 """Captures, batches, validation and metadata of ``train.py``.
 
-Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state at
-the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
+Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state
+at the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
 finished epochs, and a resumed run gives the same weights as an uninterrupted one.
 """
 
