@@ -1,4 +1,4 @@
-"""Refinement as a least-squares problem: unknowns -> equilibrium -> residuals of objective and prior.
+"""Refinement as a least-squares problem: unknowns -> equilibrium -> residuals, with the prior's.
 
 The unknowns are free parameters of the specimen (:mod:`.cloth`) and the objective's nuisances, each
 divided by a typical step. Every simulation has a warm start from the best drape so far, which keeps
@@ -21,8 +21,8 @@ from sim.potential import forces
 from sim.sensitivity import Sensitivities, Tangent, follow
 
 Hold = Callable[[np.ndarray], Energy]
-"""Springs that hold the simulated cloth, as a function of the objective's nuisances (K,), because the
-placement of a captured surface depends on the estimated pose."""
+"""Springs that hold the simulated cloth, as a function of the objective's nuisances (K,), because
+the placement of a captured surface depends on the estimated pose."""
 
 
 _STEP = 1e-3  # of finite differences by a nuisance, in its scale

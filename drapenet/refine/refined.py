@@ -1,8 +1,8 @@
 """Refinement of an estimate by simulation: ``refine=`` of ``infer.py``.
 
-The network's estimate gives initial guesses only. The posterior combines the fabric prior, the prior
-of specimens (``configs/nuisances/real.yaml``) and the capture; the network is not counted as another
-measurement of the same pixels.
+The network's estimate gives initial guesses only. The posterior combines the fabric prior, the
+prior of specimens (``configs/nuisances/real.yaml``) and the capture; the network is not counted as
+another measurement of the same pixels.
 """
 
 import math

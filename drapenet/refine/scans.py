@@ -30,11 +30,11 @@ from sim.scene import DISC_RIG, Rig
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """As soft as the softest real fabrics, so that folds are preserved."""
 LAST_PULL = 30.0
-"""Force of the last pull at 1 mm over the cloth's weight. Nine real scans are matched to 0.6 mm with
-a strain of 0.6 %, as in drapes; a force of 100 gives 0.4 mm at 1.1 %."""
+"""Force of the last pull at 1 mm over the cloth's weight. Nine real scans are matched to 0.6 mm
+with a strain of 0.6 %, as in drapes; a force of 100 gives 0.4 mm at 1.1 %."""
 MAX_STRAIN = 0.05
-"""Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond, the
-scan's vertices have slid along the cloth."""
+"""Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond,
+the scan's vertices have slid along the cloth."""
 RAW = (".ply", ".obj")
 MAX_CLOUD_BYTES = 256 << 20  # bytes
 MIN_HELD = 0.5  # of the support's radius
