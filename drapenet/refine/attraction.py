@@ -28,8 +28,8 @@ from sim.state import State
 
 _COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
 MAX_HINGE_ANGLE = 1.5
-"""rad; vertices of hinges of the first mesh that are bent more are smoothed. Without smoothing, soft
-fabrics laid on narrow folds intersect themselves, or the minimisation fails."""
+"""rad; vertices of hinges of the first mesh that are bent more are smoothed. Otherwise soft fabrics
+laid on narrow folds intersect themselves, or the minimisation fails."""
 _SMOOTHINGS = 50
 PULLS = (3.0, 10.0, 10.0)
 """Force of the springs at a distance of 1 mm, over the cloth's weight, in turn."""

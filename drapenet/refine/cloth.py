@@ -175,7 +175,7 @@ def law_moves(
     moves = {}
     for name in names:
         step, value = _STEPS[name], getattr(nuisances, name)
-        # Central differences avoid a shear of exactly 1, another law; friction must not be negative.
+        # Not at a shear of exactly 1, which is another law; friction must not be negative.
         low, high = ((value * (1 - step), value * (1 + step)) if name in LOGARITHMIC
                      else (value, value + step))
         push = (forces_with(name, high) - forces_with(name, low)) / (high - low)

@@ -181,11 +181,11 @@ class RobustPositions:
         self._factor = math.sqrt(independent / len(self._vertices))
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (3 N,)."""
+        """Residuals (3 N,) at positions (V, 3), m."""
         return self._bent(positions)[0].ravel()
 
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
+        """Residuals (3 N,) and their derivatives."""
         residuals, scale, across = self._bent(positions)
 
         def along(moves: np.ndarray) -> np.ndarray:
