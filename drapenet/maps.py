@@ -154,7 +154,7 @@ def maps_of_shard(
 
 
 def compressed(maps: list[DrapeMap]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and weights of ``maps`` in the types of :class:`Maps`."""
+    """Distances and weights of ``maps`` as in :class:`Maps`."""
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([one.distance for one in maps], np.float16).reshape(shape)
     weight = np.array([np.log1p(one.weight) for one in maps]).reshape(shape)

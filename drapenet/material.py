@@ -145,8 +145,8 @@ def read_material(
     path: Path, *, curvature: float = 0.0, mesh: str = "unstructured", edge: float = 5e-3,
     name: str = "",
 ) -> Material:
-    """Read the fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes
-    of :class:`Material`, an empty ``name`` is that of the captures.
+    """The fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes of
+    :class:`Material`, an empty ``name`` is that of the captures.
 
     Raises:
         InputError: no such file, another kind of file, or an argument out of range.

@@ -28,7 +28,7 @@ def drape_glb(
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
-        camera: with its pose estimated from the plate; found: the views' map, for the table's turns.
+        camera: with its estimated pose; found: the views' map, for the table's turns.
         drape: None if no simulated drape converged; the node is omitted then.
     """
     scene = trimesh.Scene()

@@ -80,7 +80,7 @@ class Jobs:
         self._places.release()
 
     def submit(self, upload: Upload) -> str:
-        """Start the estimate of an upload in the place reserved by :meth:`reserve`; its identity."""
+        """Start the estimate of an upload in the reserved place of the queue; its identity."""
         identity = secrets.token_urlsafe(16)
         folder = self.settings.folder / identity
         try:
