@@ -95,9 +95,9 @@ def check(config: InferConfig) -> None:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
                          f"{' or '.join(ways)}")
     for key, value in config.refine.items():
-        whole = key == "starts"
-        if key != "by" and not (isinstance(value, int if whole else int | float) and value > 0):
-            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * whole}number")
+        integer = key == "starts"
+        if key != "by" and not (isinstance(value, int if integer else int | float) and value > 0):
+            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * integer}number")
         if key.endswith("_mm"):
             check_edge(1e-3 * value)
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]

@@ -140,7 +140,7 @@ def estimate_capture(
             doubts += refined.doubts
             before = interval_table(estimate, estimate.density)
             source["refined"] = refined.content | {"before": before}
-            if refined.draws:  # else the network's estimate stands, and is simulated below
+            if refined.draws:  # else the network's estimate is kept, and simulated below
                 estimate = make_estimate(refined.draws, capture=capture, header=header)
                 drape = refined.resimulation
     try:

@@ -52,8 +52,8 @@ def captured_surface(
     small = views[:, ::step, ::step]
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     points, faces, before = [], [], 0
-    for view, whole, turn in zip(small, views, found.turns, strict=True):
-        world = (camera.back_project(whole)[::step, ::step] - shift) @ rotation
+    for view, full, turn in zip(small, views, found.turns, strict=True):
+        world = (camera.back_project(full)[::step, ::step] - shift) @ rotation
         cloth = view > 0
         number = np.full(view.shape, -1)
         number[cloth] = before + np.arange(cloth.sum())

@@ -183,17 +183,17 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
         while True:
             step = np.zeros(len(x))
             step[free] = _step_within(gradient[free], curvature[np.ix_(free, free)], radius)
-            whole = np.linalg.norm(step) < 0.99 * radius
+            full_step = np.linalg.norm(step) < 0.99 * radius
             step = np.clip(x + step, problem.low, problem.high) - x
             length = float(np.linalg.norm(step))
             promised = -(gradient @ step + 0.5 * step @ curvature @ step)
             if length < limits.step or promised < limits.decrease * value:
                 # A full step means convergence; otherwise the radius has become too small.
-                return ((Status.CONVERGED, "no step is worth taking") if whole
+                return ((Status.CONVERGED, "no step is worth taking") if full_step
                         else (Status.STALLED, "no step leads down"))
             trial = run.value(x + step)
             gain = (value - trial) / promised
-            if gain > 0.75 and not whole:
+            if gain > 0.75 and not full_step:
                 radius = min(2 * radius, MAX_STEP)
             elif gain < 0.25:
                 radius = 0.3 * length
