@@ -56,13 +56,13 @@ def main(config: InferConfig) -> None:
     require_output(out, paths)
     for folder in folders:
         require_output(folder)
-    with deferred():  # torch takes seconds, and a bad capture should be refused at once
+    with deferred():  # importing torch takes seconds; input errors come first
         from drapenet.inference import estimate_capture
         from drapenet.joint import joint_result
 
     found = []
     for (capture, seen), folder in zip(sources, folders, strict=True):
-        # Refinement takes minutes: what ends it must not lose the network's estimate.
+        # Keep the network's estimate if the refinement, which takes minutes, is killed.
         first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
         if sys.stderr.isatty():
             print(f"{capture.path}: {len(capture.views)} views; the estimate takes about half a "
@@ -82,22 +82,22 @@ def export_estimates(files: list[Path], targets: list[str]) -> None:
 
 
 def known(config: InferConfig) -> dict[str, float]:
-    """What the user knows of the fabric, in SI units, as :func:`estimate_capture` takes it."""
+    """Known properties of the fabric, in SI units, for :func:`estimate_capture`."""
     values = {"membrane": config.membrane_n_per_m, "friction": 1e-6 * config.friction_un}
     return {name: value for name, value in values.items()
             if value > 0 or (name == "friction" and value == 0)}
 
 
 def check(config: InferConfig) -> None:
-    """InputError for values out of range, or keys that do not go together."""
+    """Raise InputError for values out of range or incompatible keys."""
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
     if config.refine["by"] not in ways:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
                          f"{' or '.join(ways)}")
     for key, value in config.refine.items():
-        whole = key == "starts"
-        if key != "by" and not (isinstance(value, int if whole else int | float) and value > 0):
-            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * whole}number")
+        integer = key == "starts"
+        if key != "by" and not (isinstance(value, int if integer else int | float) and value > 0):
+            raise InputError(f"refine.{key}={value} must be a positive {'whole ' * integer}number")
         if key.endswith("_mm"):
             check_edge(1e-3 * value)
     given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
@@ -112,7 +112,7 @@ def check(config: InferConfig) -> None:
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
-    """The captures that ``configs/infer.yaml`` names, each with the scan that it is of, or None."""
+    """Read the captures given in ``config``, each with its scan or None."""
     key = "scan" if config.scan else "capture"
     named = getattr(config, key)
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]

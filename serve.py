@@ -1,4 +1,4 @@
-"""Serve the estimator: a page for people, and an HTTP interface for programs.
+"""Serve the estimator: a web page and an HTTP interface.
 
     python serve.py [port=8000] [results=DIR] [workers=N] [queue=N]
 
@@ -19,7 +19,7 @@ from drapenet.service.settings import Settings
 @command("serve", Settings)
 def main(settings: Settings) -> None:
     """Serve until interrupted."""
-    os.environ.update(ONE_THREAD)  # of the worker processes; this one calculates nothing
+    os.environ.update(ONE_THREAD)  # inherited by the worker processes
     from drapenet.service.app import serve
 
     serve(settings)

@@ -2,8 +2,8 @@
 
     python train.py data=outputs/dataset out=outputs/train
 
-Run the same command again after an interruption: it goes on from the last finished epoch and
-ends with the same weights. Settings are in ``configs/train.yaml``; any of them is ``key=value``.
+After an interruption the same command resumes from the last finished epoch and gives the same
+weights. Settings are in ``configs/train.yaml``; override any of them by ``key=value``.
 """
 
 import common.interrupt  # noqa: F401
@@ -20,10 +20,10 @@ from drapenet.config import TrainConfig, learning_rate
 
 
 def train(config: TrainConfig) -> Path:
-    """Train, or go on training, and return the checkpoint with the least validation loss."""
+    """Train, or resume, and return the checkpoint with the lowest validation loss."""
     out = folder_named(config.out)
     require_folder(out / "tensorboard")
-    with deferred():  # torch takes seconds, and a bad word should be refused at once
+    with deferred():  # importing torch takes seconds; input errors come first
         import torch
         from torch.utils.tensorboard import SummaryWriter
         from tqdm import tqdm
@@ -42,12 +42,12 @@ def train(config: TrainConfig) -> Path:
     training, unseen, manifest = open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
 
-    torch.manual_seed(config.seed)  # the first weights are the only thing drawn from it
+    torch.manual_seed(config.seed)  # used for the initial weights only
     network = MapNet(**training.network(config.model))
     network = network.to(device, memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
-    # What must agree for an old state in this folder to be gone on from.
+    # Must agree with an existing state for a resume.
     run = {"settings": config.defining(), "dataset": manifest["hash"]}
     record = {"run": run, "epochs_done": 0, "best_loss": None}
     if state.exists():
@@ -94,7 +94,7 @@ def train(config: TrainConfig) -> Path:
 
 @command("train", TrainConfig)
 def main(config: TrainConfig) -> None:
-    """Train, and print where the weights are."""
+    """Train and print the paths of weights and log."""
     checkpoint = train(config)
     print(f"weights: {checkpoint}\nlog:     tensorboard --logdir {config.out}")
 

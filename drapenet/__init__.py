@@ -1,1 +1,1 @@
-"""The network that reads bending moduli from four depth images of a drape."""
+"""Estimation of bending moduli from depth images of a drape."""

@@ -1,8 +1,8 @@
-"""Hundreds of captures in one command: ``infer.py captures=ROOT out=OUT``.
+"""Batch inference: ``infer.py captures=ROOT out=OUT``.
 
 Each capture is estimated in a worker process and has its folder under OUT; a file
-``done.json`` is written last, with a digest of all that the result depends on. So an interrupted
-run goes on where it stopped, and ends with the same tables as one that was left alone.
+``done.json`` is written last, with a digest of all that the result depends on. An interrupted run
+is resumed from these files and gives the same tables as an uninterrupted one.
 """
 
 import hashlib
@@ -38,11 +38,11 @@ from drapenet.overview import write_overview
 from drapenet.table import format_fabrics
 from drapenet.tree import entries_of
 
-_PIECE = 1 << 20  # bytes
+_BLOCK = 1 << 20  # bytes
 
 
 class Done(Schema):
-    """``done.json``."""
+    """Content of ``done.json``."""
 
     stamp: str
     failure: str
@@ -52,16 +52,16 @@ def estimate_tree(
     source: Path, out: Path, *, checkpoint: str = "", workers: int = 0, **options: Any
 ) -> list[Path]:
     """Estimate all captures of ``source`` (:func:`drapenet.tree.entries_of`); write tables, a page
-    of each fabric and one of all to ``out``; the fabrics' files ``estimate.json``.
+    for each fabric and an overview to ``out``; return the fabrics' files ``estimate.json``.
 
     Args:
-        checkpoint: for all captures; empty: the bundled one of each one's rig.
+        checkpoint: for all captures; empty: the bundled one of each capture's rig.
         workers: processes, one thread each; 0: one for each core.
-        options: of :func:`drapenet.inference.estimate_capture`, fit for JSON.
+        options: of :func:`drapenet.inference.estimate_capture`, serialisable as JSON.
 
     Raises:
-        InputError: no captures, a bad checkpoint, a folder that cannot be written to, or not one
-            capture that can be estimated.
+        InputError: no captures, an invalid checkpoint, a folder that is not writable, or no capture
+            that can be estimated.
     """
     entries = entries_of(source)
     require_folder(out)
@@ -103,31 +103,31 @@ def estimate_tree(
 
 
 def stamp_of(capture: Path, checkpoint: str, options: Mapping[str, Any]) -> str:
-    """A digest of a capture's files and of all else that its estimate depends on."""
+    """Digest of a capture's files and of everything else that its estimate depends on."""
     digest = hashlib.sha256(json.dumps([_identity(checkpoint), options], sort_keys=True).encode())
     try:
         for file in sorted(capture.iterdir()):
             digest.update(b"\0" + os.fsencode(file.name) + b"\0")
-            if file.is_file():  # neither a pipe nor a device, which may have no end
+            if file.is_file():  # pipes and devices may be endless
                 with file.open("rb") as stream:
-                    while piece := stream.read(_PIECE):
-                        digest.update(piece)
-    except OSError as error:  # reading it will fail, and say so
+                    while block := stream.read(_BLOCK):
+                        digest.update(block)
+    except OSError as error:  # reported when the capture is read
         digest.update(type(error).__name__.encode())
     return digest.hexdigest()
 
 
 @cache
 def _identity(checkpoint: str) -> Any:
-    """Of the code and the checkpoint, or of all that are bundled."""
+    """Identity of the code and of the checkpoint, or of all bundled checkpoints."""
     files = [Path(checkpoint)] if checkpoint else sorted(
         (Path(__file__).parent / "weights").glob("*.safetensors"))
     return [code_state(), *(read_header(file).identity for file in files)]
 
 
 def _failure(folder: Path, stamp: str | None = None) -> str | None:
-    """Why a finished capture has no estimate, empty where it has one; None where it is not
-    finished, or with another ``stamp``.
+    """Why a finished capture has no estimate, empty if it has one; None if it is not finished, or
+    has another ``stamp``.
     """
     try:
         content = Done.of(read_json(folder / DONE), folder / DONE)
@@ -139,9 +139,9 @@ def _failure(folder: Path, stamp: str | None = None) -> str | None:
 def _estimate(
     capture: Path, folder: Path, stamp: str, checkpoint: str, options: dict[str, Any]
 ) -> str:
-    """Estimate one capture and write its folder; why not, in one line.
+    """Estimate one capture and write its folder; return the failure in one line, or ''.
 
-    ``stamp`` is from before: of a capture that changes meanwhile, the next run sees it.
+    ``stamp`` was computed before, so that a capture changed meanwhile is estimated by the next run.
     """
     failure = ""
     for name in (DONE, ESTIMATE, SAMPLES, THUMBNAIL, *SHOWN):
@@ -150,7 +150,7 @@ def _estimate(
         _write(capture, folder, checkpoint, options)
     except InputError as error:
         failure = str(error)
-    except Exception as error:  # one capture must not end two hundred others
+    except Exception as error:  # a failing capture must not end the batch
         failure = f"{type(error).__name__}: {one_line(error)}; please report this capture"
     replace_json(folder / DONE, {"stamp": stamp, "failure": failure})
     return failure

@@ -1,4 +1,4 @@
-"""How far estimates lie from the truth, and whether their intervals hold as often as they say."""
+"""Errors of estimates and coverage of their intervals."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ _RESAMPLES = 400  # of the bootstrap
 
 
 def ranks(draws: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(N, T) share of draws (S, N, T) below the truth (N, T): uniform where intervals hold."""
+    """(N, T) share of draws (S, N, T) below the truth (N, T); uniform if calibrated."""
     return (draws < truth).mean(axis=0)
 
 
@@ -26,7 +26,7 @@ def inside(places: np.ndarray) -> dict[str, float]:
 
 
 def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
-    """Root mean square of errors (N, 3), and its 95 % interval over fabrics (N,)."""
+    """Root mean square of errors (N, 3), and its 95 % bootstrap interval over fabrics (N,)."""
     _, place = np.unique(fabric, return_inverse=True)
     count = np.bincount(place)
     squares = np.bincount(place, np.square(errors).mean(axis=1))

@@ -1,10 +1,9 @@
-"""One map of a drape from all views of a capture, whatever camera took them.
+"""Map of a drape from all views of a capture, independent of the camera.
 
-Pixels of different views have nothing to do with each other, and those of one view change with the
-camera. Seen from a point on the axis, below the plate, a drape is nearly star-shaped: so its
-distance by azimuth and elevation describes it, and all views add to one map. Where the camera
-stood is taken from the plate (:func:`drapenet.registration.locate_camera`), how far the table
-turned from what two views see of the same cloth.
+Seen from a point on the axis, below the plate, a drape is nearly star-shaped: it is described by
+its distance as a function of azimuth and elevation, into which all views are fused. The camera's
+pose is estimated from the plate (:func:`drapenet.registration.locate_camera`), the turns of the
+table from the overlap of views.
 """
 
 from dataclasses import dataclass
@@ -16,44 +15,44 @@ from data.cameras import Camera
 from sim.scene import Rig
 
 AZIMUTHS, ELEVATIONS = 128, 48
-_UNDER = 0.9  # of the plate's radius, where cloth that hangs straight down is looked for
-_DEPTH = 0.6  # of the point that the drape is seen from below the plate, in overhangs
-_SHARE_FACING = 0.15  # least weight of a pixel, relative to one that faces the camera
+_UNDER = 0.9  # of the plate's radius, smallest radius of hanging cloth in the map
+_DEPTH = 0.6  # of the map's centre below the plate, in overhangs
+_MIN_FACING = 0.15  # minimum cosine in the weight of a pixel
 PIXEL = 1.73e-3
-"""m, what a pixel spans on the plate, seen by the rig's camera: weights count such pixels."""
-LARGEST_TURN_ERROR = np.radians(6.0)
-"""rad, of the table in a view: two and a half deviations of what the network is trained on."""
-_SHORT = (-0.02, 0.01)  # m, by which the cloth from rim to hem may seem longer than it is
-_WRONG = 0.02  # m, beyond which such a length is no worse
-SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells over which gaps are filled, one after the other
+"""m, size of a pixel of the rig's camera on the plate, the unit of weights."""
+MAX_TURN_ERROR = np.radians(6.0)
+"""rad, of the table in a view: 2.5 standard deviations of the training captures."""
+_LENGTH_BIAS = (-0.02, 0.01)  # m, range of the bias of the length from rim to hem
+_MAX_LENGTH_ERROR = 0.02  # m, at which the cost of a length error saturates
+SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells, of the successive Gaussians that fill gaps
 
-# How views are registered with each other, in cells of one degree:
+# Registration of views with each other, in cells of one degree:
 _DEGREES, _ROWS = 360, 24
-_HANGING = 17  # rows below the rim, where all drapes are alike
-_REACH = 12  # degrees, largest error of the table's turn that is looked for
+_HANGING = 17  # rows that exclude the rim, where all drapes are similar
+_MAX_TURN_STEPS = 12  # degrees, range of the search for a turn's error
 _TURN = 4.0  # degrees, its standard deviation
-_SHIFT = 2.5e-3  # m, standard deviation of the plate's centre as located
-NEARER = 2.0e-3
-"""m, by which the plate is located too near: cloth bends down over the rim, more of it is seen on
-the camera's side."""
-_GAP, _LARGEST_GAP = 1.5e-3, 6e-3  # m, between two views of the same cloth: usual; beyond, not so
-_COMMON = 60  # cells that two views must share to be compared
-_INDEPENDENT = 20.0  # cells of a pair that count as independent
+_SHIFT = 2.5e-3  # m, standard deviation of the plate's estimated centre
+CENTRE_BIAS = 2.0e-3
+"""m, bias of the plate's estimated centre towards the camera: cloth bends down over the rim, and
+more of it is visible on the camera's side."""
+_GAP, _MAX_GAP = 1.5e-3, 6e-3  # m, between views of the same cloth: standard deviation; cut-off
+_MIN_COMMON_CELLS = 60  # for a comparison of two views
+_INDEPENDENT = 20.0  # number of independent cells of a pair
 _ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class DrapeMap:
-    """What a capture shows of a drape, by direction from a point on its axis.
+    """Distance of a captured drape by direction from a point on its axis.
 
     Attributes:
         distance: (AZIMUTHS, ELEVATIONS) m, gaps filled from their neighbours. Azimuths run
             counter-clockwise from ``zero``, rows from the lowest up.
-        weight: (AZIMUTHS, ELEVATIONS) of the pixels in each direction, as many as the reference
-            camera would have there; 0 in gaps.
+        weight: (AZIMUTHS, ELEVATIONS) weighted number of pixels in each direction, in pixels of the
+            reference camera; 0 in gaps.
         zero: direction of azimuth 0 in the first view, rad.
-        turns: (K,) rad, how far the table had turned in each view.
-        centre: (2,) m, of the plate in the camera's plate axes, as the views agree on it.
+        turns: (K,) rad, estimated turn of the table in each view.
+        centre: (2,) m, of the plate in the camera's plate axes, from the registration of views.
     """
 
     distance: np.ndarray
@@ -64,13 +63,13 @@ class DrapeMap:
 
 
 def centre_height(rig: Rig) -> float:
-    """Height, m, below the plate (negative), of the point that a drape on ``rig`` is seen from."""
+    """Height, m, of the map's centre relative to the plate, negative."""
     return -_DEPTH * (rig.specimen_size - rig.plate_diameter) / 2
 
 
 def elevations(rig: Rig) -> np.ndarray:
-    """(ELEVATIONS + 1,) borders of the map's rows, rad: from the lowest that a hem can be to the
-    plate's rim.
+    """(ELEVATIONS + 1,) borders of the map's rows, rad: from the lowest possible hem to the plate's
+    rim.
     """
     depth = -centre_height(rig)
     return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),
@@ -87,15 +86,15 @@ def drape_map(
         views: (K, H, W) z-depth, m, background 0.
         camera: of all of them, with its pose relative to the plate
             (:func:`drapenet.registration.locate_camera`).
-        turns: (K,) rad, nominal ones of the table; None: whole K-ths of a turn. What it really
-            turned is measured where views overlap.
+        turns: (K,) rad, nominal turns of the table; None: multiples of 2 pi/K. Actual turns are
+            estimated from the overlap of views.
         zero: direction of azimuth 0 in the first view, rad, such as that of the warp; None: that of
             a square's side, in [0, pi/2).
     """
     count = len(views)
     turns = np.arange(count) * (2 * np.pi / count) if turns is None else np.asarray(turns, float)
     clouds = [camera.cloth_points(view) for view in views]
-    centre = np.array([0.0, NEARER])
+    centre = np.array([0.0, CENTRE_BIAS])
     if count > 1:
         turns, centre = _registered(clouds, turns, rig)
     clouds = [cloud - [*centre, 0] for cloud in clouds]
@@ -108,8 +107,8 @@ def drape_map(
 
 
 def drape_coefficient(found: DrapeMap, rig: Rig) -> float:
-    """Share of the overhanging cloth that is seen from above, as a capture shows it
-    (:func:`sim.measures.drape_coefficient`); NaN where less than half of the outline is seen.
+    """Drape coefficient of a capture, from 0 to 1 (:func:`sim.measures.drape_coefficient`); NaN if
+    less than half of the outline is visible.
     """
     borders = elevations(rig)
     flat = found.distance * np.cos((borders[1:] + borders[:-1]) / 2)
@@ -117,7 +116,7 @@ def drape_coefficient(found: DrapeMap, rig: Rig) -> float:
     seen = np.flatnonzero(radius > 0)
     if len(seen) < AZIMUTHS / 2:
         return np.nan
-    # A pixel's centre lies half a pixel within the hem that it shows.
+    # Centres of border pixels are half a pixel inside the hem.
     radius = np.interp(np.arange(AZIMUTHS), seen, radius[seen], period=AZIMUTHS) + PIXEL / 2
     plate = np.pi * rig.plate_radius**2
     area = np.pi * np.square(np.maximum(radius, rig.plate_radius)).mean()
@@ -125,18 +124,18 @@ def drape_coefficient(found: DrapeMap, rig: Rig) -> float:
 
 
 def turn_doubts(turns: np.ndarray, nominal: np.ndarray) -> list[str]:
-    """What to say, a line each, of turns (K,) of the table, rad, unlike the ``nominal`` ones."""
+    """One line for each of the table's turns (K,), rad, that differs from the ``nominal`` one."""
     return [f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
             f"{np.degrees(given):.0f}°: the estimate may be wrong; take the views again"
             for k, (turn, given) in enumerate(zip(turns, nominal, strict=True))
-            if not abs(turn - given) < LARGEST_TURN_ERROR]
+            if not abs(turn - given) < MAX_TURN_ERROR]
 
 
 def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     """Direction of a square specimen's side, in [0, pi/2) rad from azimuth 0.
 
-    From the rim to the hem the cloth is as long as it is flat, however it hangs: longest towards
-    the four corners. Arguments are :class:`DrapeMap`'s.
+    The length of cloth from rim to hem is that of the flat specimen, longest towards the four
+    corners; the direction minimises the error of these lengths. Arguments as in :class:`DrapeMap`.
     """
     borders = elevations(rig)
     height = (borders[1:] + borders[:-1]) / 2
@@ -146,24 +145,24 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     hem = np.where(seen.any(axis=1), seen.argmax(axis=1), ELEVATIONS)
     below = np.arange(ELEVATIONS) >= hem[:, None]
     lengths = (steps * below[:, :-1]).sum(axis=1)
-    # Where little of a line was seen, its length is a guess.
+    # Lengths are unreliable where little of a line is visible.
     trust = ((seen & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
     azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     sides = np.radians(np.arange(0.0, 90.0))
     direction = azimuth - sides[:, None]
     flat = rig.specimen_size / 2 / np.maximum(np.abs(np.cos(direction)), np.abs(np.sin(direction)))
     gap = lengths - (flat - rig.plate_radius)
-    # The hem is seen a little short, everywhere alike; one fold seen wrongly must not decide.
-    gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_SHORT)
-    return float(sides[(trust * np.minimum(np.abs(gap), _WRONG)).sum(axis=1).argmin()])
+    # Correct the common bias of the hem; the cost saturates for outliers of single folds.
+    gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_LENGTH_BIAS)
+    return float(sides[(trust * np.minimum(np.abs(gap), _MAX_LENGTH_ERROR)).sum(axis=1).argmin()])
 
 
 def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float:
-    """Root mean square of the differences, m, between what views show of the same hanging cloth,
-    registered from these turns of the table, (K,) rad; NaN where they share little.
+    """Root mean square difference, m, between views of the same hanging cloth after registration
+    that starts from ``turns`` of the table, (K,) rad; NaN if the overlap is too small.
 
     Args:
-        clouds: of each view, (N, 3) m in the camera's plate axes.
+        clouds: points of each view, (N, 3) m in the camera's plate axes.
     """
     if len(clouds) < 2:
         return np.nan
@@ -172,16 +171,16 @@ def disagreement(clouds: list[np.ndarray], turns: np.ndarray, rig: Rig) -> float
     often = np.isfinite(maps).sum(axis=0)
     gap = np.abs(maps - np.nansum(maps, axis=0) / np.maximum(often, 1))[:, often > 1]
     gap = gap[np.isfinite(gap)]
-    if len(gap) <= _COMMON:
+    if len(gap) <= _MIN_COMMON_CELLS:
         return np.nan
-    return float(np.sqrt(np.square(np.minimum(gap, _LARGEST_GAP)).mean()))
+    return float(np.sqrt(np.square(np.minimum(gap, _MAX_GAP)).mean()))
 
 
 def fused(
     clouds: list[np.ndarray], turns: np.ndarray, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, without gaps, and weights of all views' points together, (N, 3) m of each, in the
-    plate's axes; ``turns``: (K,) rad.
+    """Distances, gaps filled, and weights of a map from the points of all views, (N, 3) m each, in
+    the plate's axes; ``turns``: (K,) rad.
     """
     total, weight = np.zeros((2, AZIMUTHS, ELEVATIONS))
     for cloud, turn in zip(clouds, turns, strict=True):
@@ -202,7 +201,7 @@ def _binned(
     azimuth = np.arctan2(points[inside, 1], points[inside, 0])
     column = np.floor((azimuth - turn) * (columns / (2 * np.pi))).astype(int) % columns
     cell = column * rows + row[inside].astype(int)
-    facing = np.maximum(-np.sin(azimuth), _SHARE_FACING) ** 2  # the camera stands at -y
+    facing = np.maximum(-np.sin(azimuth), _MIN_FACING) ** 2  # the camera is at -y
     distance = np.hypot(radius[inside], height[inside])
     return tuple(np.bincount(cell, values, minlength=columns * rows).reshape(columns, rows)
                  for values in (facing * distance, facing))
@@ -211,17 +210,17 @@ def _binned(
 def _registered(
     clouds: list[np.ndarray], turns: np.ndarray, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The table's turns (K,), the first as given, and the plate's centre (2,), m, in the clouds.
+    """Turns of the table (K,), the first as given, and the plate's centre (2,), m, in the clouds.
 
-    First the turns alone, in whole degrees, from what neighbours in the circle have in common;
-    then both together, by least squares.
+    Turns are first estimated in whole degrees from the overlap of adjacent views, then refined
+    together with the centre by least squares.
     """
-    shift = np.array([0.0, NEARER])
+    shift = np.array([0.0, CENTRE_BIAS])
     start = turns = turns + np.radians(_whole_degrees(_distances(clouds, shift, turns, rig)))
     for _ in range(_ROUNDS):
         maps = _distances(clouds, shift, turns, rig)
-        change = _least_squares(maps, turns, np.concatenate([shift - [0, NEARER], turns - start]),
-                                rig)
+        so_far = np.concatenate([shift - [0, CENTRE_BIAS], turns - start])
+        change = _least_squares(maps, turns, so_far, rig)
         shift, turns = shift + change[:2], turns + change[2:]
     return turns, shift
 
@@ -229,8 +228,8 @@ def _registered(
 def _distances(
     clouds: list[np.ndarray], shift: np.ndarray, turns: np.ndarray, rig: Rig
 ) -> np.ndarray:
-    """(K, _DEGREES, _ROWS) mean distance of each view's points from the axis at ``shift`` (2,), m;
-    NaN where it sees none.
+    """(K, _DEGREES, _ROWS) mean distance, m, of each view's points from the map's centre at
+    ``shift`` (2,), m; NaN in empty cells.
     """
     total, weight = np.stack([_binned(cloud - [*shift, 0.0], turn, rig, _DEGREES, _ROWS)
                               for cloud, turn in zip(clouds, turns, strict=True)], axis=1)
@@ -238,20 +237,22 @@ def _distances(
 
 
 def _whole_degrees(maps: np.ndarray) -> np.ndarray:
-    """Corrections (K,), degrees, of all turns but the first, that make neighbours agree best."""
+    """Corrections (K,), degrees, of all turns but the first, that minimise the misfit of adjacent
+    views, by dynamic programming.
+    """
     count = len(maps)
-    steps = np.arange(-_REACH, _REACH + 1)
+    steps = np.arange(-_MAX_TURN_STEPS, _MAX_TURN_STEPS + 1)
     prior = 0.5 * (steps / _TURN) ** 2
-    # Cost of each difference of two corrections, from -2 to 2 reaches.
+    # Cost of each difference of two corrections, within ±2 _MAX_TURN_STEPS.
     pairs = [_costs(maps[k], maps[(k + 1) % count]) for k in range(count if count > 2 else 1)]
-    difference = steps[None, :] - steps[:, None] + 2 * _REACH
-    cost, choices = pairs[0][steps + 2 * _REACH] + prior, []
+    difference = steps[None, :] - steps[:, None] + 2 * _MAX_TURN_STEPS
+    cost, choices = pairs[0][steps + 2 * _MAX_TURN_STEPS] + prior, []
     for k in range(1, count - 1):
         table = cost[:, None] + pairs[k][difference]
         choices.append(table.argmin(axis=0))
         cost = table.min(axis=0) + prior
     if count > 2:
-        cost = cost + pairs[-1][-steps + 2 * _REACH]
+        cost = cost + pairs[-1][-steps + 2 * _MAX_TURN_STEPS]
     best = [int(cost.argmin())]
     for choice in reversed(choices):
         best.insert(0, int(choice[best[0]]))
@@ -259,12 +260,12 @@ def _whole_degrees(maps: np.ndarray) -> np.ndarray:
 
 
 def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(4 _REACH + 1,) misfit of two maps with the second turned on by -2 to 2 reaches."""
+    """(4 _MAX_TURN_STEPS + 1,) misfit of two maps by turn of the second, degrees."""
     costs = []
-    for degrees in range(-2 * _REACH, 2 * _REACH + 1):
+    for degrees in range(-2 * _MAX_TURN_STEPS, 2 * _MAX_TURN_STEPS + 1):
         gap = np.abs(np.roll(other, -degrees, axis=0) - one)
         gap = gap[np.isfinite(gap)]
-        mean = (np.minimum(gap, _LARGEST_GAP) ** 2).mean() if len(gap) > _COMMON else _GAP**2
+        mean = (np.minimum(gap, _MAX_GAP) ** 2).mean() if len(gap) > _MIN_COMMON_CELLS else _GAP**2
         costs.append(0.5 * _INDEPENDENT * mean / _GAP**2)
     return np.array(costs)
 
@@ -272,17 +273,17 @@ def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _least_squares(
     maps: np.ndarray, turns: np.ndarray, so_far: np.ndarray, rig: Rig
 ) -> np.ndarray:
-    """Change (2 + K,) of centre, m, and turns, rad, that makes all views agree better.
+    """Gauss-Newton step (2 + K,) of centre, m, and turns, rad, for the misfit of all views.
 
-    A view's points moved by v change its distance in a direction u by n·v/n·u, with the surface's
-    normal n, which the mean map has.
+    A move v of a view's points changes the distance in direction u by n·v / n·u, where n is the
+    surface normal of the mean map.
 
     Args:
-        so_far: (2 + K,) what was changed already, from its expectation.
+        so_far: (2 + K,) present deviations from the expected values.
     """
     seen = np.isfinite(maps)
     often = seen.sum(axis=0)
-    # NaN where no view sees cloth, and so are slopes next to it.
+    # NaN in cells without cloth and for slopes beside them.
     mean = np.where(seen, maps, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
     borders = elevations(rig)
     height = np.linspace(borders[0], borders[-1], 2 * _ROWS + 1)[1::2]
@@ -296,7 +297,7 @@ def _least_squares(
     count = len(maps)
     columns = np.zeros((count, 2 + count, *mean.shape))
     for k, turn in enumerate(turns):
-        # Taking the centre further on moves the points back, in the specimen's axes turned back.
+        # A move of the centre moves the points backwards, in the specimen's rotated axes.
         columns[k, 0] = -(np.cos(turn) * by_x - np.sin(turn) * by_y)
         columns[k, 1] = -(np.sin(turn) * by_x + np.cos(turn) * by_y)
         columns[k, 2 + k] = by_azimuth
@@ -313,7 +314,7 @@ def _least_squares(
 
 
 def _filled(mean: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The map with its gaps filled from wider and wider neighbourhoods."""
+    """The map with gaps filled by Gaussians of increasing width."""
     filled, gaps = np.where(known, mean, 0.0), ~known
     for sigma in SIGMAS:
         weight = gaussian_filter(known.astype(float), sigma, mode=("wrap", "nearest"))

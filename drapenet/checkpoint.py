@@ -1,7 +1,7 @@
-"""Checkpoints: NAME.safetensors with the weights beside NAME.json with all that gives them meaning.
+"""Checkpoints: weights in NAME.safetensors, metadata in NAME.json.
 
-Nothing is ever unpickled. Training's own state, for an exact resume, is one safetensors file
-whose metadata carries a JSON record, so that it is replaced in one step.
+Nothing is unpickled. The state of a training run, for an exact resume, is one safetensors file
+with a JSON record in its metadata, so that it is replaced atomically.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 SCHEMA = "drapenet-checkpoint"
 SCHEMA_VERSION = 2
 
-LARGEST_WEIGHTS = 2 << 30  # bytes
+MAX_WEIGHTS_BYTES = 2 << 30  # bytes
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
 _Theta = Annotated[list[float], _SIX]
 _Positive = Annotated[float, Field(gt=0)]
@@ -81,8 +81,8 @@ class _Config(Excerpt):
 
 
 class Header(Excerpt):
-    """A checkpoint's JSON file, which :func:`drapenet.training.describe` makes, but for what is
-    there for people only; ``path`` is the weights' file.
+    """The keys that are read of a checkpoint's JSON file, made by
+    :func:`drapenet.training.describe`; ``path`` is the file of the weights.
     """
 
     remedy = "copy both files again"
@@ -118,8 +118,8 @@ class Header(Excerpt):
 
     @property
     def spread(self) -> np.ndarray:
-        """(6,) standard deviation of theta over the fabrics trained on, with their yarns in either
-        order: an estimate names them otherwise than the dataset does.
+        """(6,) standard deviation of theta over the training fabrics, averaged over both orders of
+        the yarns, because the first yarns of an estimate need not be the dataset's warp.
         """
         spread = np.array(self.fabrics.deviation)
         return (spread + spread[SWAPPED]) / 2
@@ -133,13 +133,13 @@ class Header(Excerpt):
 
     @property
     def identity(self) -> dict[str, str]:
-        """What identifies this checkpoint: file name, its hash, the dataset's hash."""
+        """File name, hash of the weights and hash of the dataset."""
         return {"file": self.path.name, "sha256": self.weights.sha256,
                 "dataset_sha256": self.dataset.sha256}
 
 
 class Record(Schema):
-    """What training's state says of a run: its settings, how far it is, its least loss."""
+    """Record in a training state: settings of the run, finished epochs, lowest validation loss."""
 
     run: dict[str, Any]
     epochs_done: int = Field(ge=0, le=10**9)
@@ -147,7 +147,7 @@ class Record(Schema):
 
 
 def bundled(rig: str) -> Path:
-    """The checkpoint that comes with the project for a rig; InputError where there is none."""
+    """The bundled checkpoint of a rig; InputError if there is none."""
     path = Path(__file__).parent / "weights" / f"{rig}.safetensors"
     if not path.exists():
         raise InputError(f"no network is bundled for the rig '{rig}'; train one (python train.py) "
@@ -158,7 +158,7 @@ def bundled(rig: str) -> Path:
 def read_header(path: str | Path) -> Header:
     """Read and check the JSON file of the checkpoint ``path`` (either file's name, or the stem).
 
-    Light: no weights are read and torch is not imported.
+    No weights are read and torch is not imported.
 
     Raises:
         InputError: a missing or unreadable file, another schema, or incomplete content.
@@ -175,11 +175,11 @@ def read_header(path: str | Path) -> Header:
 
 
 def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
-    """The checkpoint for captures of one rig, and of one naming; the bundled one if none is named.
+    """Header of the checkpoint for captures of one fabric; of the bundled one if none is given.
 
     Raises:
-        InputError: several rigs or densities, some captures with a marked warp and some without, or
-            a checkpoint of another rig.
+        InputError: different rigs or densities, captures with and without a marked warp, or a
+            checkpoint of another rig.
     """
     require_one_fabric([one.rig for one in captures],
                   [one.warp_direction is not None for one in captures],
@@ -192,10 +192,10 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
 
 
 def load_model(header: Header) -> MapNet:
-    """The network of a checkpoint, in float32 on the CPU, ready to predict.
+    """The network of a checkpoint, in float32 on the CPU, in evaluation mode.
 
     Raises:
-        InputError: the weights are not those that the JSON file describes.
+        InputError: the weights do not match the JSON file.
     """
     import torch
     from safetensors import SafetensorError
@@ -203,7 +203,7 @@ def load_model(header: Header) -> MapNet:
 
     from drapenet.network import MapNet
 
-    data = read_bytes(header.path, LARGEST_WEIGHTS, "checkpoint")
+    data = read_bytes(header.path, MAX_WEIGHTS_BYTES, "checkpoint")
     if hashlib.sha256(data).hexdigest() != header.weights.sha256:
         raise InputError(f"{header.path} and its JSON do not belong together (checksum); copy "
                          "both again")
@@ -225,15 +225,15 @@ def save_checkpoint(
     """Write ``path`` (.safetensors) and its JSON file.
 
     Args:
-        description: content of the JSON file except what this function knows itself.
-        half: store convolutions and the last layer in half precision, for shipping.
+        description: content of the JSON file, without schema and weights.
+        half: store all but running statistics in half precision.
     """
     import torch
     from safetensors.torch import save
 
     tensors = {}
     for name, value in model.state_dict().items():
-        # Running statistics span many magnitudes and weigh nothing: they stay in full.
+        # Running statistics span many orders of magnitude and are small: full precision.
         narrow = half and value.is_floating_point() and "running" not in name
         tensors[name] = value.detach().cpu().to(torch.float16 if narrow else value.dtype)
         tensors[name] = tensors[name].contiguous()
@@ -252,29 +252,29 @@ def save_state(
     optimizer: torch.optim.Optimizer,
     record: dict[str, Any],
 ) -> None:
-    """Write all that training needs to go on as if it had never stopped."""
+    """Write the state of a training run for an exact resume."""
     from safetensors.torch import save
 
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
     for index, moments in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{index}.{name}": value for name, value in moments.items()}
     tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    remove_partial(path.parent, "*.safetensors")  # of trainings that were killed while they wrote
+    remove_partial(path.parent, "*.safetensors")  # of runs killed during a write
     replace_file(path, save(tensors, metadata={"record": json.dumps(record)}))
 
 
 def load_state(
     path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
 ) -> dict[str, Any]:
-    """Put the state of :func:`save_state` into ``model`` and ``optimizer``; return its record.
+    """Load the state of :func:`save_state` into ``model`` and ``optimizer``; return its record.
 
     Raises:
-        InputError: the file is damaged, of another network, or of a training unlike ``run``.
+        InputError: the file is damaged, of another network, or of a run other than ``run``.
     """
     from safetensors import safe_open
 
-    require_regular(path, LARGEST_WEIGHTS, "training's state")
-    with _damage_explained(path), safe_open(path, framework="pt") as file:
+    require_regular(path, MAX_WEIGHTS_BYTES, "training's state")
+    with _damage_as_input_error(path), safe_open(path, framework="pt") as file:
         record = Record.of(parse_json((file.metadata() or {}).get("record", ""), "record"), "")
         tensors = {name: file.get_tensor(name) for name in file.keys()}
     if changed := differences(record.run, run):
@@ -282,7 +282,7 @@ def load_state(
         raise InputError(f"{path.parent} contains a training with other settings ({names}); choose "
                          "another out=, or remove it (epochs must be the same, because the "
                          "learning rate depends on them)")
-    with _damage_explained(path):
+    with _damage_as_input_error(path):
         model.load_state_dict({name.removeprefix("model."): value
                                for name, value in tensors.items() if name.startswith("model.")})
         moments: dict[int, dict[str, torch.Tensor]] = {}
@@ -300,8 +300,8 @@ def load_state(
 
 
 @contextmanager
-def _damage_explained(path: Path) -> Iterator[None]:
-    """An InputError for a training's state ``path`` that cannot be resumed."""
+def _damage_as_input_error(path: Path) -> Iterator[None]:
+    """Raise InputError for a damaged training state ``path``."""
     from safetensors import SafetensorError
 
     try:

@@ -1,4 +1,4 @@
-"""Types and ranges of the keys of ``configs/``, which explains them and holds their defaults."""
+"""Types and ranges of the keys in ``configs/``, where they are documented and have defaults."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ class ModelConfig:
 
 @dataclass
 class OptimConfig:
-    """AdamW, and a learning rate that rises and falls once along cosines."""
+    """AdamW with a one-cycle cosine schedule of the learning rate."""
 
     learning_rate: Positive
     warm_up: Annotated[float, Field(ge=0, lt=1)]
@@ -52,7 +52,7 @@ class TrainConfig:
     optim: OptimConfig
 
     def defining(self) -> dict:
-        """The settings that a resumed run must share: all but places and machinery."""
+        """Settings that a resumed run must share: all but paths, device and processes."""
         settings = asdict(self)
         for name in ("data", "out", "maps", "device", "workers", "threads", "half_precision"):
             del settings[name]
@@ -60,14 +60,14 @@ class TrainConfig:
 
 
 def learning_rate(optim: OptimConfig, progress: float) -> float:
-    """Learning rate after the share ``progress`` of the training."""
+    """Learning rate at ``progress``, the completed share of the training."""
     if progress < optim.warm_up:
         return optim.learning_rate * (0.04 + 0.96 * _half_cosine(1 - progress / optim.warm_up))
     return optim.learning_rate * _half_cosine((progress - optim.warm_up) / (1 - optim.warm_up))
 
 
 def _half_cosine(x: float) -> float:
-    """1 at 0, smoothly down to 0 at 1."""
+    """Half a cosine, from 1 at 0 to 0 at 1."""
     return (1 + math.cos(math.pi * x)) / 2
 
 

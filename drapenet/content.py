@@ -1,4 +1,4 @@
-"""The content of ``estimate.json``: what is known of a fabric, every key with its unit."""
+"""The content of ``estimate.json``; keys state their units."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,21 +11,21 @@ from sim.material import MICRO, NANO, REFERENCE_DENSITY, torque
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 2
-POOR = 0.7
-"""Standard deviation of a modulus, over its spread over fabrics, from which it is called poorly
-constrained."""
+POORLY_CONSTRAINED = 0.7
+"""Minimum ratio of a modulus's standard deviation to its spread over fabrics for which the modulus
+is reported as poorly constrained."""
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 
 
 @dataclass(frozen=True)
 class Result:
-    """What is known of a capture, or of a fabric from several.
+    """Result of a capture, or of several captures of a fabric.
 
     Attributes:
-        estimate: with all warnings, also those of capture and refinement.
+        estimate: with all warnings, including those of capture and refinement.
         content: of ``estimate.json``.
-        files: what shows it, bytes by name (:data:`drapenet.output.SHOWN`); empty where no report
-            was wanted.
+        files: report files, bytes by name (:data:`drapenet.output.SHOWN`); empty if no report was
+            requested.
     """
 
     estimate: Estimate
@@ -39,12 +39,12 @@ def to_json(
     """The content of ``estimate.json``.
 
     Args:
-        capture: what was captured: folder or file, density, rig.
-        source: what the estimate was made with, under its own keys.
+        capture: description of the capture: folder or file, density, rig.
+        source: further top-level keys, such as ``checkpoint``.
     """
     names = estimate.names
     poor = [name for name, share in zip(modulus_names(names), estimate.constraint, strict=True)
-            if share > POOR]
+            if share > POORLY_CONSTRAINED]
     torques = {name: _law(estimate, k) for k, name in enumerate(names)}
     return {
         "schema": SCHEMA,
@@ -75,7 +75,7 @@ def to_json(
 
 
 def interval_table(estimate: Estimate, density: float) -> dict[str, dict[str, Any]]:
-    """Medians and intervals of the moduli by direction, in the units that people see.
+    """Medians and intervals of the moduli by direction, in the units of reports.
 
     ``density``: kg/m².
     """

@@ -1,4 +1,4 @@
-"""Names and order of theta (:mod:`data.fabrics`) along a specimen's two yarns and between them."""
+"""Names and order of the entries of theta (:mod:`data.fabrics`) by direction."""
 
 STIFF_SOFT = ("stiff", "bias", "soft")
 WARP_WEFT = ("warp", "bias", "weft")
@@ -7,4 +7,4 @@ LINEAR = slice(0, 3)  # the entries of theta that are log alphas
 RATIO = slice(3, 6)  # the entries that are beta/alpha
 FIRST, SECOND = 0, 2  # log alphas of the two yarns
 SWAPPED = [2, 1, 0, 5, 4, 3]
-"""theta with the two yarns exchanged."""
+"""Indices that exchange the two yarns in theta."""

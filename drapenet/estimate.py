@@ -1,7 +1,7 @@
-"""The estimate of one fabric: samples of its moduli, with names, circumstances and doubts.
+"""The estimate of one fabric: posterior samples of its moduli, directions, density and warnings.
 
-All that people see is taken from the samples: medians, intervals, correlations, the band of the
-torque-curvature law. The network's answer and a refinement's are estimates alike.
+Medians, intervals, correlations and the band of the torque-curvature law are computed from the
+samples. Network and refinement both give an :class:`Estimate`.
 """
 
 from collections.abc import Sequence
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from drapenet.predict import Draws
 
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
-LEAST_SURE = 0.8  # probability of the stiffer yarns' direction, below which it is in doubt
-MARK, DOUBTFUL_MARK = np.radians(10.0), np.radians(20.0)
-"""How far from a marked warp a sample's yarns may lie to count; where their median is doubted."""
-LEAST_AGREEING = 0.25  # share of samples that count however far they lie from the mark
-MOST_IMPOSSIBLE = 0.2  # share of the network's samples
+MIN_DIRECTION_PROBABILITY = 0.8  # of the stiffer yarns' direction; below, there is a warning
+MARK_TOLERANCE, MAX_MARK_ERROR = np.radians(10.0), np.radians(20.0)
+"""Maximum angle from a marked warp to a sample's yarns to keep the sample; maximum median of it."""
+MIN_AGREEING_SHARE = 0.25  # of samples that are kept at any angle from the mark
+MAX_INADMISSIBLE_SHARE = 0.2  # of the network's samples
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known of a fabric.
+    """Posterior of a fabric's moduli.
 
     Attributes:
         samples: (S, 6) theta at 300 g/m² (:mod:`data.fabrics`), in the order of ``names``.
         names: of the three directions, warp, bias, weft or stiff, bias, soft.
         axis: direction of the first yarns in the first view, rad in [0, pi).
-        certainty: probability that those are the first yarns, from 0.5 to 1.
+        certainty: probability of that axis, from 0.5 to 1.
         density: kg/m², of the fabric.
         spread: (6,) standard deviation of theta over fabrics.
         warnings: one line each.
@@ -57,7 +57,7 @@ class Estimate:
 
     @property
     def theta(self) -> np.ndarray:
-        """(6,) medians; where no cloth has them, the sample nearest to them."""
+        """(6,) medians; if these are not admissible, the sample nearest to them."""
         middle = np.median(self.samples, axis=0)
         if is_admissible(*from_theta(middle)):
             return middle
@@ -66,7 +66,7 @@ class Estimate:
 
     @property
     def fabric(self) -> Fabric:
-        """The fabric of :attr:`theta` at its density, the first yarns in place of the warp."""
+        """The fabric of :attr:`theta` at its density, with the first yarns as warp."""
         return fabric_from_theta(self.theta).at_density(self.density)
 
     @property
@@ -76,7 +76,7 @@ class Estimate:
 
     @property
     def constraint(self) -> np.ndarray:
-        """(6,) standard deviation of each entry of theta over its spread over fabrics."""
+        """(6,) standard deviation of each entry of theta divided by its spread over fabrics."""
         return self.samples.std(axis=0) / self.spread
 
     def moduli(self, density: float) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +87,7 @@ class Estimate:
 
 
 def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estimate:
-    """Name the directions, and say what is doubtful."""
+    """Make an estimate of posterior samples: directions in the order of their names, warnings."""
     theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
     names = STIFF_SOFT if capture.warp_direction is None else WARP_WEFT
     estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, header.spread,
@@ -97,18 +97,18 @@ def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estima
     outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
     lines = [f"{name} lies outside the fabrics of the training set: an extrapolation"
              for name, out in zip(modulus_names(names), outside, strict=True) if out]
-    if draws.impossible > MOST_IMPOSSIBLE:
-        lines.append(f"{draws.impossible:.0%} of what agrees with the views are moduli that no "
-                     "plate can have, and were left out: check the specimen and the pictures")
+    if draws.impossible > MAX_INADMISSIBLE_SHARE:
+        lines.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
+                     "can have, and were removed: check the specimen and the pictures")
     return replace(estimate, warnings=(*estimate.warnings, *lines))
 
 
 def _ordered(
     draws: "Draws", warp: float | None
 ) -> tuple[np.ndarray, float, float, list[str]]:
-    """Samples with one first yarn direction, that direction, rad, how certain it is, and doubts.
+    """Samples along common first yarns, their direction, rad, its probability, and warnings.
 
-    It is the marked warp, or else that of the stiffer yarns.
+    The first yarns are the marked warp, or the stiffer yarns where none is marked.
     """
     soft = draws.theta[:, FIRST] < draws.theta[:, SECOND]
     stiff = draws.axis + soft * (np.pi / 2)
@@ -117,16 +117,16 @@ def _ordered(
     along = np.cos(2 * (draws.axis - first)) >= 0
     theta = np.where(along[:, None], draws.theta, draws.theta[:, SWAPPED])
     doubts = []
-    if certainty < LEAST_SURE:
+    if certainty < MIN_DIRECTION_PROBABILITY:
         doubts.append("the direction of the stiffer yarns is uncertain (probability "
                       f"{certainty:.2f}): the fabric drapes alike along both yarns")
-    # From the nearer yarns of each sample: of a square all alike, of a disc as it drapes.
+    # Angle to the nearer yarns of each sample; for a square it is the same for all samples.
     gap = np.abs(np.angle(np.exp(4j * (draws.axis - first)))) / 4
     if warp is not None:
-        if np.median(gap) > DOUBTFUL_MARK:
+        if np.median(gap) > MAX_MARK_ERROR:
             doubts.append(f"the marked warp lies {np.degrees(np.median(gap)):.0f}° from the yarns "
-                          "found in the views: check warp_direction_deg")
-        theta = theta[gap <= max(MARK, np.quantile(gap, LEAST_AGREEING))]
+                          "estimated from the views: check warp_direction_deg")
+        theta = theta[gap <= max(MARK_TOLERANCE, np.quantile(gap, MIN_AGREEING_SHARE))]
     return theta, float(first), certainty, doubts
 
 
@@ -141,6 +141,6 @@ def quantiles(values: np.ndarray, level: float) -> list[float]:
 
 
 def summary(values: np.ndarray) -> dict[str, Any]:
-    """Median and intervals of ``values`` (S,), as files show them."""
+    """Median and intervals of ``values`` (S,), as in ``estimate.json``."""
     return {"median": float(np.median(values)),
             **{key: quantiles(values, level) for key, level in INTERVALS.items()}}

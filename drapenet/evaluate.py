@@ -1,13 +1,13 @@
-"""How good is a checkpoint on fabrics and drapes that nobody has seen, and do its intervals hold?
+"""Evaluation of a checkpoint: errors and interval coverage on unseen fabrics.
 
     python -m drapenet.evaluate [rig=NAME] [checkpoint=FILE] [drapes=N] [fabrics=TABLE.csv]
 
-Draws new fabrics from the prior, or from a table of measured ones, drapes them, makes captures, and
-asks the network as ``infer.py`` does. The matrix varies one thing at a time: mesh, sensor, pose,
-views, membrane, friction, softness. Drapes and maps of captures are kept in ``out``; an interrupted
-evaluation goes on. Errors are root mean squares over drapes and directions of the posterior's mean,
-in units of the training fabrics' standard deviation; their intervals are those of a bootstrap over
-fabrics.
+Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes,
+renders captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time:
+mesh, sensor, pose, views, membrane, friction, softness. Drapes and maps are cached in ``out``, so
+that an interrupted evaluation can be resumed. Errors are root mean squares, over drapes and
+directions, of the posterior's mean in units of the training fabrics' standard deviation; their
+intervals are from a bootstrap over fabrics.
 """
 
 import common.interrupt  # noqa: F401
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
     from drapenet.maps import Maps
     from drapenet.network import MapNet
 
-FEWER = 5  # times as many captures are like those trained on as there are of any other kind
-_AT_ONCE = 64  # captures
-_FINER = 1.75e-3  # m, of the mesh's edges at the plate's rim
-_STIFF_FRICTION = 1.5e-4  # N·m per metre, from which a cloth counts as one with much friction
+REDUCTION = 5  # divides the number of drapes for all conditions but "as trained"
+_BATCH_SIZE = 64  # captures
+_FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
+_HIGH_FRICTION = 1.5e-4  # N·m per metre
 
 Rows = Callable[["Maps"], np.ndarray]
-"""(N,) bool: which captures a cell looks at."""
+"""(N,) bool: the captures that a cell uses."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Cell:
     """One entry of the matrix.
 
     Attributes:
-        drapes: which dataset it looks at, a key of :func:`datasets`.
-        setups: what replaces entries of the trained set-ups.
+        drapes: dataset, a key of :func:`datasets`.
+        setups: replacements for entries of the set-ups trained on.
         known: whether membrane and friction are given to the network.
-        rows: only some captures.
+        rows: selects captures; None: all.
     """
 
     drapes: str = "as trained"
@@ -88,16 +88,16 @@ CELLS: dict[str, Cell] = {
     "membrane x 3": Cell("membrane x 3"),
     "membrane / 3": Cell("membrane / 3"),
     "friction above 150 µN": Cell(
-        rows=lambda maps: maps.nuisance("friction") > _STIFF_FRICTION),
+        rows=lambda maps: maps.nuisance("friction") > _HIGH_FRICTION),
     "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
 }
 
 
 def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
-    """The drapes that the matrix needs, from those ``base`` that are like the ones trained on."""
+    """Configurations of the matrix's datasets, derived from ``base``, drapes as trained on."""
     real = base.sampling.nuisances
     middle = float(np.sqrt(np.prod(real.membrane)))
-    few = replace(base, drapes=-(-base.drapes // FEWER))
+    few = replace(base, drapes=-(-base.drapes // REDUCTION))
 
     def other(nuisances: NuisanceConfig) -> DatasetConfig:
         return replace(few, sampling=replace(base.sampling, nuisances=nuisances))
@@ -105,7 +105,7 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
     return {
         "as trained": base,
         "none": other(NuisanceConfig()),
-        "finer mesh": replace(few, edge=_FINER),
+        "finer mesh": replace(few, edge=_FINE_EDGE),
         **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
            for sign, value in (("x", 3 * middle), ("/", middle / 3))},
     }
@@ -118,7 +118,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
         network: of ``header``, in evaluation mode.
         known: whether the network is given membrane and friction.
     """
-    with deferred():  # torch takes seconds, and a bad word should be refused at once
+    with deferred():  # importing torch takes seconds; input errors come first
         from drapenet.predict import sample_targets
         from drapenet.targets import MODULI
         from drapenet.training import CaptureSet
@@ -126,7 +126,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
     disc = Rig.from_name(header.rig).specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
     truth, means, places = captures.truth, [], []
-    for rows, batch in captures.in_order(_AT_ONCE, known=known):
+    for rows, batch in captures.in_order(_BATCH_SIZE, known=known):
         samples = sample_targets(network, header, batch)
         means.append(samples.mean(axis=0)[:, :MODULI])
         places.append(ranks(samples, truth[rows])[:, :MODULI])
@@ -145,13 +145,13 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
 
 
 def require_unseen(header: Header, generation: dict) -> None:
-    """Check that a dataset's configuration gives none of the fabrics that a checkpoint has seen.
+    """Check that a dataset's configuration gives none of a checkpoint's training fabrics.
 
     Args:
         generation: :meth:`data.records.DatasetConfig.as_dict`.
 
     Raises:
-        InputError: the datasets have one seed and prior.
+        InputError: both datasets have the same seed and prior.
     """
     training = header.dataset.generation
     # A fabric depends on the prior, the seed and its index only.
@@ -163,7 +163,7 @@ def require_unseen(header: Header, generation: dict) -> None:
 
 @command("evaluate", EvaluateConfig)
 def main(config: EvaluateConfig) -> None:
-    """Judge all cells, print them, and write ``evaluation.json``."""
+    """Evaluate all cells, print their results and write ``evaluation.json``."""
     with deferred():
         from drapenet.maps import make_maps
 
@@ -180,7 +180,7 @@ def main(config: EvaluateConfig) -> None:
         cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
         out = out / Path(config.fabrics).stem
     results = {}
-    few = -(-base.drapes // (FEWER * base.drapes_per_shard))  # shards of other captures
+    few = -(-base.drapes // (REDUCTION * base.drapes_per_shard))  # shards for other set-ups
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
         folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
         generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
@@ -199,7 +199,7 @@ def main(config: EvaluateConfig) -> None:
 
 
 def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
-    """New drapes as those that a checkpoint was trained on were made."""
+    """Configuration of new drapes, generated as the training set of a checkpoint was."""
     training = header.dataset.generation
     words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig}",
              "dataset=specimens", "nuisances=real",
@@ -209,7 +209,7 @@ def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:
-    """One line for a terminal and for scripts."""
+    """Result of one cell as a line of text."""
     inside = result["inside"]
     return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
             f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, "

@@ -1,13 +1,13 @@
-"""Files of an estimate for other tools.
+"""Export of an estimate to files of other tools.
 
     python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
     python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
     python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
     python -m drapenet.export to=list
 
-``docs/exports.md`` says what each tool gets, in which unit, by which relation, from which source,
-and what is lost. A tool with one modulus a direction gets alpha, or the secant of the torque at a
-stated curvature.
+``docs/exports.md`` describes quantities, units, relations and sources for each tool, and what is
+lost. A tool with one modulus per direction gets alpha, or the secant of the torque at a stated
+curvature.
 """
 
 import io
@@ -31,24 +31,24 @@ from sim.hinge_laws import ARCSIM, mean_modulus
 from sim.material import BIAS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m
-CLO_MOST = 2e6  # g·mm²/s², CLO's largest bending stiffness
+MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
 BROWZWEAR = 1e7  # dyn·cm per N·m
 PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
 STYLE3D = 3.0  # Newton's quadratic hinges: plate of modulus 3 ke
 ARCSIM_CURVATURES = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
 """1/m, of ARCSim's table: theta l/(A0 + A1) is twice the number that its columns count in steps of
-5/m (``dde.cpp``, ``bending_stiffness``); beyond the last it stays."""
+5/m (``dde.cpp``, ``bending_stiffness``); it is constant beyond the last column."""
 CURVE = np.linspace(0.0, 400.0, 81)  # 1/m, of the torque's table
 
 
 @dataclass(frozen=True)
 class Target:
-    """A tool's file.
+    """An export format.
 
     Attributes:
-        file: its usual name.
-        tool, lost: for people; what of the estimate is not in the file.
-        write: the bytes of the files by their names, the first for the name given.
+        file: usual name.
+        tool, lost: for display; what is missing from the file or approximated.
+        write: from material and file name to the files' bytes by name, the named file first.
     """
 
     file: str
@@ -62,8 +62,8 @@ def _json(content: object) -> bytes:
 
 
 def _clo_bending(material: Material) -> np.ndarray:
-    """(3,) bending stiffness as CLO counts it, g·mm²/s²."""
-    return np.minimum(material.modulus * CLO, CLO_MOST)
+    """(3,) bending stiffness in CLO's unit, g·mm²/s²."""
+    return np.minimum(material.modulus * CLO, MAX_CLO)
 
 
 def _jfab(material: Material, name: str) -> dict[str, bytes]:
@@ -72,7 +72,7 @@ def _jfab(material: Material, name: str) -> dict[str, bytes]:
     physical = {
         "enFabricType": 0, "fBuK": weft, "fBvK": warp, "fBhK": bias,
         "fDensity": 1e-3 * material.density,
-        # CLO resets what is missing to these; no drape identifies them.
+        # CLO's defaults for missing keys; they are not identifiable from a drape.
         "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
         "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5,
         "fHK": 1e4, "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4,
@@ -132,7 +132,7 @@ def _arcsim(material: Material, name: str) -> dict[str, bytes]:
     kappa = np.maximum(ARCSIM_CURVATURES, 1e-9)
     secants = torque(kappa, alpha[:, None], beta[:, None]) / kappa
     rows = secants / ARCSIM  # over the curvature: 4 alpha + 4 beta kappa
-    # A row belongs to the direction of the edge in material axes; cloth bends across it.
+    # Rows are indexed by the edge's direction in material axes; cloth bends across the edge.
     return {name: _json({"density": material.density,
                          "bending": rows[[WEFT, BIAS, WARP]].tolist(),
                          "drapenet": material.about_hinges})}
@@ -241,10 +241,10 @@ TARGETS = {
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
            "vbd": "newton"}
-"""Programs that people name instead of a target."""
+"""Names of programs that are accepted for a target."""
 NOT_OFFERED = {"blender", "houdini", "vellum", "mujoco", "physx", "omniverse", "libuipc", "c-ipc",
                "diffcloth"}
-"""Programs that ``docs/exports.md`` gives the reason for."""
+"""Programs without an export, for reasons given in ``docs/exports.md``."""
 
 
 def table() -> str:
@@ -253,10 +253,10 @@ def table() -> str:
 
 
 def targets_named(words: str, key: str = "to") -> list[str]:
-    """Names of targets that ``words``, the value of ``key``, lists, or all of them.
+    """Parse ``words``, the value of ``key``: names of targets with commas, or ``all``.
 
     Raises:
-        InputError: an unknown one, or none.
+        InputError: an unknown name, or none.
     """
     if words == "all":
         return list(TARGETS)
@@ -271,7 +271,7 @@ def targets_named(words: str, key: str = "to") -> list[str]:
 
 
 def export(material: Material, name: str, out: Path) -> list[Path]:
-    """Write a target's file to ``out``, and what belongs beside it; returns all paths."""
+    """Write a target's file to ``out`` and its further files beside it; returns all paths."""
     files = TARGETS[name].write(material, out.name)
     for file, data in files.items():
         replace_file(out.parent / file, data)
@@ -279,7 +279,7 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
 
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:
-    """Write the targets ``names`` to a folder, by their usual names."""
+    """Write the targets ``names`` to a folder, under their usual file names."""
     return [path for name in names for path in export(material, name,
                                                       folder / TARGETS[name].file)]
 

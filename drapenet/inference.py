@@ -1,4 +1,4 @@
-"""One capture: from views to an estimate, its JSON and the files that show it."""
+"""Inference for one capture: estimate, content of ``estimate.json`` and report files."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
     from drapenet.resimulate import Resimulation
 
 Progress = Callable[[int, int, float], None]
-"""Called with drapes made, drapes expected, and the misfit so far."""
-network_of = lru_cache(maxsize=2)(load_model)  # of many captures, a header for each tester
+"""Called with the simulated and the expected number of drapes, and the current misfit."""
+network_of = lru_cache(maxsize=2)(load_model)  # one network for each tester
 
 
 @dataclass(frozen=True)
 class Inferred:
-    """What the network makes of one capture.
+    """The network's estimate of one capture.
 
     Attributes:
-        estimate: with its own warnings.
-        camera: as located from the plate.
-        found: the map that the network has seen, with the table's turns.
+        estimate: with its warnings.
+        camera: with its pose estimated from the plate.
+        found: the network's input map, with the estimated turns of the table.
     """
 
     estimate: Estimate
@@ -54,12 +54,12 @@ def infer_capture(
     capture: Capture, header: Header, *, membrane: float | None = None,
     friction: float | None = None,
 ) -> Inferred:
-    """Estimate a capture.
+    """Estimate a capture with the network.
 
     Args:
         header: of a checkpoint for the capture's rig.
         membrane: N/m along the yarns, friction: N·m per metre, of the fabric at its own density;
-            where they are known.
+            None if unknown.
     """
     rig = Rig.from_name(header.rig)
     camera = locate_camera(capture.views, capture.intrinsics, rig)
@@ -74,9 +74,8 @@ def infer_capture(
 def capture_doubts(
     capture: Capture, setups: Setups, camera: Camera, found: DrapeMap
 ) -> list[str]:
-    """What to say of a capture that is not as it should be, one line each: of the camera as
-    located, against the ``setups`` trained on, of the table's turns, and of the views
-    (:mod:`drapenet.quality`).
+    """One line for each possible fault of a capture: camera pose outside the ``setups`` trained on,
+    turns of the table, quality of the views (:mod:`drapenet.quality`).
 
     Raises:
         InputError: the views do not show cloth on a plate.
@@ -96,19 +95,19 @@ def estimate_capture(
     drapes: int = 2, edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
     first: Callable[[dict[str, Any]], None] | None = None, progress: Progress | None = None,
 ) -> Result:
-    """Estimate, and refine if wanted.
+    """Estimate a capture and optionally refine the estimate by simulation.
 
     Args:
-        seen: a registered scan, :class:`drapenet.refine.search.CapturedScan`, of which ``capture``
-            holds the views; None where these are all there is.
-        refine: whether the simulator decides, or the content of a file of ``configs/refine``.
-        drapes: simulated with the estimate, of which the report shows the best; 0: no report.
-        edge: m, of the meshes for these, at the plate's rim; 0: the usual.
+        seen: a registered scan, :class:`drapenet.refine.search.CapturedScan`, whose rendered views
+            are those of ``capture``; None for captured views.
+        refine: whether to refine with defaults, or the content of a file of ``configs/refine``.
+        drapes: number simulated with the estimate; the report shows the best. 0: no report.
+        edge: m, mesh edge of these simulations at the plate's rim; 0: the default.
         known: ``membrane``, N/m, and ``friction``, N·m per metre, of the fabric at its own density,
-            where the user knows them.
-        strict: whether to refuse what is else doubted.
-        first: called with the content of ``estimate.json`` as the network alone has it, before
-            anything is simulated.
+            if known.
+        strict: raise an error instead of giving warnings.
+        first: called with the content of ``estimate.json`` by the network alone, before any
+            simulation.
         progress: of the refinement, :func:`drapenet.refine.refined.refined_capture`.
 
     An error during refinement leaves the network's estimate, with a doubt.
@@ -127,7 +126,7 @@ def estimate_capture(
     about = _about(capture, found, rig)
 
     def result(files: dict[str, bytes]) -> Result:
-        """What is known so far."""
+        """The result with the present estimate and warnings."""
         known_so_far = replace(estimate, warnings=(*estimate.warnings, *doubts))
         return Result(known_so_far, to_json(known_so_far, capture=about, source=source), files)
 
@@ -141,7 +140,7 @@ def estimate_capture(
             doubts += refined.doubts
             before = interval_table(estimate, estimate.density)
             source["refined"] = refined.content | {"before": before}
-            if refined.draws:  # else the network's estimate stands, and is simulated below
+            if refined.draws:  # else the network's estimate is kept, and simulated below
                 estimate = make_estimate(refined.draws, capture=capture, header=header)
                 drape = refined.resimulation
     try:
@@ -195,7 +194,7 @@ def _refined(
 def _shown(
     result: Result, inferred: Inferred, capture: Capture, rig: Rig, drape: "Resimulation | None"
 ) -> dict[str, bytes]:
-    """The files that show a result, bytes by name."""
+    """Report files of a result, bytes by name."""
     from drapenet.report import draw_report, draw_torques
     from drapenet.shapes import drape_glb
 
@@ -208,7 +207,7 @@ def _shown(
 
 
 def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:
-    """What was captured, for ``estimate.json``."""
+    """Description of the capture for ``estimate.json``."""
     share = drape_coefficient(found, rig)
     return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
             "rig": capture.rig, "views": len(capture.views),

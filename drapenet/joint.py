@@ -1,8 +1,8 @@
-"""Several captures of one fabric: one posterior, the prior counted once.
+"""Joint posterior of several captures of one fabric, with the prior counted once.
 
-In normal approximation a capture's likelihood is its posterior over the prior. Captures of one
-fabric share part of their error, since friction and membrane belong to the cloth: of n captures
-each counts as one in ``1 + (n - 1) SHARED``.
+In normal approximation a capture's likelihood is its posterior divided by the prior. Errors of
+captures of one fabric are correlated, because friction and membrane are properties of the cloth:
+each of n captures has the weight ``1 / (1 + (n - 1) SHARED)``.
 """
 
 from collections.abc import Sequence
@@ -25,14 +25,14 @@ SPECIMEN = 0.10
 """Standard deviation of log alpha between specimens of a fabric, by the network's estimates of the
 scans of Gong et al. (CVPR 2024): 0.11, 0.09 and 0.10 for warp, bias and weft over nine fabrics.
 """
-DOUBTED = 0.01
-"""Probability with which captures of one fabric are taken for different ones."""
+CONTRADICTION_LEVEL = 0.01
+"""Significance level: probability of the warning for captures of the same fabric."""
 _DRAWS = 4000
 
 
 def fabric_prior(names: Sequence[str]) -> GaussianPrior:
-    """The prior of theta along directions of these names; where warp and weft are not known, that
-    of either order.
+    """Prior of theta along directions of these names; for stiff/soft, the mixture of both orders
+    of warp and weft, in normal approximation.
     """
     prior = load_prior("gaussian")
     if names[0] != STIFF_SOFT[0]:
@@ -43,10 +43,10 @@ def fabric_prior(names: Sequence[str]) -> GaussianPrior:
 
 
 def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
-    """The estimate of one fabric from those of its captures.
+    """Joint estimate of one fabric.
 
     Args:
-        estimates: of one naming (all warp/weft or all stiff/soft); the first gives the axis.
+        estimates: of its captures, all warp/weft or all stiff/soft; the first gives the axis.
         labels: of the captures, for warnings.
     """
     prior = fabric_prior(estimates[0].names)
@@ -58,7 +58,7 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
         own = np.linalg.inv(normal.covariance)
         gained = _positive(own - beforehand)
         precision += weight * gained
-        # A likelihood with the precision gained, and the peak that leads to the posterior's mean.
+        # Likelihood of the gained precision whose peak gives the posterior's mean.
         pull += weight * (gained @ normal.mean + beforehand @ (normal.mean - prior.mean))
     covariance = np.linalg.inv(precision)
     middle = covariance @ pull
@@ -70,8 +70,8 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
 
 
 def joint_result(results: Sequence[Result]) -> Result:
-    """The estimate of one fabric from the ``results`` of its captures (:func:`joined`); its content
-    has the moduli of each.
+    """Joint result of one fabric from the ``results`` of its captures (:func:`joined`); its content
+    includes the moduli of each.
     """
     estimates, contents = ([getattr(one, part) for one in results]
                            for part in ("estimate", "content"))
@@ -95,13 +95,13 @@ def joint_result(results: Sequence[Result]) -> Result:
 
 
 def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list[str]:
-    """What to say, a line each, of captures that are not of the fabric of the others.
+    """One line for each capture that contradicts the others.
 
-    Of log alpha (3,), a capture's posterior mean less that of the others together has the
-    covariance of what their errors do not share and of the scatter between specimens. Its
-    chi-square is compared with the quantile of :data:`DOUBTED`, divided by the number of captures
-    where that exceeds two (Bonferroni). The worst capture is named and left out, then the rest are
-    compared.
+    The difference of log alpha (3,) between a capture's posterior mean and the mean of the others
+    has the covariance of the uncorrelated part of their errors and of the scatter of specimens. Its
+    chi-square is compared with the quantile of :data:`CONTRADICTION_LEVEL`, divided by the
+    number of captures if that exceeds two (Bonferroni). The worst capture is removed, and the test
+    repeated with the remaining ones.
     """
     means = [one.samples[:, LINEAR].mean(axis=0) for one in estimates]
     covariances = [(1 - SHARED) * np.cov(one.samples[:, LINEAR].T) + SPECIMEN**2 * np.eye(3)
@@ -109,7 +109,8 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
     directions, unit = estimates[0].names, 1e6 * estimates[0].density / REFERENCE_DENSITY
     left, lines = list(range(len(estimates))), []
     while len(left) > 1:
-        limit = float(chi2.isf(DOUBTED / (len(left) if len(left) > 2 else 1), len(directions)))
+        tests = len(left) if len(left) > 2 else 1
+        limit = float(chi2.isf(CONTRADICTION_LEVEL / tests, len(directions)))
         found = []
         for k in left:
             others = [j for j in left if j != k]

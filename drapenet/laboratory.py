@@ -1,8 +1,8 @@
-"""What laboratories call results: the readings of virtual cantilever and KES testers.
+"""Readings of virtual cantilever and KES testers.
 
-A tester reads the law, not alpha: a strip at 41.5° bends through a range of curvatures, and a
-fabric that softens reads below its alpha. So both tests are made with the law of each sample of
-an estimate, and come with its intervals.
+A tester measures the law over a range of curvatures, not alpha: at 41.5°, a fabric that softens
+has a reading below its alpha. Both tests are therefore simulated with the law of each posterior
+sample, which gives intervals of the readings.
 
 Units: bending length mm; flexural rigidity G = rho g c³ in µN·m (FAST-2) and mg·cm (older
 editions of ASTM D1388); KES-FB2's B in gf·cm²/cm. Constants of the standards' editions:
@@ -20,19 +20,19 @@ from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica
 from sim.material import MICRO, torque
 from sim.scene import GRAVITY
 
-INCLINE = np.radians(41.5)  # of the plane that a strip bends down to
+INCLINE = np.radians(41.5)  # of the plane that the strip's tip reaches
 KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 MG_CM = 1e-6 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 mg·cm
 GF_CM = 1e-3 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 gf·cm²/cm
-MOST_OUTSIDE = 0.5  # share of samples outside the law, from which B is not given
+MAX_OUTSIDE_SHARE = 0.5  # of samples; beyond, B is not given
 _SOFTENING = np.sinh(np.linspace(np.arcsinh(-4.0), np.arcsinh(10.0), 240))
 _STEPS, _POINTS = 100, 11  # of the strips' integration: error below 1e-6
 
 
 def bending_length(alpha: np.ndarray, beta: np.ndarray, density: float) -> np.ndarray:
-    """Half the length, m, of the strips whose tip bends down to the plane at 41.5° (Peirce; ISO
-    9073-7, ASTM D1388 option A, FAST-2).
+    """Bending length, m: half the length of the strip whose tip reaches the plane at 41.5° (Peirce;
+    ISO 9073-7, ASTM D1388 option A, FAST-2).
 
     Args:
         alpha, beta: of the same shape, N·m and N·m².
@@ -43,29 +43,27 @@ def bending_length(alpha: np.ndarray, beta: np.ndarray, density: float) -> np.nd
 
 
 def flexural_rigidity(length: np.ndarray, density: float) -> np.ndarray:
-    """G, N·m, that laboratories compute from a bending length, m, and a density, kg/m²: rho g c³
-    (Peirce)."""
+    """G = rho g c³, N·m, of a bending length c, m, and a density rho, kg/m² (Peirce)."""
     return density * GRAVITY * length**3
 
 
 def kes_bending(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """B of KES-FB2, N·m: secant of the torque between 0.5 and 1.5 cm⁻¹; alpha + 200/m beta where
-    the parabola holds. ``alpha``, N·m, and ``beta``, N·m², of the same shape.
+    """B of KES-FB2, N·m: secant of the torque between 0.5 and 1.5 cm⁻¹, alpha + 200/m beta within
+    the quadratic law. ``alpha``, N·m, and ``beta``, N·m², of the same shape.
     """
     low, high = (torque(np.asarray(at), alpha, beta) for at in KES_CURVATURES)
     return (high - low) / (KES_CURVATURES[1] - KES_CURVATURES[0])
 
 
 def outside_law(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Where the torque alpha kappa + beta kappa² has its peak within KES's range: beyond it no law
-    of these moduli says what a tester would read. ``alpha``, N·m, and ``beta``, N·m², of the same
-    shape.
+    """Whether the torque alpha kappa + beta kappa² has its peak within KES's range, beyond which
+    the moduli do not determine the reading. ``alpha``, N·m, and ``beta``, N·m², of the same shape.
     """
     return alpha + 2 * beta * KES_CURVATURES[1] < 0
 
 
 def laboratory(estimate: Estimate) -> dict[str, dict[str, Any]]:
-    """By direction, medians and intervals of what testers would read of the estimate's fabric."""
+    """Medians and intervals of the testers' readings for an estimate, by direction."""
     alpha, beta = estimate.moduli(estimate.density)
     length = bending_length(alpha, beta, estimate.density)
     rigidity, kes = flexural_rigidity(length, estimate.density), kes_bending(alpha, beta)
@@ -74,14 +72,15 @@ def laboratory(estimate: Estimate) -> dict[str, dict[str, Any]]:
         "bending_length_mm": summary(1e3 * length[:, k]),
         "flexural_rigidity_uN_m": summary(rigidity[:, k] / MICRO),
         "flexural_rigidity_mg_cm": summary(rigidity[:, k] / MG_CM),
-        "kes_b_gf_cm2_per_cm": None if outside[k] > MOST_OUTSIDE else summary(kes[:, k] / GF_CM),
+        "kes_b_gf_cm2_per_cm": (None if outside[k] > MAX_OUTSIDE_SHARE
+                                else summary(kes[:, k] / GF_CM)),
         "kes_b_outside_law_probability": round(float(outside[k]), 3),
     } for k, name in enumerate(estimate.names)}
 
 
 @cache
 def _lengths() -> np.ndarray:
-    """Lengths of strips over (alpha/rho g)^(1/3) by -beta/alpha over the same, _SOFTENING."""
+    """Lengths of strips in units of l = (alpha/rho g)^(1/3) at -beta/(alpha l) = _SOFTENING."""
     return np.array([_length(softening) for softening in _SOFTENING])
 
 

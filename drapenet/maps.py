@@ -1,8 +1,8 @@
-"""Maps of synthetic captures of a dataset's drapes: what the network is trained and judged on.
+"""Maps of synthetic captures of a dataset's drapes, for training and evaluation.
 
     shard of drapes -> captures (data.setups) -> maps (drapenet.canonical) -> maps_NNNNN.npz
 
-Files depend on the dataset, the set-ups and the seed only, so an interrupted run goes on.
+Files depend on the dataset, the set-ups and the seed only, so an interrupted run can be resumed.
 """
 
 import io
@@ -38,9 +38,9 @@ class Maps:
         distance: (N, AZIMUTHS, ELEVATIONS) float16, m.
         weight: (N, AZIMUTHS, ELEVATIONS) uint8, logarithm of 1 + weight in :data:`WEIGHT_UNIT`.
         theta: (N, 6) float64, see :mod:`data.fabrics`.
-        warp: (N,) its true direction in the map, rad.
+        warp: (N,) true azimuth of the warp in the map, rad.
         nuisances: (N, 8) of :data:`data.nuisances.NAMES`.
-        views: (N,) how many there were.
+        views: (N,) number of views.
         fabric, index: (N,) of the drape in the dataset.
         moved: (N,) bool, whether it is a neighbour of that drape (:mod:`drapenet.neighbours`).
     """
@@ -63,7 +63,7 @@ class Maps:
         return self.nuisances[:, NAMES.index(name)]
 
     def chosen(self, rows: np.ndarray) -> "Maps":
-        """Some of the rows."""
+        """The maps of ``rows``, indices or a mask."""
         return Maps(*(column[rows] for column in vars(self).values()))
 
     @staticmethod
@@ -77,14 +77,14 @@ def make_maps(
     root: str | Path, out: Path, *, rig: Rig, setups: Setups, captures: int, seed: int,
     neighbours: bool = False, workers: int = 1, shards: int | None = None,
 ) -> Maps:
-    """Maps of ``captures`` captures of every converged drape of the dataset ``root``.
+    """Maps of ``captures`` captures of each converged drape of the dataset ``root``.
 
     Args:
-        out: folder of their files, one for each set of arguments; those that exist are read.
+        out: folder of the cached files; each set of arguments has a subfolder.
         rig: the dataset's.
         neighbours: all captures of a drape but the first show a neighbour of its fabric.
-        workers: processes of one thread each; without influence on the files.
-        shards: only the drapes of the first so many.
+        workers: processes of one thread each; files do not depend on it.
+        shards: number of shards used; None: all.
 
     Raises:
         InputError: no finished dataset.
@@ -122,7 +122,7 @@ def _read_maps(path: Path) -> Maps:
 def maps_of_shard(
     shard: Path, *, rig: Rig, setups: Setups, captures: int, seed: int, neighbours: bool
 ) -> Maps:
-    """The maps of one shard; arguments as for :func:`make_maps`."""
+    """Maps of one shard; arguments as for :func:`make_maps`."""
     nominal = CameraRig.load(rig.name).intrinsics
     found = []
     rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
@@ -154,7 +154,7 @@ def maps_of_shard(
 
 
 def compressed(maps: list[DrapeMap]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and weights as :class:`Maps` has them."""
+    """Distances and weights of ``maps`` as in :class:`Maps`."""
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([one.distance for one in maps], np.float16).reshape(shape)
     weight = np.array([np.log1p(one.weight) for one in maps]).reshape(shape)

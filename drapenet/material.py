@@ -1,5 +1,5 @@
-"""What an estimate says of a fabric, as other tools take it: alpha and beta, or one modulus a
-direction; on the meshes of tools made of hinges, the hinges' modulus.
+"""Material for exports: alpha and beta of an estimate, or one modulus per direction, and the
+modulus of hinges on the meshes of other tools.
 """
 
 import hashlib
@@ -23,14 +23,14 @@ from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
 from sim.mesh import strip
 from sim.scene import GRAVITY
 
-LARGEST_ESTIMATE = 8 << 20  # bytes
-LONGEST_NAME = 80  # characters
+MAX_ESTIMATE_BYTES = 8 << 20  # bytes
+MAX_NAME_LENGTH = 80  # characters
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
           "equal": ("equal", 0.0), "random": ("random", 0.0)}
 """Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
-FEWEST_CELLS, MOST_CELLS = 6, 40  # along the strip that a mesh is tried with
-SAMPLES = 6  # of irregular meshes, whose strips' stiffness varies by 4 %
-GAMMA = 10.0  # rho g L³/alpha of that strip: it hangs as the cloth of a drape does
+MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
+SAMPLES = 6  # strips for irregular meshes, whose stiffness varies by 4 %
+GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
 _Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -55,7 +55,7 @@ class _Capture(Excerpt):
 
 
 class EstimateFile(Excerpt):
-    """What is read of an ``estimate.json``."""
+    """The keys that are read of an ``estimate.json``."""
 
     remedy = "give the estimate.json that infer.py writes"
     convention: Literal["warp/weft", "stiff/soft"]
@@ -72,18 +72,18 @@ class EstimateFile(Excerpt):
 
 @dataclass(frozen=True)
 class Material:
-    """What an estimate says of a fabric, as a tool takes it.
+    """An estimate with the settings of an export.
 
     Attributes:
         alpha: (3,) N·m, median linear moduli of the first yarns (warp), bias, second yarns (weft).
         beta: (3,) N·m², quadratic.
         density: kg/m².
-        curvature: 1/m, at which one modulus stands for the law.
+        curvature: 1/m, of the secant modulus; 0: alpha.
         mesh: name of :data:`MESHES`; edge: m.
-        name: of the fabric, for people.
+        name: of the fabric, for display.
         content: of ``estimate.json``.
         identity: SHA-256 of that file.
-        written: when it was, in ISO 8601.
+        written: its modification time, ISO 8601.
     """
 
     alpha: np.ndarray
@@ -106,18 +106,18 @@ class Material:
 
     @property
     def ratio(self) -> float:
-        """Modulus of hinges on the mesh over the plate's that they hang like."""
+        """Modulus of hinges on the mesh over that of the equivalent plate."""
         natural = np.cbrt(GAMMA * mean_modulus(self.modulus) / (self.density * GRAVITY))
         cells = round(natural / self.edge)
-        if cells < FEWEST_CELLS:
+        if cells < MIN_CELLS:
             raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
                              f"folds are about {1e3 * natural:.0f} mm long; at most "
-                             f"{1e3 * natural / FEWEST_CELLS:.1f}")
-        return _ratio(self.mesh, min(cells, MOST_CELLS))
+                             f"{1e3 * natural / MIN_CELLS:.1f}")
+        return _ratio(self.mesh, min(cells, MAX_CELLS))
 
     @property
     def about(self) -> dict[str, Any]:
-        """Identity, intervals and circumstances, for files that have room, in JSON's types."""
+        """Metadata for exports, with intervals and warnings, in JSON's types."""
         capture = self.content["capture"]
         first = self.content["convention"].partition("/")[0]
         notes = [] if first == WARP_WEFT[0] else [
@@ -136,7 +136,7 @@ class Material:
 
     @property
     def about_hinges(self) -> dict[str, Any]:
-        """:attr:`about`, with the mesh that the figures belong to."""
+        """:attr:`about`, with the mesh that the moduli are valid for."""
         return self.about | {"mesh": self.mesh, "edge_mm": round(1e3 * self.edge, 6),
                              "hinge_over_plate_modulus": round(self.ratio, 4)}
 
@@ -146,10 +146,10 @@ def read_material(
     name: str = "",
 ) -> Material:
     """The fabric of an ``estimate.json``, or of that in a folder; arguments as the attributes of
-    :class:`Material`, ``name`` if empty that of the captures.
+    :class:`Material`, an empty ``name`` is that of the captures.
 
     Raises:
-        InputError: no such file, another one, or an argument out of range.
+        InputError: no such file, another kind of file, or an argument out of range.
     """
     if mesh not in MESHES:
         raise InputError(f"mesh={mesh} is unknown; choose from {', '.join(MESHES)}")
@@ -157,10 +157,10 @@ def read_material(
         raise InputError(f"edge_mm={1e3 * edge:g} must lie between 0.1 and 100")
     if not 0 <= curvature <= 1000:
         raise InputError(f"curvature_1_m={curvature:g} must lie between 0 and 1000")
-    if len(name) > LONGEST_NAME or not name.isprintable():
-        raise InputError(f"name= must be at most {LONGEST_NAME} printable characters")
+    if len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise InputError(f"name= must be at most {MAX_NAME_LENGTH} printable characters")
     path = path / ESTIMATE if path.is_dir() else path
-    data = read_bytes(path, LARGEST_ESTIMATE, "file estimate.json")
+    data = read_bytes(path, MAX_ESTIMATE_BYTES, "file estimate.json")
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     content = parse_json(data, path, EstimateFile.remedy)
     if not isinstance(content, dict) or [content.get(key) for key in ("schema", "schema_version")
@@ -180,7 +180,7 @@ def _captured_name(capture: dict[str, Any]) -> str:
     sources = capture.get("sources") or [capture.get("source")]
     if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
         return "fabric"
-    return result_name([Path(source) for source in sources])[-LONGEST_NAME:]
+    return result_name([Path(source) for source in sources])[-MAX_NAME_LENGTH:]
 
 
 @cache

@@ -1,8 +1,8 @@
-"""Drapes of neighbouring fabrics, which cost a fifth of a simulation.
+"""Drapes of neighbouring fabrics by linear extrapolation, at a fifth of the cost of a simulation.
 
-A drape that is stored moves linearly with its moduli and its membrane, as long as these change
-little: a capture of the moved drape shows another fabric with the same folds. So one simulation
-teaches how every fabric around it differs.
+For small changes of its moduli and its membrane stiffness, a stored drape moves linearly. A capture
+of the moved drape shows another fabric with the same folds, so that one simulation yields training
+captures of several fabrics.
 """
 
 from collections.abc import Mapping
@@ -19,20 +19,20 @@ from sim.scene import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 
-LIKENESS = 0.97
-"""Correlation of a neighbour's parameters with the fabric's own: about a quarter of a standard
-deviation away, by which a drape moves 1 mm, of which the linear prediction misses a quarter."""
-PARAMETERS = 7  # theta and the logarithm of the membrane
+NEIGHBOUR_CORRELATION = 0.97
+"""Correlation of a neighbour's parameters with the fabric's: a distance of about a quarter of a
+standard deviation, which moves a drape by 1 mm; the linear prediction has an error of a quarter."""
+PARAMETERS = 7  # theta and the logarithm of the membrane stiffness
 _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as configs/nuisances
-_SAME = 5e-4  # m, by which a stored drape may move to its equilibrium
+_EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
 
 
 def moves(row: Mapping[str, np.ndarray], positions: np.ndarray, rig: Rig) -> np.ndarray | None:
     """(7, V, 3) derivatives of a stored drape's positions, m, by theta and the logarithm of the
-    membrane; None where there are none.
+    membrane stiffness; None if they do not exist.
 
     Args:
-        row: theta, nuisances, edge, seed and offset of the drape, as a shard has them.
+        row: theta, nuisances, edge, seed and offset of the drape, as stored in a shard.
         positions: (V, 3) m.
         rig: the dataset's.
     """
@@ -45,23 +45,23 @@ def moves(row: Mapping[str, np.ndarray], positions: np.ndarray, rig: Rig) -> np.
     scene = scene_on(specimen, rig)
     found = find_equilibrium(scene, fabric.at_density(REFERENCE_DENSITY), scene.state(positions),
                              laws=nuisances.laws, options=FINE_OPTIONS, self_contact=True)
-    if np.abs(found.state.positions - positions).max() > _SAME:
+    if np.abs(found.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
         return None
     derivatives = tangent_sensitivities(Tangent(found), fabric, ("log_alpha", "ratio", "membrane"))
     return derivatives.positions if derivatives.ok else None
 
 
 def change(theta: np.ndarray, fabrics: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(7,) what is added to theta and to the logarithm of the membrane of a neighbour.
+    """(7,) random change of theta and of the logarithm of the membrane stiffness.
 
-    Fabrics moved so have the mean and the covariance of those they are made from.
+    The changed fabrics have the mean and the covariance of ``fabrics``.
 
     Args:
         theta: (6,) of the drape's fabric.
         fabrics: (N, 6) theta of fabrics of the same distribution.
     """
-    far = np.sqrt(1 - LIKENESS**2)
+    far = np.sqrt(1 - NEIGHBOUR_CORRELATION**2)
     middle = fabrics.mean(axis=0)
     other = fabrics[rng.integers(len(fabrics))]
-    return np.append((LIKENESS - 1) * (theta - middle) + far * (other - middle),
+    return np.append((NEIGHBOUR_CORRELATION - 1) * (theta - middle) + far * (other - middle),
                      far * _MEMBRANE * rng.standard_normal())

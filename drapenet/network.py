@@ -1,4 +1,4 @@
-"""ResNet-18 on maps of drapes, which close around the axis."""
+"""ResNet-18 on maps of drapes, with circular padding in azimuth."""
 
 from dataclasses import dataclass, replace
 
@@ -13,22 +13,22 @@ from drapenet.posterior import Mixture, outputs_of
 from drapenet.targets import Symmetry
 
 CHANNELS = 4
-"""Distance, weight, and two that say where azimuth 0 is: cos and sin of twice the azimuth."""
+"""Distance, weight, cosine and sine of twice the azimuth, which encode the origin of azimuths."""
 KNOWN = 5
-"""Numbers beside the map, see :func:`known_of`."""
-_HARMONICS = (2, 4)  # of the azimuth, in which features are averaged beside their mean
-_MEMBRANE, _FRICTION = 316.0, 1e-4  # N/m, N·m per metre: usual ones
+"""Number of scalar inputs, see :func:`known_of`."""
+_HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
+_MEMBRANE, _FRICTION = 316.0, 1e-4  # N/m, N·m per metre: units of the inputs
 
 
 def known_of(
     views: torch.Tensor, membrane: torch.Tensor, friction: torch.Tensor
 ) -> torch.Tensor:
-    """(N, KNOWN) float32: what the network is given beside the map.
+    """(N, KNOWN) float32 scalar inputs of the network.
 
     Args:
-        views: (N,) how many the map was made of.
-        membrane: (N,) N/m along the yarns, NaN where it is not known.
-        friction: (N,) of bending, N·m per metre, NaN where it is not known.
+        views: (N,) number of views of the map.
+        membrane: (N,) N/m along the yarns, NaN if unknown.
+        friction: (N,) bending friction, N·m per metre, NaN if unknown.
     """
     def flagged(value: torch.Tensor) -> list[torch.Tensor]:
         given = torch.isfinite(value)
@@ -40,12 +40,12 @@ def known_of(
 
 @dataclass(frozen=True)
 class Batch:
-    """Captures as the network sees them, and what it should say.
+    """Inputs of the network for N captures, and targets.
 
     Attributes:
         distance, weight: (N, AZIMUTHS, ELEVATIONS) float32, m and logarithm of 1 + weight.
         known: (N, KNOWN), see :func:`known_of`.
-        targets: (N, T) standardised; None of fabrics that are to be estimated.
+        targets: (N, T) standardised; None in inference.
     """
 
     distance: torch.Tensor
@@ -56,17 +56,17 @@ class Batch:
     @classmethod
     def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, given: np.ndarray,
            targets: torch.Tensor | None = None) -> "Batch":
-        """From maps as :class:`drapenet.maps.Maps` has them.
+        """Batch of maps in the types of :class:`drapenet.maps.Maps`.
 
         Args:
-            given: (N, 2) membrane, N/m along the yarns, and friction, N·m per metre; NaN where they
-                are not known.
+            given: (N, 2) membrane, N/m along the yarns, and friction, N·m per metre; NaN if
+                unknown.
         """
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
                    known_of(torch.from_numpy(views), *torch.from_numpy(given).T), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
-        """The same captures in other turns and reflections; the targets stay."""
+        """The batch with ``symmetry`` applied to its maps, not to its targets."""
         return replace(self, distance=symmetry.of_maps(self.distance),
                        weight=symmetry.of_maps(self.weight))
 
@@ -76,8 +76,8 @@ class Batch:
         return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
 
 
-class AroundConv(torch.nn.Conv2d):
-    """A convolution of maps (N, C, elevations, azimuths) that go on beyond the last azimuth."""
+class CircularConv(torch.nn.Conv2d):
+    """Convolution of maps (N, C, elevations, azimuths) with circular padding in azimuth."""
 
     def forward(self, maps: torch.Tensor) -> torch.Tensor:
         rows, columns = self.kernel_size[0] // 2, self.kernel_size[1] // 2
@@ -86,13 +86,13 @@ class AroundConv(torch.nn.Conv2d):
 
 
 class MapNet(torch.nn.Module):
-    """Maps (N, AZIMUTHS, ELEVATIONS) of distances and weights, and what is known, to a mixture.
+    """Network from maps (N, AZIMUTHS, ELEVATIONS) of distances and weights to a mixture.
 
     Args:
         width: features of the first stage; 64 as in ResNet-18.
         components: of the mixture.
-        targets: that it is over, see :mod:`drapenet.targets`.
-        distance, spread: m, mean and standard deviation of the distances trained on.
+        targets: their number, see :mod:`drapenet.targets`.
+        distance, spread: m, mean and standard deviation of the training distances.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class MapNet(torch.nn.Module):
         self.stages = torch.nn.Sequential(*(
             network._make_layer(block, planes, 2, stride=1 if k == 0 else 2)
             for k, planes in enumerate(widths)))
-        _close(self)
+        _make_circular(self)
         self.shape = {"components": components, "targets": targets}
         features = widths[-1] * (1 + 2 * len(_HARMONICS)) + KNOWN
         self.head = torch.nn.Sequential(
@@ -136,17 +136,17 @@ class MapNet(torch.nn.Module):
         return self.posterior(self.head(torch.cat([pooled.flatten(1), known], dim=1)))
 
     def posterior(self, outputs: torch.Tensor) -> Mixture:
-        """The distribution that outputs (N, :func:`outputs_of`) of the head stand for."""
+        """The posterior of the head's outputs (N, :func:`outputs_of`)."""
         return Mixture.of_outputs(outputs, **self.shape)
 
 
-def _close(module: torch.nn.Module) -> None:
-    """Make all convolutions within ``module`` such that close around the axis."""
+def _make_circular(module: torch.nn.Module) -> None:
+    """Replace all convolutions within ``module`` by circular ones."""
     for name, child in module.named_children():
         if isinstance(child, torch.nn.Conv2d) and child.kernel_size[0] > 1:
-            around = AroundConv(child.in_channels, child.out_channels, child.kernel_size,
+            around = CircularConv(child.in_channels, child.out_channels, child.kernel_size,
                                 stride=child.stride, bias=child.bias is not None)
             around.load_state_dict(child.state_dict())
             setattr(module, name, around)
         else:
-            _close(child)
+            _make_circular(child)

@@ -1,5 +1,5 @@
-"""What ``infer.py`` leaves in its folder: ``estimate.json`` and the files that show it, of the same
-run; of a capture among hundreds also what the tables and pages are made of.
+"""Output files of ``infer.py``: ``estimate.json`` and the report files; with ``captures=`` also the
+inputs of tables and pages.
 """
 
 import os
@@ -27,13 +27,13 @@ from drapenet.table import format_table
 ESTIMATE = "estimate.json"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
 SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
-NAMED_PARTS = 3  # of a path, in the name of its results
+NAMED_PARTS = 3  # parts of a path that name its results
 DONE, SAMPLES, THUMBNAIL = "done.json", "samples.npz", "view.png"
 
 
 def result_name(sources: Sequence[Path]) -> str:
-    """The name of the results of these captures: the last parts of their path, for FABRIC, SAMPLE
-    and CAPTURE; of several captures, those of the folder that they share.
+    """Name of the results of captures: the last parts of their path (FABRIC, SAMPLE, CAPTURE); of
+    several captures, those of their common folder.
     """
     places = [Path(os.path.abspath(source)) for source in sources]
     several = len(places) > 1
@@ -46,16 +46,16 @@ def result_name(sources: Sequence[Path]) -> str:
 
 
 def last_parts(path: Path) -> list[str]:
-    """The last names of a path, which say what it is of: FABRIC, SAMPLE and CAPTURE."""
+    """The last parts of a path: FABRIC, SAMPLE and CAPTURE."""
     named = path if path.name and ".." not in path.parts else path.resolve()
     return [part for part in named.parts if part != named.anchor][-NAMED_PARTS:]
 
 
 def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
-    """To be known before long work: whether the files of ``sources`` can be written to ``out``.
+    """Check, before any long computation, that results of ``sources`` can be written to ``out``.
 
     Raises:
-        InputError: the system refuses, or the estimate of another source is there.
+        InputError: ``out`` is not writable, or contains the estimate of another source.
     """
     require_folder(out)
     for name in SHOWN:
@@ -76,14 +76,14 @@ def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
 
 
 def keep_estimate(out: Path, content: dict[str, Any]) -> None:
-    """Write ``content``; what shows an earlier estimate goes."""
+    """Write ``content`` and remove the report files of an earlier estimate."""
     replace_json(out / ESTIMATE, content)
     for name in SHOWN:
         remove_file(out / name)
 
 
 def show_result(out: Path, result: Result) -> None:
-    """Write ``result`` and print it; a file that cannot be written to show it is a warning."""
+    """Write ``result`` and print it; a report file that cannot be written gives a warning."""
     keep_estimate(out, result.content)
     print(f"{format_table(result.content)}\nestimate: {out / ESTIMATE}")
     written = []
@@ -98,21 +98,20 @@ def show_result(out: Path, result: Result) -> None:
 
 
 def write_result(out: Path, result: Result) -> None:
-    """Write ``result``, its estimate last: where that is, all of it is."""
+    """Write ``result``, ``estimate.json`` last: if it exists, the result is complete."""
     for name, data in result.files.items():
         replace_file(out / name, data)
     replace_json(out / ESTIMATE, result.content)
 
 
 def write_samples(out: Path, estimate: Estimate) -> None:
-    """Keep the samples of a capture's ``estimate`` for the joint one of its fabric."""
+    """Write the samples of a capture's ``estimate``, from which the joint estimate is made."""
     with replacing(out / SAMPLES) as stream:
         np.savez(stream, **vars(estimate))
 
 
 def read_result(out: Path) -> Result:
-    """The result of one capture among many, without its pictures; InputError where it is damaged.
-    """
+    """Read the result of one capture, without report files; InputError if it is damaged."""
     try:
         content = read_json(out / ESTIMATE)
         with np.load(out / SAMPLES, allow_pickle=False) as file:

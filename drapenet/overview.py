@@ -1,8 +1,8 @@
-"""Tables and pages of hundreds of captures: ``summary.csv``, ``fabrics.csv``, ``captures.csv``,
-``failures.csv``, a page of each fabric, and ``index.html``.
+"""Tables and pages of batch inference: ``summary.csv``, ``fabrics.csv``, ``captures.csv``,
+``failures.csv``, a page for each fabric, and ``index.html``.
 
-All are made from the files of finished captures (:mod:`drapenet.batch`), those of one fabric
-joined (:mod:`drapenet.joint`).
+They are made from the files of finished captures (:mod:`drapenet.batch`); estimates of one fabric
+are joined (:mod:`drapenet.joint`).
 """
 
 import io
@@ -34,12 +34,12 @@ SPREAD, INDEX = "captures.png", "index.html"
 
 @dataclass(frozen=True)
 class FabricResult:
-    """What is known of a fabric, from all its captures.
+    """Result of a fabric from all its captures.
 
     Attributes:
-        content: of ``estimate.json``, joint where there are several captures.
-        scatter: factor by which the captures' alpha vary, one standard deviation, by direction;
-            NaN of a single capture.
+        content: of ``estimate.json``; the joint estimate of several captures.
+        scatter: (3,) geometric standard deviation of the captures' alpha by direction; NaN for a
+            single capture.
     """
 
     name: str
@@ -50,12 +50,12 @@ class FabricResult:
 
     @property
     def doubted(self) -> int:
-        """Captures with warnings."""
+        """Number of captures with warnings."""
         return sum(bool(one.content["warnings"]) for _, one in self.captures)
 
     @property
     def warnings(self) -> int:
-        """Of all captures, and of what they say together."""
+        """Number of warnings of all captures and of the joint estimate."""
         own = sum(len(one.content["warnings"]) for _, one in self.captures)
         together = len(self.content["warnings"]) - self.doubted if len(self.captures) > 1 else 0
         return own + together
@@ -64,11 +64,11 @@ class FabricResult:
 def write_overview(
     out: Path, outcomes: Sequence[tuple[Entry, str]]
 ) -> tuple[list[FabricResult], int]:
-    """Write all tables and pages; returns the fabrics, and the number of those whose captures
-    cannot be joined.
+    """Write all tables and pages; return the results of fabrics, and the number of fabrics whose
+    captures cannot be joined.
 
     Args:
-        outcomes: every capture, with the reason why it has no estimate, or ''.
+        outcomes: all captures, each with the reason for a failure, or ''.
     """
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
                                    failure.removeprefix(f"{entry.path}: ")), strict=True))
@@ -87,7 +87,7 @@ def write_overview(
             ("fabrics", [_fabric_row(one) for one in fabrics], ()),
             ("captures", [_capture_row(*one) for each in fabrics for one in each.captures], ()),
             ("failures", failures, FAILURE)):
-        # Excel takes it for UTF-8 with a mark.
+        # Excel needs the byte order mark to detect UTF-8.
         replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
     for fabric in fabrics:
         folder = out / fabric.place
@@ -98,7 +98,7 @@ def write_overview(
             spread=SPREAD, reports={entry.place for entry, _ in fabric.captures
                                     if (out / entry.place / REPORT).exists()}))
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
-    for place in places - {one.place for one in fabrics}:  # what an earlier run knew of them
+    for place in places - {one.place for one in fabrics}:  # remove results of an earlier run
         for name in (ESTIMATE, SPREAD, INDEX):
             remove_file(out / place / name)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
@@ -121,7 +121,7 @@ def _fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricResult:
 
 
 def _summary_row(fabric: FabricResult) -> dict[str, object]:
-    """What fits a screen: alpha with its 68 % interval as text."""
+    """Row of the short table: alpha with its 68 % interval as text."""
     row: dict[str, object] = {"fabric": fabric.name, "captures": len(fabric.captures),
                               "density_g_m2": csv_number(fabric.content["capture"]["density_g_m2"])}
     for role, moduli in zip(ROLES, fabric.content["moduli"].values(), strict=True):
@@ -161,7 +161,7 @@ def _capture_row(entry: Entry, result: Result) -> dict[str, object]:
 
 
 def _figures(content: dict[str, Any]) -> dict[str, object]:
-    """Columns of moduli at the fabric's density and at 300 g/m², and of laboratories' readings."""
+    """Columns of moduli, at the fabric's density and at 300 g/m², and of testers' readings."""
     row: dict[str, object] = {"density_g_m2": csv_number(content["capture"]["density_g_m2"])}
     tables = (("", content["moduli"]), ("_at_300_g_m2", content["moduli_at_300_g_m2"]),
               ("", content["laboratory"]))

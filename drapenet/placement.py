@@ -1,10 +1,10 @@
-"""Scale and place of the specimen, as a capture's map shows them.
+"""Scale and offset of the specimen, estimated from a capture's map.
 
-How much larger a drape looks than a specimen can be, and how far the specimen lies from the
-plate's axis, are regressed on a map's distances, band by band of elevations: the scale on their
-means and variations around the axis, the place on their first harmonics. The coefficients of the
-ridge regressions, in ``drapenet/weights/placement.json``, come from captures of a dataset's drapes,
-the scale's from depths multiplied by up to e^±0.15:
+The ratio of the drape's apparent size to the possible one, and the offset of the specimen from the
+plate's axis, are regressed on a map's distances in bands of elevations: the scale on their means
+and standard deviations around the axis, the offset on their first harmonics. The coefficients of
+the ridge regressions, in ``drapenet/weights/placement.json``, are fitted to captures of a dataset's
+drapes, for the scale with depths multiplied by up to e^±0.15:
 
     python -m drapenet.placement data=DATASET [rig=NAME]
 """
@@ -45,8 +45,8 @@ class PlacementConfig:
 
 
 def specimen_placement(found: DrapeMap, rig: Rig) -> tuple[float, float]:
-    """Logarithm of the size of the drape that ``found`` shows over what it can be, and offset, m,
-    of the specimen's centre from the plate's axis; NaN for a rig without coefficients.
+    """Logarithm of the apparent over the possible size of the drape in ``found``, and offset, m, of
+    the specimen's centre from the plate's axis; NaN for a rig without coefficients.
     """
     table = json.loads(FILE.read_text(encoding="utf-8"))
     if rig.name not in table:
@@ -68,7 +68,7 @@ def _scale_features(found: DrapeMap) -> np.ndarray:
 
 
 def _offset_features(found: DrapeMap) -> np.ndarray:
-    """(2 B,) complex first harmonics of the distances, m, and of what is seen."""
+    """(2 B,) complex first harmonics of the distances, m, and of the visibility."""
     around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
     return np.concatenate([around @ _bands(values) / AZIMUTHS
                            for values in (found.distance, (found.weight > 0).astype(float))])
@@ -77,7 +77,7 @@ def _offset_features(found: DrapeMap) -> np.ndarray:
 def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constant: bool) -> dict:
     """Coefficients of a ridge regression of values (N,) on features (N, F).
 
-    The deviation is that of captures in groups (N,) that the regression has not seen.
+    The deviation is cross-validated over groups (N,).
     """
     from sklearn.linear_model import Ridge
     from sklearn.model_selection import GroupKFold, cross_val_predict
@@ -96,7 +96,7 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constan
 
 @command("placement", PlacementConfig)
 def main(config: PlacementConfig) -> None:
-    """Fit the coefficients of one rig, and write them beside those of others."""
+    """Fit the coefficients of one rig and write them to the table of all rigs."""
     if not config.data:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     rig, setups = Rig.from_name(config.rig), Setups.load()
@@ -104,7 +104,7 @@ def main(config: PlacementConfig) -> None:
     nominal = CameraRig.load(rig.name).intrinsics
     scales: list[tuple[np.ndarray, float, int]] = []
     offsets: list[tuple[np.ndarray, complex, int]] = []
-    for name in reversed(list(manifest["shards"])):  # networks learn from the first
+    for name in reversed(list(manifest["shards"])):  # networks are trained on the first
         drapes = Shard(root / name)
         fabric, drift = drapes.column("fabric"), drapes.column("offset") @ [1, 1j]
         for row in np.flatnonzero(drapes.column("status") == "converged"):
@@ -127,7 +127,7 @@ def main(config: PlacementConfig) -> None:
     features, values, groups = (np.array(part) for part in zip(*scales, strict=True))
     own = {"log_scale": fit(features, values, groups, constant=True)}
     features, values, groups = (np.array(part) for part in zip(*offsets, strict=True))
-    # A turn of everything turns the offset along: real coefficients of complex features.
+    # The offset rotates with the map, so the coefficients of complex features are real.
     own["offset"] = fit(np.concatenate([features.real, features.imag]),
                         np.concatenate([values.real, values.imag]), np.tile(groups, 2),
                         constant=False)

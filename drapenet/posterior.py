@@ -1,7 +1,8 @@
-"""What a drape leaves uncertain: a distribution over the moduli, as a mixture of Gaussians.
+"""Posterior of the moduli as a mixture of Gaussians.
 
 The network's last layer gives the parameters of a mixture with full covariances over the
-standardised targets (:mod:`drapenet.targets`); training maximises the likelihood of the true ones.
+standardised targets (:mod:`drapenet.targets`); training maximises the likelihood of the true
+targets.
 """
 
 import math
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn.functional import softplus
 
-_LEAST_SCALE = 1e-2  # of a factor's diagonal, in deviations of the training set
+_MIN_DIAGONAL = 1e-2  # minimum of a factor's diagonal; standardised targets
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,9 @@ class Mixture:
     """Mixtures of K Gaussians over T targets, one for each of N captures.
 
     Attributes:
-        logits: (N, K) of the components' shares, not normalised.
+        logits: (N, K) of the components' weights, not normalised.
         means: (N, K, T).
-        factors: (N, K, T, T), lower triangular, of the precisions: precision = factor factorᵀ.
+        factors: (N, K, T, T) lower triangular factors of the precisions, factor factorᵀ.
     """
 
     logits: torch.Tensor
@@ -29,14 +30,14 @@ class Mixture:
 
     @classmethod
     def of_outputs(cls, outputs: torch.Tensor, *, components: int, targets: int) -> "Mixture":
-        """From a network's outputs (N, :func:`outputs_of`)."""
+        """Mixture of a network's outputs (N, :func:`outputs_of`)."""
         entries = targets * (targets + 1) // 2
         parts = outputs.view(len(outputs), components, 1 + targets + entries)
         logits, means, entries = parts.split([1, targets, entries], dim=2)
         rows, columns = torch.tril_indices(targets, targets, device=outputs.device)
         factors = outputs.new_zeros(*means.shape, targets)
-        factors[..., rows, columns] = torch.where(rows == columns, softplus(entries) + _LEAST_SCALE,
-                                                  entries)
+        factors[..., rows, columns] = torch.where(
+            rows == columns, softplus(entries) + _MIN_DIAGONAL, entries)
         return cls(logits[..., 0], means, factors)
 
     def log_likelihood(self, targets: torch.Tensor) -> torch.Tensor:
@@ -50,11 +51,11 @@ class Mixture:
 
     @property
     def mean(self) -> torch.Tensor:
-        """(N, T) of the whole mixture."""
+        """(N, T) mean of the mixture."""
         return (self.logits.softmax(dim=1)[..., None] * self.means).sum(dim=1)
 
     def sample(self, count: int, generator: torch.Generator) -> torch.Tensor:
-        """(count, N, T) draws; a mixture and a generator on the CPU."""
+        """(count, N, T) draws; mixture and generator must be on the CPU."""
         shares = self.logits.softmax(dim=1)
         chosen = torch.multinomial(shares, count, replacement=True, generator=generator).T
         every = torch.arange(len(shares))
@@ -64,10 +65,10 @@ class Mixture:
         return self.means[every, chosen] + moved[..., 0]
 
     def cpu(self) -> "Mixture":
-        """The same in float32 on the CPU."""
+        """The mixture in float32 on the CPU."""
         return Mixture(*(part.float().cpu() for part in (self.logits, self.means, self.factors)))
 
 
 def outputs_of(*, components: int, targets: int) -> int:
-    """How many numbers describe a mixture."""
+    """Number of parameters of a mixture."""
     return components * (1 + targets + targets * (targets + 1) // 2)

@@ -1,8 +1,8 @@
-"""From maps of captures to samples of the posterior, by the network.
+"""Posterior samples from maps of captures by the network.
 
-A drape turned by the symmetries of its specimen, or reflected, is as likely a drape of the same
-fabric. So the network is asked about eight such maps, and the posterior is the mixture of its eight
-answers: wider where they disagree.
+Rotated by a symmetry of its specimen, or reflected, a drape is an equally likely drape of the same
+fabric. The posterior is the mixture of the network's posteriors for eight such maps, which is wider
+where they disagree.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from drapenet.targets import MODULI, Symmetry
 from sim.material import is_admissible
 
 DRAWS = 500
-"""Samples of each of the eight answers."""
+"""Samples of each of the eight posteriors."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Draws:
     """Samples of one capture's posterior.
 
     Attributes:
-        theta: (S, 6) at 300 g/m²: of one of the two yarns, the bias, the other yarn.
-        axis: (S,) direction of the first of them in the first view, rad.
-        impossible: share of all samples that no cloth can have, and that was left out.
+        theta: (S, 6) at 300 g/m² along one yarn direction, the bias, the other yarn direction.
+        axis: (S,) direction of the former yarns in the first view, rad.
+        impossible: share of all samples that is not admissible and was removed.
     """
 
     theta: np.ndarray
@@ -39,7 +39,7 @@ class Draws:
 
     @classmethod
     def possible(cls, theta: np.ndarray, axis: np.ndarray) -> "Draws":
-        """Those of the samples theta (S, 6) and axis (S,) that cloth can have; all if none can."""
+        """The admissible ones of samples theta (S, 6) and axis (S,); all if none is."""
         possible = is_admissible(*from_theta(theta))
         kept = possible if possible.any() else ~possible
         return cls(theta[kept], axis[kept], float(1 - possible.mean()))
@@ -47,7 +47,7 @@ class Draws:
 
 @torch.no_grad()
 def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
-    """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.targets`), in their units.
+    """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.targets`), not standardised.
 
     ``network``: of ``header``, in evaluation mode.
     """
@@ -67,12 +67,12 @@ def predict(
     network: MapNet, header: Header, maps: Sequence[DrapeMap], *,
     membrane: float | None = None, friction: float | None = None,
 ) -> list[Draws]:
-    """The posterior of each capture.
+    """Posterior samples of each capture.
 
     Args:
         network: of ``header``, in evaluation mode.
-        membrane: N/m along the yarns, friction: N·m per metre, of cloth of 300 g/m²; where they
-            are known.
+        membrane: N/m along the yarns, friction: N·m per metre, of cloth of 300 g/m²; None if
+            unknown.
     """
     given = np.tile(np.array([membrane, friction], np.float32), (len(maps), 1))  # None is NaN
     batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)
@@ -81,7 +81,7 @@ def predict(
 
 
 def _draws(targets: np.ndarray, zero: float) -> Draws:
-    """Of targets (S, T), for a map that begins at ``zero``, rad."""
+    """Draws of targets (S, T) for a map that begins at ``zero``, rad."""
     axis = np.full(len(targets), zero)
     if targets.shape[1] > MODULI:
         axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2

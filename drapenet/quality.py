@@ -1,9 +1,8 @@
-"""Whether a capture can be what it says: a drape of this specimen on this rig, seen rightly.
+"""Plausibility checks of captures.
 
-A wrong intrinsic, a wrong depth unit or a badly cut out cloth changes moduli by 20 to 40 % and
-still looks like a drape. But cloth does not stretch, the plate is flat, and all views show the same
-cloth. The limits are those that few sound simulated captures pass
-(``python -m benchmarks faults``).
+A wrong intrinsic, a wrong depth unit or a wrong mask changes moduli by 20 to 40 % and still gives
+a plausible drape. The checks use that cloth does not stretch, the plate is flat, and all views show
+the same cloth. Few correct simulated captures exceed the limits (``python -m benchmarks faults``).
 """
 
 from dataclasses import dataclass
@@ -15,40 +14,40 @@ from common.errors import InputError
 from data.cameras import Camera
 from drapenet.canonical import DrapeMap, disagreement
 from drapenet.placement import specimen_placement
-from drapenet.registration import INNER
+from drapenet.registration import INNER_SHARE
 from sim.scene import Rig
 
-_OFF_PLATE = 10e-3  # m, from the plate's plane: not cloth that lies on it
-_TIE = 1.5e-3  # m, depths of a border that a threshold has cut
-LARGEST_SCALE = 0.05  # of the logarithm of the scale
-IMPOSSIBLE_SCALE = 0.15  # of the same; then the views are refused
-LARGEST_OFFSET = 11.5e-3  # m
-LARGEST_BULGE = 0.35e-3  # m
-LARGEST_OFF_PLATE = 0.1  # of the points over the plate's middle; frames that lie on a side have 0.2
-LARGEST_DISAGREEMENT = 3.5e-3  # m
-LARGEST_HOLES = 0.05
-LARGEST_HOLE = 150  # pixels
-LARGEST_CUT = 0.25
-LARGEST_PIXEL = 2.6e-3  # m; the network has seen captures of up to 2.1 mm
-BETTER = 1.35  # times smaller disagreement of the views, from which another reading is likely
+_PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
+_CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
+MAX_LOG_SCALE = 0.05  # of the logarithm of the scale
+REFUSED_LOG_SCALE = 0.15  # of the same; beyond, the views are refused
+MAX_OFFSET = 11.5e-3  # m
+MAX_BULGE = 0.35e-3  # m
+MAX_OFF_PLATE = 0.1  # of the points over the plate's middle; images rotated by 90° have 0.2
+MAX_DISAGREEMENT = 3.5e-3  # m
+MAX_HOLES_SHARE = 0.05
+MAX_HOLE_PIXELS = 150  # pixels
+MAX_CUT_SHARE = 0.25
+MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
+MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
 RAYS = "depth is the length of the ray; give depth along the optical axis"
-MOST_SWAPPED = 4  # views, up to which any two are tried the other way round
+MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What is measured of a capture; NaN where too little is seen.
+    """Quality measures of a capture; NaN if too little is visible.
 
     Attributes:
-        log_scale, offset: how much larger than possible the drape looks, and how far its centre
-            lies from the plate's axis, m (:mod:`drapenet.placement`).
-        bulge: m, by which cloth on the plate is not flat, up in the middle.
-        off_plate: share of the points over the plate's middle that lie off its plane.
-        disagreement: m, between what two views see of the same cloth.
-        misread: what would explain a disagreement; empty where nothing does.
+        log_scale, offset: logarithm of the drape's size over the possible one, and distance of the
+            specimen's centre from the plate's axis, m (:mod:`drapenet.placement`).
+        bulge: m, height of the middle of the cloth on the plate over its edge.
+        off_plate: share of the points over the plate's middle that are off its plane.
+        disagreement: m, between views of the same cloth.
+        misread: explanation of a disagreement with its remedy; empty if there is none.
         holes: share of the cloth's pixels that have no depth; hole: pixels of the largest.
-        cut: share of a view's border that has one and the same depth, the largest of all views.
-        pixel: m, of a pixel on the plate.
+        cut: share of a view's border that has the same depth, maximum over views.
+        pixel: m, size of a pixel on the plate.
     """
 
     log_scale: float
@@ -66,13 +65,13 @@ class Quality:
 def measure(
     views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, *, turns: np.ndarray
 ) -> Quality:
-    """The quality of a capture.
+    """Measure the quality of a capture.
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
-        camera: as located from the plate.
+        camera: with its pose estimated from the plate.
         found: the views' map.
-        turns: (K,) rad, nominal ones of the table.
+        turns: (K,) rad, nominal turns of the table.
     """
     clouds = [camera.cloth_points(view) for view in views]
     gap = disagreement(clouds, turns, rig)
@@ -92,7 +91,9 @@ def _misread(
     views: np.ndarray, camera: Camera, clouds: list[np.ndarray], turns: np.ndarray, rig: Rig,
     gap: float,
 ) -> str:
-    """The reading of the views, if any, by which they agree much better than by the given one."""
+    """The alternative reading of the views that reduces their disagreement most; empty if none
+    reduces it by :data:`MIN_IMPROVEMENT`.
+    """
     if not np.isfinite(gap):
         return ""
     readings = {"the table turned the other way, or the pictures are mirrored; give turns_deg, "
@@ -103,7 +104,7 @@ def _misread(
         stayed[later] = turns[later - 1]
         readings[f"the table did not turn before view {later}; take it again"] = stayed
         for earlier in range(later):
-            if count <= MOST_SWAPPED or later == earlier + 1:
+            if count <= MAX_SWAPPED_VIEWS or later == earlier + 1:
                 swapped = turns.copy()
                 swapped[[earlier, later]] = turns[[later, earlier]]
                 readings[f"views {earlier} and {later} are swapped; number them as they were taken"
@@ -117,67 +118,68 @@ def _misread(
     along = views / np.linalg.norm(camera.directions(), axis=2)
     gaps[RAYS] = disagreement([camera.cloth_points(view) for view in along], turns, rig)
     name = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
-    return name if gap > BETTER * gaps[name] else ""
+    return name if gap > MIN_IMPROVEMENT * gaps[name] else ""
 
 
 def quality_doubts(quality: Quality) -> list[str]:
-    """What to say, a line each, of a capture that cannot be sound: quantity, limit, remedy."""
+    """One line for each exceeded limit: quantity, limit, remedy."""
     q, doubts = quality, []
-    if abs(q.log_scale) > LARGEST_SCALE:
+    if abs(q.log_scale) > MAX_LOG_SCALE:
         doubts.append(f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can "
-                      f"be (sound captures: within {LARGEST_SCALE:.0%}): check depth unit and "
+                      f"be (sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and "
                       "scale, fx and fy, the specimen's size and the cut-out")
-    if q.offset > LARGEST_OFFSET:
+    if q.offset > MAX_OFFSET:
         doubts.append(f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis "
-                      f"(at most {1e3 * LARGEST_OFFSET:g} mm): place it on the plate again")
-    if abs(q.bulge) > LARGEST_BULGE:
+                      f"(at most {1e3 * MAX_OFFSET:g} mm): place it on the plate again")
+    if abs(q.bulge) > MAX_BULGE:
         doubts.append(f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
-                      f"{1e3 * LARGEST_BULGE:g} mm): depth must be along the optical axis, not the "
+                      f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the "
                       "length of the ray; check the lens's distortion")
     if q.misread:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth, but fit better by a factor of more than {BETTER:g} if {q.misread}")
-    elif q.disagreement > LARGEST_DISAGREEMENT:
+                      f"cloth, but fit better by a factor of more than {MIN_IMPROVEMENT:g} if "
+                      f"{q.misread}")
+    elif q.disagreement > MAX_DISAGREEMENT:
         doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth (sound captures: up to {1e3 * LARGEST_DISAGREEMENT:g} mm): check "
+                      f"cloth (sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check "
                       "turns_deg, fx and fy, and that the cloth did not move")
-    if q.holes > LARGEST_HOLES or q.hole > LARGEST_HOLE:
+    if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS:
         doubts.append(f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole "
-                      f"(sound captures: up to {LARGEST_HOLES:.0%} and {LARGEST_HOLE}): change "
-                      "exposure, light or distance")
-    if q.cut > LARGEST_CUT:
+                      f"(sound captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): "
+                      "change exposure, light or distance")
+    if q.cut > MAX_CUT_SHARE:
         doubts.append(f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: "
-                      f"up to {LARGEST_CUT:.0%}): a threshold of the depth has cut off the "
+                      f"up to {MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the "
                       "cloth; cut it out by geometry or colour")
-    if q.pixel > LARGEST_PIXEL:
+    if q.pixel > MAX_PIXEL:
         doubts.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
-                      f"{1e3 * LARGEST_PIXEL:g} mm): move the camera nearer")
+                      f"{1e3 * MAX_PIXEL:g} mm): move the camera nearer")
     return doubts
 
 
 def require_plate(quality: Quality) -> None:
-    """InputError where what was taken for cloth on the plate cannot be it."""
-    if abs(quality.log_scale) > IMPOSSIBLE_SCALE:
+    """Raise InputError if the views cannot show cloth on a plate."""
+    if abs(quality.log_scale) > REFUSED_LOG_SCALE:
         raise InputError(
             f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "
-            f"(limit {IMPOSSIBLE_SCALE:.0%}, and cloth does not stretch); check depth unit and "
+            f"(limit {REFUSED_LOG_SCALE:.0%}, and cloth does not stretch); check depth unit and "
             "scale, fx and fy, the rig, and that the pictures are upright")
-    if quality.off_plate > LARGEST_OFF_PLATE:
+    if quality.off_plate > MAX_OFF_PLATE:
         raise InputError(
             f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
-            f"{1e3 * _OFF_PLATE:g} mm off its plane (limit {LARGEST_OFF_PLATE:.0%}), so what was "
+            f"{1e3 * _PLATE_TOLERANCE:g} mm off its plane (limit {MAX_OFF_PLATE:.0%}), so what was "
             "found is not a drape on a plate; check that the pictures are upright, neither turned "
             "nor mirrored, that all show the cloth, and the rig; python -m data.capture shows what "
             "was cut out")
 
 
 def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
-    """Bulge of the cloth on the plate, m, from the middle to the edge of the paraboloid through
-    it, and the share of points (N, 3), m, over the plate that lie off its plane.
+    """Bulge of the cloth on the plate, m, from edge to middle of a fitted paraboloid, and the share
+    of points (N, 3), m, over the plate that are off its plane.
     """
-    reach = INNER * rig.plate_radius
+    reach = INNER_SHARE * rig.plate_radius
     over = points[np.hypot(points[:, 0], points[:, 1]) < reach]
-    flat = np.abs(over[:, 2]) < _OFF_PLATE
+    flat = np.abs(over[:, 2]) < _PLATE_TOLERANCE
     x, y, z = over[flat].T
     if len(z) < 30:
         return np.nan, 1.0
@@ -186,11 +188,11 @@ def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
 
 
 def _cut(view: np.ndarray) -> float:
-    """Share of a view's border with one and the same depth, beyond most of the cloth."""
+    """Maximum share of a view's border whose depths are within :data:`_CUT_TOLERANCE`."""
     cloth = binary_fill_holes(view > 0)
     border = cloth & ~binary_erosion(cloth) & (view > 0)
     depths = np.sort(view[border])
     if len(depths) < 20:
         return np.nan
-    last = np.searchsorted(depths, depths + _TIE, side="right") - np.arange(len(depths))
+    last = np.searchsorted(depths, depths + _CUT_TOLERANCE, side="right") - np.arange(len(depths))
     return float(last.max() / len(depths))

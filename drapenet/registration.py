@@ -1,4 +1,4 @@
-"""Where the camera of a capture stood, relative to the plate."""
+"""Camera pose relative to the plate, estimated from the views of a capture."""
 
 import numpy as np
 
@@ -7,33 +7,33 @@ from data.setups import Setups
 from sim.scene import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
-INNER = 0.7  # of the plate's radius, where the cloth lies flat on it
-_SAMPLE = 6000  # points that the plate is looked for in
+INNER_SHARE = 0.7  # of the plate's radius, within which the cloth is flat
+_MAX_POINTS = 6000  # used to find the initial plane
 _PITCHES = np.radians([25.0, 32.0, 38.0, 44.0, 50.0])
-"""How far cameras may look down: the search for the plate begins with each."""
+"""rad, initial guesses of the camera's pitch."""
 TILT, SHIFT = np.radians(2.0), 0.020
-"""rad and m, how far beyond the cameras trained with one may be found: the errors of finding it."""
+"""rad and m, tolerances of the pose beyond the range trained on: the errors of the estimate."""
 
 
 def locate_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
-    """The camera with its pose relative to the plate, from the flat top of the drape.
+    """Estimate the camera's pose relative to the plate from the flat top of the drape.
 
-    The plate's plane is fitted to the highest points, its centre is the centroid of the points
-    on it. Pooling all views makes that centroid symmetric, whatever the drape.
+    The plate's plane is fitted to the highest points; its centre is the centroid of the points
+    on it. The centroid is taken over all views, which makes it symmetric for any drape.
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
-        intrinsics: of these pictures.
+        intrinsics: of these images.
 
     Returns:
-        A camera whose world x axis is parallel to the picture's rows.
+        A camera whose world x axis is parallel to the image rows.
     """
     points = np.concatenate([intrinsics.back_project(view)[view > 0] for view in views])
-    few = points[:: max(1, len(points) // _SAMPLE)]
+    few = points[:: max(1, len(points) // _MAX_POINTS)]
     starts = [_plate(few, np.array([0.0, -np.cos(pitch), -np.sin(pitch)]), rig.plate_radius,
                      rounds=4)
               for pitch in _PITCHES]
-    # On the plate lie more points than on any other plane, counted by their area.
+    # The plate is the plane that holds the largest area of points.
     normal = max(starts, key=lambda plate: plate[2])[0]
     normal, centre, _ = _plate(few, normal, rig.plate_radius, rounds=6)
     normal, centre, _ = _plate(points, normal, rig.plate_radius, rounds=2, centre=centre)
@@ -49,10 +49,10 @@ def _plate(
     points: np.ndarray, normal: np.ndarray, radius: float, *, rounds: int,
     centre: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal and centre of the plate under points (N, 3), camera axes, and how much lies on it.
+    """Normal and centre of the plate in points (N, 3), camera axes, and the weight of its points.
 
     Args:
-        normal: first guess, up. centre: the same; None takes the highest points'.
+        normal: initial guess, up. centre: initial guess; None: centroid of the highest points.
     """
     height = points @ normal
     on_plate = height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
@@ -60,11 +60,11 @@ def _plate(
     if centre is None:
         centre = points[on_plate].mean(axis=0)
     else:
-        inner = (np.linalg.norm(points - centre, axis=1) < INNER * radius) & on_plate
+        inner = (np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius) & on_plate
     weight = 0.0
     for _ in range(rounds):
         if inner.sum() < 3:
-            break  # no plane through so few: whatever this is, it is not a drape on a plate
+            break  # too few points for a plane: not a drape on a plate
         middle = points[inner].mean(axis=0)
         offsets = points[inner] - middle
         normal = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
@@ -74,18 +74,19 @@ def _plate(
             np.linalg.norm(points - centre, axis=1) < 2 * radius)
         if not on_plate.any():
             break
-        # Pixels are denser where the plate is nearer; z³ undoes that on a plane.
+        # Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
         weights = points[on_plate, 2] ** 3
         centre = weights @ points[on_plate] / weights.sum()
         weight = float(weights.sum())
-        # Near the rim the cloth bends down already, and more of it is seen in front.
-        inner = (np.linalg.norm(points - centre, axis=1) < INNER * radius) & (above > -DEPTH_STEP)
+        # Near the rim the cloth bends down, and more of it is visible in front: a bias.
+        near = np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius
+        inner = near & (above > -DEPTH_STEP)
     return normal, centre, weight
 
 
 def camera_doubts(camera: Camera, setups: Setups) -> list[str]:
-    """What to say, a line each, of a ``camera`` found elsewhere than in the ``setups`` that the
-    network was trained on.
+    """One line for each property of ``camera`` outside the ``setups`` that the network was
+    trained on.
     """
     up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
@@ -96,9 +97,9 @@ def camera_doubts(camera: Camera, setups: Setups) -> list[str]:
     if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
         doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal "
                       f"(limits {low:.0f}° to {high:.0f}°): check that the pictures "
-                      "are upright, their intrinsics, and the camera's place")
+                      "are upright, their intrinsics, and the camera's position")
     if not near - SHIFT < distance < far + SHIFT:
         doubts.append(f"the plate is {1e3 * distance:.0f} mm away (limits "
                       f"{1e3 * near:.0f} to {1e3 * far:.0f} mm): check the depth unit, the "
-                      "intrinsics and the camera's place")
+                      "intrinsics and the camera's position")
     return doubts

@@ -1,5 +1,5 @@
-"""``report.png``: the capture, the estimated laws, and the drape that they give; ``torque.svg``:
-the laws alone.
+"""``report.png``: the capture, the estimated bending laws and the simulated drape; ``torque.svg``:
+the bending laws alone.
 """
 
 import io
@@ -17,7 +17,7 @@ from drapenet.estimate import Estimate
 from drapenet.resimulate import PROFILE_HEIGHT, Resimulation
 from drapenet.table import with_interval
 
-LARGEST_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
+MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
@@ -32,7 +32,7 @@ def draw_report(
 
     Args:
         views: (K, H, W) captured z-depth, m.
-        resimulation: None if the estimate could not be draped.
+        resimulation: None if no simulated drape converged.
     """
     figure = Figure(figsize=(13, 12.5), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
@@ -69,7 +69,7 @@ def draw_report(
 
 
 def draw_torques(estimate: Estimate) -> bytes:
-    """Torque over curvature of the three directions as SVG, its text as text."""
+    """Torque over curvature of the three directions as SVG, with text elements."""
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "drapenet"}):
         figure = Figure(figsize=(6.5, 4), layout="constrained")
         _torques(figure.subplots(), estimate)
@@ -80,7 +80,7 @@ def draw_torques(estimate: Estimate) -> bytes:
 
 
 def _window(views: np.ndarray) -> tuple[slice, slice, slice]:
-    """Slices of all pictures that hold the cloth of views (N, H, W), with a small margin."""
+    """Slices (view, row, column) of views (N, H, W) that contain the cloth, with a small margin."""
     cloth = (views > 0).any(axis=0)
     slices = [slice(None)]
     for axis in (1, 0):
@@ -104,20 +104,20 @@ def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> Non
 
 
 def _torques(axes: Axes, estimate: Estimate) -> None:
-    curvature = np.linspace(0, LARGEST_CURVATURE, 100)
+    curvature = np.linspace(0, MAX_CURVATURE, 100)
     for k, (name, colour) in enumerate(zip(estimate.names, COLOURS, strict=True)):
         curves = torque_samples(estimate, k, curvature) * 1e3
         axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, label=name)
         axes.fill_between(curvature, *np.quantile(curves, [0.16, 0.84], axis=0), color=colour,
                           alpha=0.15, lw=0)
-    axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, LARGEST_CURVATURE),
+    axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, MAX_CURVATURE),
              ylim=(0, None))
     axes.set_title("torque of a bent strip; shaded: 68 % interval", fontsize=10)
     axes.legend(frameon=False, loc="upper left")
 
 
 def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
-    """Radius profiles and the first yarns; angles as in the first view, 0 to the right."""
+    """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
     axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
                    fontsize=10)
     axes.tick_params(labelsize=7)

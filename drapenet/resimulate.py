@@ -1,8 +1,8 @@
-"""The estimate, put to the test: is its simulated drape like the captured one?
+"""Simulates the drape of an estimate and compares it with the capture.
 
-A fabric can drape in many ways; which one a specimen took is chance. So a few drapes of the
-estimate are made, and the one that fits the captured silhouettes best stands beside the capture.
-The mirror image of a drape is as good a drape of the same fabric, and costs nothing.
+A fabric has many drapes, and which of them a specimen takes is random. A few drapes of the estimate
+are simulated; the one that fits the captured silhouettes best is shown beside the capture. The
+mirror image of a drape is an equally likely drape of the same fabric, at no cost.
 """
 
 import math
@@ -19,29 +19,29 @@ from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
 from sim.scene import Rig
 
-TURNS = 48  # orientations tried for the fit
-FIT_WIDTH = 120  # pixels, of the pictures compared for it
+TURNS = 48  # orientations tried in the fit
+FIT_WIDTH = 120  # pixels, width of the images compared in it
 EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
 PROFILE_HEIGHT, PROFILE_BAND = -0.04, 0.016  # m above the plate, of radius profiles, and around it
 BINS = 180  # of a radius profile
-LEAST_OVERLAP = 0.7
-"""Of the silhouettes. Sound captures have 0.82 and more (0.74 on a coarse mesh), those with
+MIN_OVERLAP = 0.7
+"""Of the silhouettes. Correct captures have at least 0.82 (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
 @dataclass(frozen=True)
 class Resimulation:
-    """A drape of the estimate beside the captured one.
+    """A simulated drape of the estimate, compared with the captured one.
 
     Attributes:
         views: (K, H, W) of the simulated drape, z-depth, m.
         profiles: radius profiles (BINS,), m, captured and simulated.
         folds: captured and simulated.
         overlap: mean intersection over union of the silhouettes.
-        statuses: of all drapes made, in the order of :data:`STARTS`.
-        drape: the one shown, or its mirror image.
-        positions: (V, 3) m, of the one shown, as it lies in the first view.
+        statuses: of all simulated drapes, in the order of :data:`STARTS`.
+        drape: the one shown, possibly before reflection.
+        positions: (V, 3) m, of the one shown, in the orientation of the first view.
     """
 
     views: np.ndarray
@@ -54,15 +54,15 @@ class Resimulation:
 
     @property
     def doubts(self) -> list[str]:
-        """What to say of a drape that is not like the captured one, one line each."""
-        if self.overlap >= LEAST_OVERLAP:
+        """One line if the silhouettes overlap too little."""
+        if self.overlap >= MIN_OVERLAP:
             return []
         return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
                 "the captured one: check the pictures, their intrinsics and the rig; if they are "
                 "right, the fabric is unlike those trained on"]
 
     def as_dict(self) -> dict:
-        """The figures, in JSON's types."""
+        """Drape coefficient, folds, overlap and statuses in JSON's types."""
         coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
         return {"drape_coefficient_percent": round(100 * coefficient, 1),
                 "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
@@ -80,15 +80,15 @@ def resimulate(
     turns: Sequence[float],
     laws: Laws | None = None,
 ) -> Resimulation | None:
-    """Drape ``fabric`` as a capture shows it; None if no drape converges.
+    """Simulate drapes of ``fabric`` and fit them to a capture; None if none converges.
 
     Args:
         fabric: stiff along warp.
         views: (K, H, W) captured z-depth, m, as ``camera`` saw them.
         edge: m, at the rim of the specimen's mesh.
         turns: (K,) rad, how far the table had turned in each view.
-        drapes: how many to make, at most as many as there are :data:`STARTS`.
-        laws: of cloth of 300 g/m²; None: without friction of bending.
+        drapes: number to simulate, at most that of :data:`STARTS`.
+        laws: of cloth of 300 g/m²; None: without bending friction.
     """
     step = max(1, round(camera.width / FIT_WIDTH))
     captured = views[:, ::step, ::step] > 0
@@ -122,7 +122,7 @@ def beside(
     views: np.ndarray, simulated: np.ndarray, camera: Camera, *, turns: Sequence[float],
     drape: DrapeResult, positions: np.ndarray, statuses: Sequence[str],
 ) -> Resimulation:
-    """A drape whose views (K, H, W) are ``simulated`` beside the captured ``views``; other
+    """Compare a drape, whose views (K, H, W) are ``simulated``, with the captured ``views``; other
     arguments as for :class:`Resimulation`.
     """
     profiles = tuple(radius_profile(v, camera, turns=turns) for v in (views, simulated))
@@ -135,9 +135,9 @@ def beside(
 def radius_profile(
     views: np.ndarray, camera: Camera, *, turns: Sequence[float] = QUARTERS
 ) -> np.ndarray:
-    """Distance (BINS,), m, of the cloth from the axis around the drape at :data:`PROFILE_HEIGHT`.
+    """Distance (BINS,), m, of the cloth from the axis by azimuth, at :data:`PROFILE_HEIGHT`.
 
-    Each view contributes mostly what faces the camera. NaN where no view saw any cloth.
+    Cloth that faces the camera has the largest weight. NaN where no view shows cloth.
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
@@ -149,7 +149,7 @@ def radius_profile(
         points = camera.cloth_points(view)
         band = points[np.abs(points[:, 2] - PROFILE_HEIGHT) < PROFILE_BAND / 2]
         azimuth = np.arctan2(band[:, 1], band[:, 0])
-        facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera stands at -y
+        facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera is at -y
         bin_of = np.floor((azimuth - turn) / (2 * np.pi) * BINS).astype(int) % BINS
         np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
         np.add.at(weight, bin_of, facing)
@@ -177,7 +177,7 @@ def _fit_orientation(
 ) -> tuple[float, float]:
     """Largest overlap with silhouettes (K, H, W) and the orientation, rad, that gives it."""
     step = 2 * math.pi / TURNS
-    # Rendered once each: a view of one orientation is another's, as many steps on.
+    # All views are rotations by whole steps, so each is rendered once.
     views = [renderer.view(camera, turn * step) for turn in range(TURNS)]
     after = np.rint(np.asarray(turns) / step).astype(int)
     overlaps = [silhouette_overlap(captured, np.stack([views[k] for k in (turn + after) % TURNS]))

@@ -1,7 +1,7 @@
-"""``drape.glb``: the captured surface and the simulated drape, to be turned together.
+"""``drape.glb``: the captured surface and the simulated drape in one scene.
 
-glTF's axes: metres, y up, the plate's centre the origin; x to the right in the first view, z
-towards the camera. Nodes: ``captured``, ``simulated``, ``support``.
+Metres, y up, origin at the plate's centre; x to the right in the first view, z towards the camera.
+Nodes: ``captured``, ``simulated``, ``support``.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from drapenet.resimulate import Resimulation, turned
 from sim.mesh import vertex_normals
 from sim.scene import Rig
 
-MOST_POINTS = 16_000  # of the captured surface, all views together
-FOLD = 6e-3  # m, jump in depth from which on two pixels show different cloth
+MAX_POINTS = 16_000  # of the captured surface, all views together
+MAX_JUMP = 6e-3  # m, range of depths within a triangle
 _COLUMN = 0.13  # m, height of the support that is drawn
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows: z up to y up
 _COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
@@ -28,8 +28,8 @@ def drape_glb(
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
-        camera: as located from the plate; found: the views' map, for the table's turns.
-        drape: None where the estimate could not be draped; the node is left out then.
+        camera: with its estimated pose; found: the views' map, for the table's turns.
+        drape: None if no simulated drape converged; the node is omitted then.
     """
     scene = trimesh.Scene()
     _add(scene, "captured", *captured_surface(views, camera, found))
@@ -43,17 +43,17 @@ def drape_glb(
 def captured_surface(
     views: np.ndarray, camera: Camera, found: DrapeMap
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3), m, as the cloth lies in the first view, and triangles (F, 3) between pixels.
+    """Points (N, 3), m, in the orientation of the first view, and triangles (F, 3) between pixels.
 
-    Views overlap; each keeps its own points. Arguments as for :func:`drape_glb`.
+    Views are not merged where they overlap. Arguments as for :func:`drape_glb`.
     """
     count = (views > 0).sum()
-    step = max(1, int(np.ceil(np.sqrt(count / MOST_POINTS))))
+    step = max(1, int(np.ceil(np.sqrt(count / MAX_POINTS))))
     small = views[:, ::step, ::step]
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     points, faces, before = [], [], 0
-    for view, whole, turn in zip(small, views, found.turns, strict=True):
-        world = (camera.back_project(whole)[::step, ::step] - shift) @ rotation
+    for view, full, turn in zip(small, views, found.turns, strict=True):
+        world = (camera.back_project(full)[::step, ::step] - shift) @ rotation
         cloth = view > 0
         number = np.full(view.shape, -1)
         number[cloth] = before + np.arange(cloth.sum())
@@ -70,14 +70,14 @@ def _between(number: np.ndarray, depth: np.ndarray) -> np.ndarray:
     for trio in ((0, 1, 2), (0, 2, 3)):
         numbers = np.stack([number[corners[k]] for k in trio], axis=-1)
         depths = np.stack([depth[corners[k]] for k in trio], axis=-1)
-        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < FOLD)])
+        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < MAX_JUMP)])
     return np.concatenate(found)
 
 
 def _add(
     scene: trimesh.Scene, name: str, points: np.ndarray, faces: np.ndarray, *, flat: bool = False
 ) -> None:
-    """Add a surface (V, 3), (F, 3), z up, to a scene; ``flat``: with edges instead of normals."""
+    """Add a surface (V, 3), (F, 3), z up, to a scene; ``flat``: without smooth normals."""
     mesh = trimesh.Trimesh(points @ _UP, faces, process=False)
     if flat:
         mesh.unmerge_vertices()

@@ -1,4 +1,4 @@
-"""Estimates in the units that people see, as text for terminals and spreadsheets."""
+"""Estimates as text for terminals and spreadsheets."""
 
 import csv
 import io
@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-WIDEST = 28  # characters of a fabric's name
-_FORMULA = tuple("=+-@\t\r\n")  # a cell that begins like this is computed by spreadsheets
+MAX_NAME_WIDTH = 28  # characters of a fabric's name
+_FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
 
 def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[str, str]:
-    """Median and interval as text; their digits follow the interval's width."""
+    """Median and interval as text, with decimals according to the interval's width."""
     low, high = quantity[key]
     places = 0
     if (half := (high - low) / 2) > 0:
@@ -20,7 +20,7 @@ def with_interval(quantity: dict[str, Any], key: str = "interval_68") -> tuple[s
 
 
 def interval_columns(name: str, quantity: dict[str, Any] | None) -> dict[str, str]:
-    """Median and intervals as columns of a CSV table; empty where there is no value."""
+    """Median and intervals as columns of a CSV table; empty for None."""
     columns = {name: "", **{f"{name}_{end}{level}": "" for level in (68, 90)
                             for end in ("low", "high")}}
     if quantity:
@@ -35,7 +35,7 @@ def csv_number(value: float) -> str:
 
 
 def csv_table(rows: Sequence[dict[str, object]], columns: Sequence[str] = ()) -> str:
-    """A table for spreadsheets; ``columns`` are those of a table that may have no rows."""
+    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
                             lineterminator="\n")
@@ -45,7 +45,7 @@ def csv_table(rows: Sequence[dict[str, object]], columns: Sequence[str] = ()) ->
 
 
 def _cell(value: object) -> object:
-    """No formula: names are a user's, and may come from anywhere. Numbers stay numbers."""
+    """Escape text that a spreadsheet would evaluate as a formula; numbers are not changed."""
     if not isinstance(value, str) or not value.startswith(_FORMULA):
         return "" if value is None else value
     try:
@@ -102,7 +102,8 @@ def format_fabrics(rows: Sequence[tuple[str, int, dict[str, Any], int]]) -> str:
     """A line for each fabric: name, captures, alpha with its 68 % interval from the content of
     ``estimate.json``, and the number of warnings.
     """
-    names = [name if len(name) <= WIDEST else f"{name[: WIDEST - 1]}…" for name, *_ in rows]
+    names = [name if len(name) <= MAX_NAME_WIDTH else f"{name[: MAX_NAME_WIDTH - 1]}…"
+             for name, *_ in rows]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
              + "".join(f"{f'alpha {role}':>24}" for role in ("warp/stiff", "bias", "weft/soft"))

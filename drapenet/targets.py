@@ -1,11 +1,11 @@
-"""What the network's posterior is over: the moduli along the specimen's own yarns.
+"""Targets of the network: the moduli along the specimen's yarns.
 
 A square is cut along its yarns and its map begins at a side: its six targets are theta
-(:mod:`data.fabrics`) with the yarns along azimuth 0 in place of the warp. Nothing shows the yarns
-of a disc, whose map begins anywhere: its targets are theta with the stiffer yarns first, and the
-two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
-single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) lets the vector shrink to zero
-where both yarns are alike and the stiffer ones jump by a right angle.
+(:mod:`data.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a disc are
+not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns first,
+and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
+single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for equal
+yarns, where the direction of the stiffer ones jumps by a right angle.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ MODULI = 6  # the first targets; a disc has two more
 
 
 def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray:
-    """Targets (N, 6), or (N, 8) of discs, in their units.
+    """Targets (N, 6), or (N, 8) of discs, not standardised.
 
     Args:
         theta: (N, 6).
-        warp: (N,) direction of the warp in the map, rad.
+        warp: (N,) azimuth of the warp in the map, rad.
     """
     if not disc:
         odd = np.rint(warp / (np.pi / 2)).astype(int) % 2 == 1
@@ -38,11 +38,11 @@ def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Turns and reflections of maps, after which they show an equally likely capture.
+    """Rotations and reflections of maps that give equally likely captures.
 
     Attributes:
-        cells: (N,) int, azimuths by which the map is turned on: quarter turns of a square's.
-        mirror: (N,) bool, reflected at azimuth 0 first.
+        cells: (N,) int, azimuth cells by which the map is rotated; quarter turns for squares.
+        mirror: (N,) bool, whether it is reflected at azimuth 0 before.
     """
 
     cells: torch.Tensor
@@ -50,25 +50,25 @@ class Symmetry:
 
     @classmethod
     def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
-        """Random ones."""
+        """Draw ``count`` random symmetries."""
         cells = rng.integers(AZIMUTHS, size=count) if disc else (
             rng.integers(4, size=count) * (AZIMUTHS // 4))
         return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
 
     @classmethod
     def all(cls) -> "Symmetry":
-        """The eight of a square, which are also the ones that estimates are averaged over."""
+        """The eight symmetries of a square, over which estimates are averaged."""
         cells = torch.arange(4).repeat(2) * (AZIMUTHS // 4)
         return cls(cells, torch.arange(8) >= 4)
 
     def of_maps(self, maps: torch.Tensor) -> torch.Tensor:
-        """Maps (N, AZIMUTHS, ELEVATIONS) turned."""
+        """Apply to maps (N, AZIMUTHS, ELEVATIONS)."""
         azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
         azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
         return maps[torch.arange(len(maps))[:, None], azimuth.to(maps.device)]
 
     def of_targets(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
-        """Targets (N, T), of such maps."""
+        """Apply to targets (N, T)."""
         if not disc:
             odd = (self.cells // (AZIMUTHS // 4)) % 2 == 1
             return torch.where(odd[:, None], targets[:, SWAPPED], targets)
@@ -78,7 +78,7 @@ class Symmetry:
 
     def undone(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
         """The inverse of :meth:`of_targets`."""
-        back = torch.where(self.mirror, self.cells, -self.cells)  # a reflection undoes itself
+        back = torch.where(self.mirror, self.cells, -self.cells)  # a reflection is its own inverse
         return Symmetry(back, self.mirror).of_targets(targets, disc=disc)
 
 
@@ -95,8 +95,8 @@ class TargetScale:
 
     @staticmethod
     def fit(targets: np.ndarray, *, disc: bool) -> "TargetScale":
-        """The scale of a training set's targets (N, T), which turns and reflections leave as it is:
-        both sides of squares have the same, and directions on discs no mean.
+        """Scale of a training set's targets (N, T), invariant under the symmetries: equal for both
+        yarns of squares, with zero mean for directions on discs.
         """
         mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
         if disc:
@@ -110,5 +110,5 @@ class TargetScale:
         return (targets - self.mean) / self.std
 
     def decode(self, standardised: np.ndarray) -> np.ndarray:
-        """Targets (..., T) in their units."""
+        """Targets (..., T), not standardised."""
         return standardised * self.std + self.mean

@@ -1,9 +1,8 @@
-"""The parts of training that ``train.py`` puts together.
+"""Captures, batches, validation and metadata of ``train.py``.
 
-Nothing random is drawn from a running generator: the order of an epoch and the turn in which a
-capture is shown are functions of (seed, epoch). So the state at the end of an epoch is the weights,
-the optimiser's moments and the number of epochs done, and a resumed run repeats exactly what an
-uninterrupted one would have done.
+Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state
+at the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
+finished epochs, and a resumed run gives the same weights as an uninterrupted one.
 """
 
 from collections.abc import Iterator
@@ -32,16 +31,16 @@ if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
     from tqdm import tqdm
 
-_UNSEEN_AT_ONCE = 128
+_VALIDATION_BATCH = 128
 _GIVEN = [NAMES.index(name) for name in ("membrane", "friction")]
-_FEW = 1000  # captures that the mean distance is taken of
+_MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 
 
 def choose_device(config: TrainConfig) -> torch.device:
     """Set threads and reproducible kernels; return the device.
 
     Raises:
-        InputError: CUDA is asked for and absent, or an unknown device.
+        InputError: CUDA is requested but not available, or an unknown device.
     """
     if config.threads > 0:
         torch.set_num_threads(config.threads)
@@ -62,10 +61,10 @@ class CaptureSet:
     Args:
         maps: of captures of one rig.
         disc: whether specimens are discs.
-        scale: of the targets; None: of these captures.
+        scale: of the targets; None: fitted to these captures.
 
     Attributes:
-        truth: (N, T) targets in their units.
+        truth: (N, T) targets, not standardised.
     """
 
     def __init__(self, maps: Maps, *, disc: bool, scale: TargetScale | None = None) -> None:
@@ -79,19 +78,19 @@ class CaptureSet:
 
     def network(self, config: ModelConfig) -> dict:
         """Arguments of :class:`drapenet.network.MapNet` for these captures."""
-        few = self.maps.distance[:: -(-len(self) // _FEW)].astype(np.float32)
+        few = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
         return {**asdict(config), "targets": self.targets.shape[1],
                 "distance": round(float(few.mean()), 4), "spread": round(float(few.std()), 4)}
 
     def batch(
         self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
     ) -> Batch:
-        """Some captures.
+        """The captures of ``rows``.
 
         Args:
             rows: (N,) int.
-            revealed: (N, 2) bool, whether the membrane and the friction are given as known.
-            symmetry: turns and reflections to show them in.
+            revealed: (N, 2) bool, whether membrane and friction are given to the network.
+            symmetry: rotations and reflections to apply.
         """
         maps, targets = self.maps, self.targets[rows]
         if symmetry is not None:
@@ -100,16 +99,16 @@ class CaptureSet:
         batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], given, targets)
         return batch if symmetry is None else batch.turned(symmetry)
 
-    def in_order(self, most: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
-        """Rows and captures, all once, as they are, at most so many at a time; ``known``: whether
-        membrane and friction are given.
+    def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
+        """Rows and captures in order, without symmetries, in batches of at most ``size``;
+        ``known``: whether membrane and friction are given.
         """
-        for rows in np.array_split(np.arange(len(self)), -(-len(self) // most)):
+        for rows in np.array_split(np.arange(len(self)), -(-len(self) // size)):
             yield rows, self.batch(rows, revealed=np.full((len(rows), 2), known))
 
     def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
-        """All captures once, each in a random turn, in batches of ``size``; a function of (seed,
-        epoch). The rest that fills no batch is left out.
+        """All captures in random order with random symmetries, in batches of ``size``; a function
+        of (seed, epoch). An incomplete last batch is dropped.
         """
         rng = np.random.default_rng([seed, epoch])
         order = rng.permutation(len(self))
@@ -120,11 +119,11 @@ class CaptureSet:
 
 
 def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
-    """Training and validation captures, of different fabrics, made where they are missing; the
-    dataset's description.
+    """Training and validation captures, of different fabrics, computed if missing; and the
+    dataset's manifest.
 
     Raises:
-        InputError: no finished dataset, too few drapes, or set-ups that make no sense.
+        InputError: no finished dataset, too few drapes, or invalid set-ups.
     """
     manifest = finished_manifest(config.data)
     rig = Rig.from_name(manifest["config"]["rig"]["name"])
@@ -151,15 +150,16 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
 
 @torch.no_grad()
 def validate(network: MapNet, captures: CaptureSet) -> dict:
-    """Figures of the network on ``captures``, nuisances unknown, each capture in one turn.
+    """Metrics of the network on ``captures``, with unknown nuisances and without symmetries.
 
     Returns:
         ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
-        of the means, standardised; ``inside`` (:func:`drapenet.calibration.inside`); ``samples``.
+        of the means, standardised; ``inside`` (:func:`drapenet.calibration.inside`); ``samples``,
+        the number of captures.
     """
     network.eval()
     losses, errors, places = [], [], []
-    for _, batch in captures.in_order(_UNSEEN_AT_ONCE):
+    for _, batch in captures.in_order(_VALIDATION_BATCH):
         mixture = batch.through(network).cpu()
         losses.append(-mixture.log_likelihood(batch.targets))
         draws = mixture.sample(400, torch.Generator().manual_seed(0))
@@ -179,7 +179,7 @@ def log_metrics(
     board: "SummaryWriter", bar: "tqdm", metrics: dict, *, epoch: int, train_loss: float,
     rate: float,
 ) -> None:
-    """Write an epoch's figures to TensorBoard and beside the progress bar."""
+    """Write an epoch's metrics to TensorBoard and to the progress bar."""
     board.add_scalar("loss/train", train_loss, epoch)
     board.add_scalar("loss/validation", metrics["loss"], epoch)
     board.add_scalar("learning_rate", rate, epoch)
@@ -196,7 +196,7 @@ def log_metrics(
 def describe(
     config: TrainConfig, training: CaptureSet, manifest: dict, metrics: dict, epoch: int
 ) -> dict:
-    """The content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
+    """Content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
     theta = training.maps.theta
     low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     return {
@@ -204,7 +204,7 @@ def describe(
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": training.network(config.model),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
-        # Of theta along the two yarns, which have one distribution here, and between them.
+        # Of theta in the dataset's order: warp, bias, weft.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
                     "deviation": theta.std(axis=0).tolist()},
         "dataset": {

@@ -1,4 +1,4 @@
-"""Which captures a laboratory's tree of folders, or its list, holds, and where results go."""
+"""Captures in a tree of folders or a CSV list, and the folders of their results."""
 
 import itertools
 import os
@@ -12,8 +12,8 @@ from common.errors import InputError, one_line
 from data.captures import CAPTURE_FILES
 
 COLUMNS = ("fabric", "sample", "capture")
-"""Of a list; ``sample`` may be left out, ``capture`` is a folder, relative to the list's."""
-LONGEST_NAME = 80  # characters, of a folder of results
+"""Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""
+MAX_NAME_LENGTH = 80  # characters, of a folder of results
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class Entry:
     """A capture of a specimen of a fabric.
 
     Attributes:
-        fabric, sample, capture: names as the user has them; ``sample`` may be empty.
+        fabric, sample, capture: names given by the user; ``sample`` may be empty.
         path: of its folder.
-        place: of its results, relative to the folder of all.
+        place: folder of its results, relative to the output folder.
     """
 
     fabric: str
@@ -36,11 +36,11 @@ class Entry:
 def entries_of(source: Path) -> list[Entry]:
     """The captures of a tree FABRIC/SAMPLE/CAPTURE or of a CSV list, in a fixed order.
 
-    Of a tree, every folder without folders in it that holds a file counts, sound or not: what is
-    wrong with it shows when it is read. FABRIC/CAPTURE and CAPTURE alone are trees, too.
+    In a tree, every folder that contains a file and no folders is a capture; faults are reported
+    when it is read. FABRIC/CAPTURE and CAPTURE alone are trees, too.
 
     Raises:
-        InputError: no tree and no list, one that cannot be read, or one without captures.
+        InputError: neither a tree nor a list, not readable, or without captures.
     """
     if source.is_dir():
         if any((source / mark).exists() for mark in CAPTURE_FILES):
@@ -62,7 +62,7 @@ def entries_of(source: Path) -> list[Entry]:
 def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     try:
         for folder, inside, files in os.walk(root, onerror=_stop, followlinks=True):
-            here = Path(folder).resolve()  # a link to a folder above would have no end
+            here = Path(folder).resolve()  # links to a parent folder would recurse
             inside[:] = sorted(name for name in inside if not name.startswith(".")
                                and not here.is_relative_to(Path(folder, name).resolve()))
             parts = Path(folder).relative_to(root).parts
@@ -97,17 +97,17 @@ def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
 
 
 def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
-    """The folder of results of a capture of these names: no other's, and inside the whole's."""
+    """Unique folder of results of a capture with these names, inside the output folder."""
     place: tuple[str, ...] = ()
     for depth, name in enumerate(names, start=1):
         if not name:
             continue
-        # Names that are alike but for what a file system cannot hold, or does not distinguish.
+        # Number names that differ only in characters or case that file systems do not distinguish.
         owner, plain = tuple(names[:depth]), plain_name(name)
         for number in itertools.count(1):
             here = (*place, plain if number == 1 else f"{plain}-{number}")
             key = tuple(part.casefold() for part in here)
-            # Of the last part every row has its own.
+            # Folders of captures are never shared, those of fabrics and samples are.
             if key not in taken or (taken[key] == owner and depth < len(names)):
                 break
         taken[key], place = owner, here
@@ -115,6 +115,6 @@ def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) 
 
 
 def plain_name(name: str) -> str:
-    """``name`` as a folder's name that no file system, address or shell takes for another thing."""
-    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:LONGEST_NAME]
+    """``name`` as a folder name without characters special to file systems, URLs or shells."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:MAX_NAME_LENGTH]
     return plain or "unnamed"

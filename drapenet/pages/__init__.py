@@ -1,4 +1,4 @@
-"""Pages made of the templates in this folder."""
+"""HTML pages from the templates in this folder."""
 
 from base64 import b64encode
 from functools import cache
@@ -12,7 +12,7 @@ from drapenet.table import with_interval
 
 
 def render(template: str, **values: object) -> bytes:
-    """A page in UTF-8. What is not marked as safe is escaped; a missing name is an error."""
+    """A page in UTF-8; values are escaped unless marked as safe, a missing name is an error."""
     return _environment().get_template(template).render(values).encode(errors="replace")
 
 

@@ -1,4 +1,5 @@
-"""Refinement: the specimen that a capture shows, found by simulation.
+"""Refinement of an estimate by simulation.
 
-``refined`` starts from an estimate; ``search`` runs :mod:`.problem` on meshes and springs.
+``refined`` starts from an estimate; ``search`` solves :mod:`.problem` on a sequence of meshes and
+springs.
 """

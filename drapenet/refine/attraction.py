@@ -1,9 +1,9 @@
-"""A simulated drape pulled onto captured points: the captured shape, as this mesh can take it.
+"""Simulated cloth pulled onto captured points.
 
-Springs pull vertices towards the planes through their nearest captured points, of which those
-with a similar normal are preferred, so that the two sides of a fold are not mixed up. The cloth's
-own energy fills in what no view has seen. Released, such a drape falls into the folds that the
-capture shows, unless its fabric cannot hold them.
+Springs pull vertices towards the planes through their nearest captured points. Points with a
+similar normal are preferred, so that the two sides of a fold are distinguished. The cloth's
+energy determines the shape where no view shows it. Released, such a drape keeps the captured folds
+unless its fabric cannot hold them.
 """
 
 import time
@@ -27,15 +27,15 @@ from sim.scene import Rig, Scene
 from sim.state import State
 
 _COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
-BENT = 1.5
-"""rad; hinges of the first mesh that are bent more are smoothed. Laid on a surface with narrow
-folds, cloth is so crumpled that soft fabrics came out entangled, or no minimum was found at all."""
+MAX_HINGE_ANGLE = 1.5
+"""rad; vertices of hinges of the first mesh that are bent more are smoothed. Otherwise soft fabrics
+laid on narrow folds intersect themselves, or the minimisation fails."""
 _SMOOTHINGS = 50
 PULLS = (3.0, 10.0, 10.0)
-"""Force of the springs at a distance of 1 mm, over the cloth's weight, round by round."""
-REACH = 0.02  # m, further away a captured point says nothing of a vertex
-NORMAL_LENGTH = 0.03  # m that a difference of the normals by 1 counts
-OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # of a start, no result
+"""Force of the springs at a distance of 1 mm, over the cloth's weight, in turn."""
+REACH = 0.02  # m, maximum distance of a vertex from its captured point
+NORMAL_LENGTH = 0.03  # m, weight of the normals' difference in the distance
+OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # loose: an initial guess
 
 
 class Springs(Energy):
@@ -78,12 +78,12 @@ def captured_shape(
 
     Args:
         points, normals: (N, 3) m and (N, 3), specimen's axes.
-        edge: m, of the mesh at the rim (:func:`sim.mesh.specimens.make_specimen`); coarser ones go
-            before.
+        edge: m, of the mesh at the rim (:func:`sim.mesh.specimens.make_specimen`); coarser meshes
+            give initial guesses.
 
     Returns:
-        The state under the springs: no equilibrium of the fabric (its ``status`` is that of the
-        last minimisation), but a place to start from.
+        The state under the springs, an initial guess and not an equilibrium of the fabric; its
+        ``status`` is that of the last minimisation.
     """
     laws, simulated = Laws(), fabric.at_density(REFERENCE_DENSITY)
     coarse = None
@@ -109,15 +109,15 @@ def captured_shape(
 
 
 def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
-    """Positions (V, 3), m, with few hinges bent beyond :data:`BENT`.
+    """Smooth positions (V, 3), m, around hinges bent beyond :data:`MAX_HINGE_ANGLE`.
 
-    Free vertices around those move half-way to the mean of their neighbours, again and again.
+    Their free vertices move repeatedly half-way to the mean of their neighbours.
     """
     mesh, x = scene.mesh, positions.copy()
     adjacent = adjacency(mesh)
     hinges = Hinges(mesh, scene.active)
     for _ in range(_SMOOTHINGS):
-        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > BENT
+        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
         if not bent.any():
             break
         moving = np.zeros(len(x), dtype=bool)
@@ -137,9 +137,9 @@ def pulled(
     laws: Laws,
     pulls: Sequence[float],
 ) -> Equilibrium:
-    """``state`` under springs to ``points`` (N, 3), m, with their unit normals (N, 3).
+    """Equilibrium of ``state`` under springs to ``points`` (N, 3), m, with unit normals (N, 3).
 
-    The springs' ends are sought again for each of ``pulls``.
+    Nearest points are updated for each of ``pulls``.
     """
     for pull in pulls:
         near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
@@ -157,7 +157,7 @@ def nearest_points(
     Args:
         positions: (V, 3) m, of the vertices.
         points, normals: (M, 3) m and (M, 3) of the surface.
-        reach: m, from which distance on a vertex is left alone.
+        reach: m, maximum distance.
     """
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
     free = np.flatnonzero(~scene.held)
@@ -168,9 +168,9 @@ def nearest_points(
 
 
 def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
-    """Springs from every free vertex to the plane through its own place on a surface.
+    """Springs from each free vertex to the tangent plane at its position on a surface.
 
-    Along the surface vertices are free: there their places are known least.
+    Vertices may slide along the surface, where their positions are most uncertain.
 
     Args:
         positions: (V, 3) m, of the surface. pull: as for :func:`spring_stiffness`.

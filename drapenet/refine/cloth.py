@@ -1,7 +1,7 @@
-"""What a refinement may change of a specimen, what is known of it, and how its drape moves with it.
+"""Parameters of a specimen in a refinement, their prior, and derivatives of the drape by them.
 
-Beside the moduli these are the nuisances of a specimen (:mod:`data.nuisances`), where it lies on
-the plate and, of a scan, where its warp lies.
+The parameters are the moduli, the nuisances of a specimen (:mod:`data.nuisances`), its offset on
+the plate and, for a scan, the direction of its warp.
 """
 
 import math
@@ -23,28 +23,28 @@ from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
 
 LAWS = ("membrane", "shear", "friction", "curl_warp", "curl_weft")
-"""Those of :data:`data.nuisances.NAMES` that the cloth's energies depend on."""
+"""Entries of :data:`data.nuisances.NAMES` that the cloth's energies depend on."""
 OFFSET = ("offset_warp", "offset_weft")
 """m, of the specimen's centre from the plate's axis."""
 UNKNOWNS = (*THETA_NAMES, *LAWS, *OFFSET, "warp")
-"""All that may be unknown: theta, logarithm of membrane (N/m) and shear, friction, N, curl, 1/m,
-offset, m, and direction of the warp in the axes of the rest points, rad."""
+"""All parameters: theta, logarithm of membrane (N/m) and shear, friction, N, curl, 1/m, offset, m,
+and direction of the warp in the axes of the rest points, rad."""
 SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 50 * MICRO, 3.0, 3.0, 4e-3, 4e-3, 0.3])
-"""(U,) of each: what counts as 1."""
+"""(U,) unit of each parameter."""
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
-RATIO_RANGE = (-10e-3, 2e-3)  # m; 99 of 100 fabrics of the prior lie within
+RATIO_RANGE = (-10e-3, 2e-3)  # m; contains 99 % of the prior's fabrics
 BOUNDS = np.array(
     [np.log(ALPHA_RANGE)] * 3 + [RATIO_RANGE] * 3
     + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)), (0.0, 400 * MICRO),
        (-15.0, 15.0), (-15.0, 15.0), (-0.02, 0.02), (-0.02, 0.02), (-math.inf, math.inf)])
 """(U, 2) limits of each."""
-DRIFT = 4e-3  # m, deviation of the offset, along warp and weft
+DRIFT = 4e-3  # m, standard deviation of the offset along warp and weft
 _STEPS = {"membrane": 1e-3, "shear": 1e-3, "friction": 1e-5, "curl_warp": 0.1, "curl_weft": 0.1}
 
 
 @dataclass(frozen=True)
 class Cloth:
-    """A specimen: (U,) values of :data:`UNKNOWNS`."""
+    """A specimen, given by the (U,) values of :data:`UNKNOWNS`."""
 
     values: np.ndarray
 
@@ -73,13 +73,13 @@ class Cloth:
 
     @property
     def nuisances(self) -> Nuisances:
-        """Of its energies."""
+        """The nuisances of its energies."""
         return Nuisances(**{name: math.exp(self[name]) if name in LOGARITHMIC else self[name]
                             for name in LAWS})
 
     @property
     def laws(self) -> Laws:
-        """Its energies."""
+        """The laws of its energies."""
         return self.nuisances.laws
 
     def with_theta(self, theta: np.ndarray) -> "Cloth":
@@ -96,19 +96,18 @@ class Cloth:
 
 
 def _turned(points: np.ndarray, warp: float) -> np.ndarray:
-    """Points (V, 2) in the axes of a warp that lies at the angle ``warp``, rad."""
+    """Points (V, 2) in the axes of a warp at the angle ``warp``, rad."""
     c, s = math.cos(warp), math.sin(warp)
     return points @ np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of a specimen beforehand: a normal distribution.
+    """Normal prior of a specimen.
 
     Attributes:
         mean: (U,) of :data:`UNKNOWNS`.
-        root: (U, U), which takes differences from the mean to unit covariance; rows of zeros where
-            nothing is known.
+        root: (U, U) whitening matrix of differences from the mean; zero rows without a prior.
     """
 
     mean: np.ndarray
@@ -116,7 +115,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, prior: GaussianPrior, spread: NuisanceConfig | None = None) -> "Knowledge":
-        """Of fabrics of ``prior`` and specimens that differ by ``spread``; None: not at all."""
+        """Prior of fabrics and of the specimens' nuisances; ``spread`` None: moduli only."""
         mean, root = Cloth.of(prior.mean).values, np.zeros((len(UNKNOWNS),) * 2)
         root[:6, :6] = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         if spread is not None:
@@ -127,14 +126,14 @@ class Knowledge:
         return cls(mean, root)
 
     def residuals(self, cloth: Cloth) -> np.ndarray:
-        """(U,) of unit variance."""
+        """(U,) residuals of unit variance."""
         return self.root @ (cloth.values - self.mean)
 
 
 def cloth_moves(
     tangent: Tangent, cloth: Cloth, rig: Rig, names: Iterable[str]
 ) -> tuple[np.ndarray, Sensitivities]:
-    """(n, V, 3) how the vertices move with the unknowns ``names``, and the moduli's own part.
+    """(n, V, 3) derivatives of the vertices by the unknowns ``names``, and those by the moduli.
 
     Args:
         tangent: with derivatives, of a drape of ``cloth`` on ``rig``.
@@ -145,11 +144,11 @@ def cloth_moves(
     wanted = list(names)
     moves |= law_moves(tangent, cloth.nuisances, [name for name in LAWS if name in wanted])
     if set(OFFSET) & set(wanted):
-        # The offset is meant in the axes without the warp's turn.
+        # The offset is defined in the axes without the warp's turn.
         moves |= zip(OFFSET, np.tensordot(_turned(np.eye(2), cloth["warp"]),
                                           moves_with_offset(tangent, rig), 1), strict=True)
     if "warp" in wanted:
-        # The material axes turn backwards below the warp that turns forwards.
+        # A turn of the warp rotates rest points backwards in the material axes.
         rest = tangent.cloth.scene.mesh.rest
         turning = np.column_stack([rest[:, 1], -rest[:, 0]])
         moves["warp"], = moves_with_rest(tangent, turning[None])
@@ -159,10 +158,10 @@ def cloth_moves(
 def law_moves(
     tangent: Tangent, nuisances: Nuisances, names: Iterable[str] = LAWS
 ) -> dict[str, np.ndarray]:
-    """(V, 3) how a drape moves with nuisances of its cloth's energies, by name.
+    """(V, 3) derivatives of a drape by nuisances of its cloth's energies, by name.
 
     Per unit of log membrane and log shear, N of friction, 1/m of curl. Forces are linear in the
-    parameters themselves, so that differences at one state are derivatives, for any step.
+    parameters, so that finite differences at one state are exact.
     """
     cloth, size = tangent.cloth, tangent.cloth.potential.unknowns
     mesh, active = cloth.scene.mesh, cloth.scene.active
@@ -176,7 +175,7 @@ def law_moves(
     moves = {}
     for name in names:
         step, value = _STEPS[name], getattr(nuisances, name)
-        # A shear of exactly 1 is another law. Friction below 0 is none.
+        # Not at a shear of exactly 1, which is another law; friction must not be negative.
         low, high = ((value * (1 - step), value * (1 + step)) if name in LOGARITHMIC
                      else (value, value + step))
         push = (forces_with(name, high) - forces_with(name, low)) / (high - low)

@@ -1,16 +1,15 @@
 """Objective: depth views, compared pixel by pixel with the simulated drape.
 
-Where both see cloth, the residual is the difference in z-depth, and its derivative that of the
-plane of the triangle that the pixel's ray hits: moved by v there, a plane of normal n lies
-n·v / n·d further along the ray d. Where only one sees cloth, the silhouettes say what to do: the
-residuals are the signed distances, in pixels, from the border of the simulated silhouette to that
-of the captured one, and their derivative is the move of the border's points in the picture.
+Where both show cloth, the residual is the difference in z-depth. Its derivative is that of the
+plane of the triangle that the pixel's ray d hits: a move v of a plane with normal n changes the
+depth by n·v / n·d. Further residuals compare the silhouettes: signed distances, in pixels, from the
+border of the simulated silhouette to that of the captured one; their derivative is the move of the
+border's points in the image.
 
-Pixels beside a jump of the depth, where one fold hides another, are left out: whether such a pixel
-sees the one or the other is no matter of millimetres.
+Pixels beside a depth discontinuity, where one fold occludes another, are excluded.
 
-Both kinds are normalised to a fixed number of independent measurements, so that a drape gains
-nothing by showing less cloth, and the value is a negative log likelihood.
+Both kinds are normalised to a fixed number of independent measurements, so that the value does not
+decrease with the visible area, and is a negative log likelihood.
 """
 
 from collections.abc import Sequence
@@ -32,12 +31,12 @@ from drapenet.refine.objective import Linearised, huber
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
 FOCAL, BORDER = "log_focal", "border"
-"""Logarithm of the focal length over the camera's; px that the cut-out takes off the cloth."""
+"""Logarithm of the focal length over the camera's; px by which masks are too small."""
 _SCALES = dict(zip((*POSE, FOCAL, BORDER), (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.01, 0.5),
                    strict=True))
-"""Sensible changes, rad and m; of the focal length, relative."""
+"""Typical steps, rad and m; of the focal length, relative."""
 TABLE_SCALE = 0.03  # rad
-TABLE_DEVIATION = np.radians(2.5)  # the deviations are those of configs/setup/real.yaml
+TABLE_DEVIATION = np.radians(2.5)  # standard deviations as in configs/setup/real.yaml
 FOCAL_DEVIATION, BORDER_DEVIATION = 0.01, 1.0
 EDGE = 1.75e-3
 """m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
@@ -45,17 +44,17 @@ EDGE = 1.75e-3
 
 @dataclass(frozen=True)
 class DepthWeights:
-    """How much the pixels count.
+    """Noise model and sampling of the pixels.
 
     Attributes:
-        sigma: m, standard deviation of a depth: noise, and what the model leaves unexplained.
-        limit: m, difference beyond which the cost grows linearly only.
+        sigma: m, standard deviation of a depth: noise and model error.
+        limit: m, difference beyond which the cost is linear.
         border_sigma: px, the same of the silhouette's border; border_limit: px.
         stride: of the depth pixels compared, in rows and columns.
-        jump: m, depths further apart within 3 x 3 pixels are a jump.
+        jump: m, range of depths within 3 x 3 pixels that is a discontinuity.
         patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
-            :data:`EDGE` at the rim: noise of neighbours is alike, and what a mesh does to folds
-            even more so. With this value intervals hold (``python -m benchmarks refine_views``).
+            :data:`EDGE` at the rim: noise of neighbours is correlated, and the mesh's effect on
+            folds more so. Intervals have nominal coverage (``python -m benchmarks refine_views``).
     """
 
     sigma: float = 1e-3
@@ -69,14 +68,14 @@ class DepthWeights:
     def on_mesh(self, edge: float) -> "DepthWeights":
         """The weights for cloth on a mesh with edges of ``edge``, m, at the rim.
 
-        Independent pixels are taken to be as many as the mesh has triangles, in proportion.
+        The number of independent pixels is proportional to that of the mesh's triangles.
         """
         return replace(self, patch=self.patch * edge / EDGE)
 
 
 @dataclass(frozen=True)
 class _View:
-    """One captured view: which pixels are compared, and the distance to the silhouette."""
+    """One captured view: compared pixels, and the distance map of the silhouette."""
 
     columns: np.ndarray  # (N,) of compared pixels
     rows: np.ndarray
@@ -88,7 +87,7 @@ class _View:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Where rays meet the cloth, in the specimen's axes.
+    """Intersections of rays with the cloth, in the specimen's axes.
 
     ``face`` (N,), ``weights`` (N, 3) of its corners, ``point`` (N, 3), ``normal`` (N, 3) divided
     by its product with the ray, so that a move v changes the depth by normal·v, ``depth`` (N,).
@@ -107,20 +106,19 @@ def table_names(views: int) -> tuple[str, ...]:
 
 
 class DepthViews:
-    """Captured views against a mesh.
+    """Comparison of captured views with a mesh.
 
-    The specimen lies in the world turned by ``turn`` (rad, the warp's direction in the first
-    view), and by ``turns`` in each view, plus the table's deviation ``table_k`` where that is free.
-    The world is tilted about its x and y axes and shifted to where ``camera`` sees it: the camera's
-    pose is known only so well.
+    The specimen is rotated by ``turn`` (rad, the warp's direction in the first view) and by
+    ``turns`` in each view, plus the table's error ``table_k`` in all but the first. The world is
+    tilted about its x and y axes and shifted, to correct the estimated pose of ``camera``.
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
         camera: of all of them.
         faces: (F, 3) of the mesh.
-        turns: (K,) rad, how far the table had turned in each view.
-        turn: first value of the nuisance.
-        weights: how much the pixels count.
+        turns: (K,) rad, of the table in each view.
+        turn: initial guess of the nuisance.
+        weights: noise model and sampling of the pixels.
     """
 
     def __init__(
@@ -150,15 +148,15 @@ class DepthViews:
                               border / self.weights.patch)
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (N,): depths first, borders then."""
+        """Residuals (N,): depths, then borders."""
         return self._evaluate(positions, nuisance, derivatives=False).residuals
 
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives, visibility taken as constant."""
+        """Residuals and derivatives, with constant visibility."""
         return self._evaluate(positions, nuisance, derivatives=True)
 
     def render(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Views (K, H, W) z-depth, m, of the drape as it is compared."""
+        """Views (K, H, W) z-depth, m, of the drape at ``positions`` (V, 3), m."""
         scene = self._scene(positions)
         views = []
         for k in range(len(self._views)):
@@ -174,7 +172,7 @@ class DepthViews:
     def points(self, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The captured surface: points (N, 3), m, in the specimen's axes, and its normals (N, 3).
 
-        Pixels that are compared; normals towards the camera, of a slightly smoothed depth.
+        Of the compared pixels; normals towards the camera, of slightly smoothed depth.
         """
         points, normals = [], []
         for k, view in enumerate(self._views):
@@ -258,7 +256,7 @@ class DepthViews:
     def _cast(
         self, scene: object, directions: np.ndarray, rotation: np.ndarray, shift: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What each pixel sees (H, W): number of the triangle, -1 for none; z-depth, m, or 0."""
+        """Index of each pixel's triangle (H, W), -1 for none, and z-depth, m, or 0."""
         rays = np.empty((*directions.shape[:2], 6), dtype=np.float32)
         rays[..., :3] = -rotation.T @ shift
         rays[..., 3:] = directions @ rotation
@@ -275,14 +273,14 @@ class DepthViews:
         rotation: np.ndarray,
         shift: np.ndarray,
     ) -> _Hits:
-        """Where rays (N, 3), camera axes, meet the planes of triangles (N,), in full precision."""
+        """Intersections of rays (N, 3), camera axes, with planes of triangles (N,), in float64."""
         origin = -rotation.T @ shift
         ray = directions @ rotation
         a, b, c = (positions[self._faces[face, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
         steep = (normal * ray).sum(1)
         squared = (normal * normal).sum(1)
-        # A triangle seen edge-on has no depth to speak of.
+        # The depth of triangles seen edge-on is ill-conditioned.
         least = 1e-3 * np.sqrt(squared)
         steep = np.where(np.abs(steep) < least, np.copysign(least, steep), steep)
         depth = (normal * (a - origin)).sum(1) / steep
@@ -303,7 +301,7 @@ class DepthViews:
     def _pose(
         self, k: int, nuisance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        """Specimen to camera in view k: rotation (3, 3), shift (3,), and both by each nuisance."""
+        """Specimen to camera in view k: rotation (3, 3), shift (3,), and their derivatives."""
         values = dict(zip(self.nuisances, nuisance, strict=True))
         table = f"table_{k}"
         turn, turn_slope = _rotation(
@@ -319,7 +317,7 @@ class DepthViews:
         changes["tilt_y"] = outer @ about_x @ y_slope @ turn, zero
         changes[table] = changes["turn"]
         rotation, shift = outer @ about_x @ about_y @ turn, outer @ shift + place[:, 0]
-        # A longer focal length shows what a specimen stretched across the axis would.
+        # A longer focal length acts like a stretch of the specimen across the optical axis.
         across = np.array([1.0, 1.0, 0.0])
         changes[FOCAL] = across[:, None] * rotation, across * shift
         return (rotation, shift,
@@ -339,19 +337,19 @@ def _rotation(axis: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _border(cloth: np.ndarray) -> np.ndarray:
-    """Pixels of cloth (H, W) with background beside them, the picture's edge left out."""
+    """Pixels of cloth (H, W) with background beside them, except at the image's edge."""
     return cloth & ~binary_erosion(cloth, border_value=1)
 
 
 def _smooth(view: np.ndarray, jump: float) -> np.ndarray:
-    """Pixels (H, W) of cloth without background or a jump beside them."""
+    """Pixels (H, W) of cloth without background or a discontinuity beside them."""
     nearest = minimum_filter(view, 3)
     return (nearest > 0) & (maximum_filter(view, 3) - nearest < jump)
 
 
 def _prepare(view: np.ndarray, camera: Camera, weights: DepthWeights) -> _View:
     cloth = view > 0
-    # Missing pixels are no background; the median leaves straight borders where they are.
+    # Missing pixels are not background; the median fills them and preserves straight borders.
     filled = median_filter(cloth.astype(np.uint8), 3) > 0
     outside, inside = distance_transform_edt(~filled), distance_transform_edt(filled)
     distance = gaussian_filter(np.where(filled, 1.0 - inside, outside), 0.7)

@@ -1,11 +1,10 @@
-"""An initial state made from the views: so that the simulated cloth falls into the captured folds.
+"""Initial state from captured points, so that the simulated cloth has the captured folds.
 
-A fabric can hang in many fold configurations, and vertex by vertex or pixel by pixel two of them
-cannot be compared. So the simulation starts near the captured surface. Seen from a point on the
-axis a drape is nearly star-shaped: the views' points give its distance in each direction. Down
-this surface from the plate's rim, at constant azimuth, every point of the specimen is put at its
-own distance from the rim. The cloth is stretched there and bent in wrong places, but its folds
-are those of the capture, and the minimisation does the rest.
+A fabric has many fold configurations, which cannot be compared vertex by vertex or pixel by pixel.
+The simulation therefore starts near the captured surface. Seen from a point on the axis a drape is
+nearly star-shaped: the views' points give its distance in each direction. Every point of the
+specimen is placed on this surface at its azimuth, at its arc length from the plate's rim. The
+result is strained and bent locally, but has the captured folds; the minimisation removes the rest.
 """
 
 import numpy as np
@@ -22,7 +21,7 @@ _ROWS = _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVAT
 
 
 def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of the surface from the centre by direction, and how far down it was seen.
+    """Distance of the surface from the centre by direction, and elevation of the hem.
 
     Args:
         points: (N, 3) m, specimen's axes.
@@ -83,7 +82,7 @@ def _curve(distance: np.ndarray, hem: float, plate: float, arcs: np.ndarray) -> 
     radius = np.concatenate([[plate], radius[down][::-1]])
     height = np.concatenate([[0.0], np.minimum(height[down][::-1], 0.0)])
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(height)))])
-    # Beyond the hem the cloth goes on as it went over the last two centimetres.
+    # Extrapolate beyond the hem with the slope of the last two centimetres.
     end = length[-1]
     back = max(end - 0.02, 0.0)
     slope = (np.array([radius[-1] - np.interp(back, length, radius),

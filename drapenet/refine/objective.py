@@ -1,13 +1,12 @@
-"""What a refinement makes small, and what all objectives have in common.
+"""Interface of the objectives of a refinement.
 
-An objective compares a simulated drape, given by its vertex positions, with something captured.
-It knows nothing of moduli; it may have further parameters, the nuisances: how the specimen is
-turned, where the camera stands. Its value is half the sum of squared residuals, always: an
-objective that has to survive outliers hands out residuals that are bent already (:func:`huber`), so
-that every optimiser sees plain least squares.
+An objective compares a simulated drape, given by its vertex positions, with a capture. It does not
+depend on the moduli; it may have further parameters, the nuisances, such as orientation and pose.
+Its value is half the sum of squared residuals. For robustness to outliers the residuals themselves
+are transformed (:func:`huber`), so that every optimiser solves a plain least-squares problem.
 
-The number of residuals may change from call to call (pixels that see cloth), their scale must
-not: values of different calls are compared.
+The number of residuals may vary between calls (pixels that show cloth), but not their scale,
+because values of different calls are compared.
 """
 
 from collections.abc import Callable
@@ -18,7 +17,7 @@ import numpy as np
 from drapenet.refine.optimisers import Limits, Status, minimise
 
 NUISANCE_REACH = 20.0
-"""Bounds of a nuisance, in its scales around its start."""
+"""Bounds of a nuisance around its start, in its scale."""
 
 Along = Callable[[np.ndarray], np.ndarray]
 """From moves of the vertices (P, V, 3), m per unit of each parameter, to the derivatives of the
@@ -32,8 +31,8 @@ class Linearised(NamedTuple):
         residuals: (N,) without unit: divided by their standard deviations.
         along: their derivatives along moves of the vertices, see :data:`Along`.
         by_nuisance: (N, K) their derivatives by the objective's own parameters.
-        independent: how many independent measurements they are: errors of neighbouring pixels are
-            alike, which matters for the uncertainty of what is found.
+        independent: number of independent measurements; smaller than N, because errors of
+            neighbouring pixels are correlated.
     """
 
     residuals: np.ndarray
@@ -47,10 +46,9 @@ class Objective(Protocol):
 
     Attributes:
         nuisances: names of its K further parameters.
-        start: (K,) their first values, SI.
-        scale: (K,) by how much each may sensibly change in a step.
-        deviation: (K,) how far each is known to lie from its first value, standard deviations;
-            infinite where nothing is known.
+        start: (K,) their initial guess, SI.
+        scale: (K,) typical step of each.
+        deviation: (K,) prior standard deviation of each around its start; infinite without a prior.
     """
 
     nuisances: tuple[str, ...]
@@ -59,14 +57,14 @@ class Objective(Protocol):
     deviation: np.ndarray
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (N,) of vertices at positions (V, 3), m, and own parameters (K,)."""
+        """Residuals (N,) of vertices at positions (V, 3), m, and nuisances (K,)."""
 
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
+        """Residuals and their derivatives."""
 
 
 def value(residuals: np.ndarray) -> float:
-    """What is minimised: half the sum of the squares of residuals (N,)."""
+    """Half the sum of the squares of residuals (N,)."""
     return 0.5 * float(residuals @ residuals)
 
 
@@ -85,9 +83,9 @@ def huber(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
 def fit_nuisances(
     objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
 ) -> np.ndarray:
-    """The nuisances (K,) that fit one shape (V, 3) best, from ``start`` (K,); no simulation.
+    """Fit the nuisances (K,) to a fixed shape (V, 3), m, from ``start`` (K,), without simulation.
 
-    An interruption from the keyboard is passed on.
+    An interruption from the keyboard is raised.
     """
     if not len(start):
         return start

@@ -2,9 +2,8 @@
 
     outcome = minimise(problem, limits=Limits(evaluations=25))
 
-Levenberg-Marquardt, or another :data:`Method` to compare it with. All keep within bounds, take a
-failed simulation for a rejected step, return the best point ever evaluated, so never one worse
-than the start, and hand it back when they are interrupted.
+Levenberg-Marquardt, or another :data:`Method` for comparison. All respect bounds, treat a failed
+simulation as a rejected step, and return the best evaluated point, also when interrupted.
 """
 
 import math
@@ -18,15 +17,15 @@ from scipy.optimize import brentq
 
 from common.ctrl_c import require_interruption
 
-LONGEST = 1.0
-"""Longest step, in a problem's units: further away a linearised drape says little."""
+MAX_STEP = 1.0
+"""Maximum step, in a problem's units: the linearisation of a drape is not valid beyond."""
 
 
 class LeastSquares(Protocol):
-    """What is minimised: half a sum of squares over unknowns x (n,), scaled so that 1 is a step.
+    """A least-squares problem in unknowns x (n,), scaled so that 1 is a typical step.
 
     Attributes:
-        start, low, high: (n,) first point and bounds.
+        start, low, high: (n,) initial guess and bounds.
     """
 
     start: np.ndarray
@@ -34,31 +33,31 @@ class LeastSquares(Protocol):
     high: np.ndarray
 
     def value(self, x: np.ndarray) -> float:
-        """The value at ``x``, infinite where there is none."""
+        """Half the sum of squares at ``x``; infinite if it does not exist."""
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Residuals (N,) and their derivatives (N, n) where :meth:`value` is finite and was asked
-        last or is the best so far; None if there are no derivatives."""
+        """Residuals (N,) and their derivatives (N, n) at the last or best point with a finite
+        :meth:`value`; None if there are no derivatives."""
 
 
 class Status(str, Enum):
     """How an optimisation ended."""
 
     CONVERGED = "converged"
-    STALLED = "stalled"  # no step leads down, though the derivatives promise one
-    EXHAUSTED = "exhausted"  # as many evaluations as allowed
+    STALLED = "stalled"  # no step decreases the value, although the model predicts it
+    EXHAUSTED = "exhausted"  # limit of evaluations
     INTERRUPTED = "interrupted"
-    FAILED = "failed"  # the start itself has no value or no derivatives
+    FAILED = "failed"  # the start has no value or no derivatives
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop.
+    """Stopping criteria.
 
     Attributes:
-        evaluations: of the value, each a simulation.
-        step: smallest step, in the problem's units.
-        decrease: smallest decrease worth a step, relative to the value.
+        evaluations: maximum number of evaluations of the value, each a simulation.
+        step: minimum step, in the problem's units.
+        decrease: minimum predicted decrease of a step, relative to the value.
     """
 
     evaluations: int = 25
@@ -68,7 +67,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Point:
-    """An improvement: after how many evaluations, where, and how good."""
+    """An improvement: number of evaluations, unknowns (n,) and value."""
 
     evaluations: int
     x: np.ndarray
@@ -126,7 +125,7 @@ def minimise(
 
 
 Method = Callable[["Run"], tuple[Status, str]]
-"""From the start, which has been evaluated, to how it ended; evaluates by :meth:`Run.value`."""
+"""Optimises from the evaluated start by :meth:`Run.value`; returns status and message."""
 
 
 class Done(Exception):  # noqa: N818 (ends a method from within a library's loop)
@@ -134,7 +133,7 @@ class Done(Exception):  # noqa: N818 (ends a method from within a library's loop
 
 
 class Run:
-    """One optimisation: counts, keeps the best, and stops at the limits."""
+    """One optimisation: counts evaluations, records improvements, stops at the limits."""
 
     def __init__(
         self, problem: LeastSquares, limits: Limits, report: Report | None
@@ -164,14 +163,14 @@ class Run:
 
 
 def levenberg_marquardt(run: Run) -> tuple[Status, str]:
-    """Gauss-Newton within a region of trust; unknowns at a bound that want to leave it stay.
+    """Gauss-Newton with a trust region and active bounds.
 
-    The step is the best one of the linearised problem no longer than the radius, and what
-    the residuals depend on little moves little.
+    The step minimises the linearised problem within the radius, so that unknowns of low sensitivity
+    change little.
     """
     problem, limits = run.problem, run.limits
     x, value = run.best.x, run.best.value
-    radius = 0.5 * LONGEST
+    radius = 0.5 * MAX_STEP
     while True:
         linearised = problem.linearised(x)
         if linearised is None:
@@ -184,18 +183,18 @@ def levenberg_marquardt(run: Run) -> tuple[Status, str]:
         while True:
             step = np.zeros(len(x))
             step[free] = _step_within(gradient[free], curvature[np.ix_(free, free)], radius)
-            whole = np.linalg.norm(step) < 0.99 * radius
+            full_step = np.linalg.norm(step) < 0.99 * radius
             step = np.clip(x + step, problem.low, problem.high) - x
             length = float(np.linalg.norm(step))
             promised = -(gradient @ step + 0.5 * step @ curvature @ step)
             if length < limits.step or promised < limits.decrease * value:
-                # With a whole step nothing more is promised; else the radius has shrunk to nothing.
-                return ((Status.CONVERGED, "no step is worth taking") if whole
+                # A full step means convergence; otherwise the radius has become too small.
+                return ((Status.CONVERGED, "no step is worth taking") if full_step
                         else (Status.STALLED, "no step leads down"))
             trial = run.value(x + step)
             gain = (value - trial) / promised
-            if gain > 0.75 and not whole:
-                radius = min(2 * radius, LONGEST)
+            if gain > 0.75 and not full_step:
+                radius = min(2 * radius, MAX_STEP)
             elif gain < 0.25:
                 radius = 0.3 * length
             if trial < value:
@@ -208,7 +207,7 @@ def _step_within(gradient: np.ndarray, curvature: np.ndarray, radius: float) -> 
     if not len(gradient):
         return np.zeros(0)
     values, vectors = np.linalg.eigh(curvature)
-    # What nothing depends on stays.
+    # Unidentifiable directions get no step.
     values = np.maximum(values, 1e-12 * max(values[-1], 1e-300))
     slopes = vectors.T @ gradient
 

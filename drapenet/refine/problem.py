@@ -1,8 +1,8 @@
-"""A refinement as a least-squares problem: unknowns -> equilibrium -> objective and what is known.
+"""Refinement as a least-squares problem: unknowns -> equilibrium -> residuals, with the prior's.
 
-The unknowns are some of a specimen's (:mod:`.cloth`) and the objective's nuisances, each divided by
-the size of a sensible step. Every simulation starts from the best drape so far, a short way from
-where it has to go; so the fold configuration stays, and an equilibrium costs a few Newton steps.
+The unknowns are free parameters of the specimen (:mod:`.cloth`) and the objective's nuisances, each
+divided by a typical step. Every simulation has a warm start from the best drape so far, which keeps
+the fold configuration; an equilibrium takes a few Newton steps.
 """
 
 import math
@@ -21,11 +21,11 @@ from sim.potential import forces
 from sim.sensitivity import Sensitivities, Tangent, follow
 
 Hold = Callable[[np.ndarray], Energy]
-"""Springs that hold the simulated cloth, by the objective's parameters (K,): a captured surface
-lies where the camera is believed to stand."""
+"""Springs that hold the simulated cloth, as a function of the objective's nuisances (K,), because
+the placement of a captured surface depends on the estimated pose."""
 
 
-_STEP = 1e-3  # of an objective's parameter, in its scale
+_STEP = 1e-3  # of finite differences by a nuisance, in its scale
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Trial:
         x: (n,) unknowns.
         cloth: the specimen; nuisance: (K,) of the objective.
         drape: its equilibrium.
-        value: of the objective and of what is known.
+        value: of objective and prior.
         misfit: half the sum of squares of the objective's residuals.
     """
 
@@ -50,7 +50,7 @@ class Trial:
 
 @dataclass
 class Effort:
-    """What a search has spent.
+    """Simulations made by a search.
 
     Attributes:
         solves: equilibria computed.
@@ -65,26 +65,24 @@ class Problem:
     """The unknowns of one specimen's refinement (:class:`.optimisers.LeastSquares`).
 
     Args:
-        near: where simulations begin, a drape on the mesh that the objective knows; later they
-            begin at the best one.
-        cloth: where to start; drawn in to the bounds.
-        objective: what is compared.
-        free: names of :data:`.cloth.UNKNOWNS` that are unknown.
-        known: beforehand; None for nothing.
-        rest: (V, 2) m, rest points of the mesh as they lie without offset and turn; None: those of
-            ``near``.
-        nuisance: (K,) first values of the objective's parameters; its own unless given.
+        near: warm start of the first simulation, a drape on the objective's mesh.
+        cloth: initial guess; clipped to the bounds.
+        objective: compares drape and capture.
+        free: names of the free parameters of :data:`.cloth.UNKNOWNS`.
+        known: prior; None for none.
+        rest: (V, 2) m, rest points of the mesh without offset and turn; None: those of ``near``.
+        nuisance: (K,) initial guess of the nuisances; None: the objective's.
         hold: the springs; None for none.
-        doubt: by which the objective's residuals are divided: where the best cloth meets them
-            worse than their errors say.
-        effort: to count in; a new one unless given.
+        error_scale: divisor of the objective's residuals, above 1 where the best fit exceeds their
+            standard deviations.
+        effort: counter of simulations; None: a new one.
 
     Attributes:
         names: (n,) of the unknowns.
         scale: (n,) their units.
         start, low, high: (n,) in these units.
         best, last: trials, None before the first.
-        measurements: independent ones that the residuals stand for; known after derivatives.
+        measurements: number of independent measurements; set by :meth:`linearised`.
     """
 
     def __init__(
@@ -98,10 +96,10 @@ class Problem:
         rest: np.ndarray | None = None,
         nuisance: np.ndarray | None = None,
         hold: Hold | None = None,
-        doubt: float = 1.0,
+        error_scale: float = 1.0,
         effort: Effort | None = None,
     ) -> None:
-        self.objective, self.known, self.doubt = objective, known, doubt
+        self.objective, self.known, self.error_scale = objective, known, error_scale
         self.effort = effort or Effort()
         self._near, self._hold, self._cloth = near, hold, cloth
         self._rest = near.rest if rest is None else rest
@@ -122,7 +120,7 @@ class Problem:
 
     @property
     def cloths(self) -> int:
-        """How many unknowns are the specimen's; those of the objective follow."""
+        """Number of the specimen's unknowns, which precede the nuisances."""
         return int(self._free.sum())
 
     def split(self, x: np.ndarray) -> tuple[Cloth, np.ndarray]:
@@ -132,7 +130,7 @@ class Problem:
         return Cloth(values), x[number:] * self.scale[number:]
 
     def value(self, x: np.ndarray) -> float:
-        """The value at x (n,); infinite where no cloth or no equilibrium is."""
+        """The value at x (n,); infinite for inadmissible moduli or without an equilibrium."""
         cloth, nuisance = self.split(x)
         drape = self._drape(cloth, nuisance)
         if drape is None:
@@ -145,16 +143,17 @@ class Problem:
         return trial.value
 
     def weigh(self) -> None:
-        """Set :attr:`doubt` by how well the best trial meets the objective, and its value again."""
+        """Set :attr:`error_scale` from the best trial's residuals, and update its value."""
         best = self.best
         found = self.objective.linearised(best.drape.positions, best.nuisance)
         freedom = max(found.independent - len(best.x), 1.0)
-        self.doubt = math.sqrt(max(2 * best.misfit / freedom, 1.0))
+        self.error_scale = math.sqrt(max(2 * best.misfit / freedom, 1.0))
         self.best = self.last = replace(best, value=self.total(best))
 
     def total(self, trial: Trial) -> float:
-        """The value of a trial by the present :attr:`doubt`."""
-        return trial.misfit / self.doubt**2 + value(self._beforehand(trial.cloth, trial.nuisance))
+        """The value of a trial with the present :attr:`error_scale`."""
+        return (trial.misfit / self.error_scale**2
+                + value(self._beforehand(trial.cloth, trial.nuisance)))
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best trial's."""
@@ -168,7 +167,7 @@ class Problem:
         number = self.cloths
         jacobian = found.along(moves)
         jacobian[:, number:] += found.by_nuisance
-        jacobian /= self.doubt
+        jacobian /= self.error_scale
         roots = []
         if self.known is not None:
             own = np.zeros((len(UNKNOWNS), len(x)))
@@ -176,17 +175,17 @@ class Problem:
             roots.append(own)
         own = np.zeros((len(trial.nuisance), len(x)))
         own[:, number:] = np.diag(1 / self.objective.deviation)
-        return (np.concatenate([found.residuals / self.doubt,
+        return (np.concatenate([found.residuals / self.error_scale,
                                 self._beforehand(trial.cloth, trial.nuisance)]),
                 np.concatenate([jacobian, *roots, own]) * self.scale)
 
     def _beforehand(self, cloth: Cloth, nuisance: np.ndarray) -> np.ndarray:
-        """(M,) residuals of what is known of the specimen and of the objective's parameters."""
+        """(M,) residuals of the prior of specimen and nuisances."""
         own = (nuisance - self.objective.start) / self.objective.deviation
         return own if self.known is None else np.concatenate([self.known.residuals(cloth), own])
 
     def _drape(self, cloth: Cloth, nuisance: np.ndarray) -> DrapeResult | None:
-        """The equilibrium of ``cloth`` next to the best drape so far; None: no such thing."""
+        """The equilibrium of ``cloth``, warm start from the best drape; None if there is none."""
         for trial in (self.last, self.best):
             if (trial is not None and np.array_equal(trial.cloth.values, cloth.values)
                     and (self._hold is None or np.array_equal(trial.nuisance, nuisance))):
@@ -208,7 +207,7 @@ class Problem:
         return drape
 
     def _moves(self, trial: Trial) -> np.ndarray | None:
-        """Derivatives (n, V, 3) of the vertices by the unknowns; None: none exist."""
+        """Derivatives (n, V, 3) of the vertices by the unknowns; None if they do not exist."""
         if self._tangent is None or self._tangent[0] is not trial.drape:
             tangent = Tangent.of(trial.drape)
             if tangent.ok:
@@ -222,7 +221,7 @@ class Problem:
         return self._tangent[1]
 
     def _pulled(self, tangent: Tangent, nuisance: np.ndarray) -> np.ndarray:
-        """(K, V, 3) how the vertices move with the springs, by the objective's parameters."""
+        """(K, V, 3) derivatives of the vertices by the nuisances through the springs."""
         moves = np.zeros((len(nuisance), tangent.coordinates // 3, 3))
         steps = np.diag(_STEP * np.asarray(self.objective.scale))
         for k, step in enumerate(steps if self._hold else []):
@@ -240,7 +239,7 @@ class Uncertainty:
     Attributes:
         names: (n,) of the unknowns.
         covariance: (n, n) in their units.
-        reduced_chi2: what is left of the objective's residuals per degree of freedom.
+        reduced_chi2: chi-square of the objective's residuals per degree of freedom.
     """
 
     names: tuple[str, ...]
@@ -249,15 +248,15 @@ class Uncertainty:
 
     @property
     def theta(self) -> np.ndarray:
-        """(6, 6) the part of the moduli."""
+        """(6, 6) covariance of the moduli."""
         return self.covariance[:6, :6]
 
 
 def laplace(problem: Problem, trial: Trial) -> Uncertainty | None:
-    """The uncertainty at ``trial``, the problem's best or last; None where nothing is known.
+    """Laplace approximation at ``trial``, the problem's best or last; None without derivatives.
 
-    The objective counts as it did in the problem. An unknown that nothing depends on has an
-    infinite variance.
+    The weight of the objective is that of the problem. Unidentifiable unknowns have infinite
+    variance.
     """
     linearised = problem.linearised(trial.x)
     if linearised is None:

@@ -1,8 +1,8 @@
-"""A posterior decided by simulation: what ``refine=`` in ``infer.py`` makes of an estimate.
+"""Refinement of an estimate by simulation: ``refine=`` of ``infer.py``.
 
-The network proposes fabrics to begin with. The posterior is that of the fabric prior, of what is
-known of specimens (``configs/nuisances/real.yaml``) and of the capture itself, so that the network
-does not count as a measurement beside the pixels that it saw.
+The network's estimate gives initial guesses only. The posterior combines the fabric prior, the
+prior of specimens (``configs/nuisances/real.yaml``) and the capture; the network is not counted as
+another measurement of the same pixels.
 """
 
 import math
@@ -35,10 +35,9 @@ from sim.drape import DrapeResult
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.scene import Rig
 
-WORST = 10.0
-"""Squared deviations per measurement (sound captures: 0.8 to 2.5) from which on no cloth takes the
-captured surface."""
-FAR = 8.0  # mm, mean distance from the scan at which the estimate's drape is doubted
+MAX_REDUCED_CHI2 = 10.0
+"""Beyond this, no simulated cloth fits the captured surface; correct captures have 0.8 to 2.5."""
+MAX_DISPLACEMENT_MM = 8.0  # mean displacement of the estimate's drape from the scan
 _DRAWS = 4000  # samples of the refined moduli
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
             "friction": ("friction_un", 1 / MICRO), "curl_warp": ("curl_warp_per_m", 1.0),
@@ -48,10 +47,10 @@ _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0)
 
 @dataclass(frozen=True)
 class Refined:
-    """What the refinement of one capture came to.
+    """Result of the refinement of one capture.
 
     Attributes:
-        draws: of the posterior; None where the refinement gained nothing.
+        draws: of the posterior; None if the refinement gave no improvement.
         content: the part ``refined`` of ``estimate.json``.
         found: the search's result.
         resimulation: the refined drape beside the capture.
@@ -71,17 +70,16 @@ def refined_capture(
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refined | None:
-    """Search from an ``estimate`` for the specimen that a capture shows, with a progress bar.
+    """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
 
-    Interrupted from the keyboard, the best so far counts. None if no cloth converges.
+    An interruption from the keyboard returns the best result so far.
 
     Args:
         camera: of the views; turns: (K,) rad, of the table in each.
-        seen: the scan that the capture is of; None for views.
-        known: values of :data:`data.nuisances.NAMES`, SI, that need no estimate, of the fabric at
-            its own density.
-        settings: content of a file of ``configs/refine``; None for what it is by default.
-        progress: called with drapes made, drapes expected, and the misfit so far.
+        seen: the scan of the capture; None for views.
+        known: fixed values of :data:`data.nuisances.NAMES`, SI, of the fabric at its own density.
+        settings: content of a file of ``configs/refine``; None: the default.
+        progress: called with the simulated and the expected number of drapes, and the misfit.
     """
     axis = 0.0
     known = at_density(known, capture.density, REFERENCE_DENSITY)
@@ -108,7 +106,7 @@ def refined_capture(
         positions = drape.positions
         simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
     draws = None
-    if theta is not None and found.improved and found.uncertainty.reduced_chi2 < WORST:
+    if theta is not None and found.improved and found.uncertainty.reduced_chi2 < MAX_REDUCED_CHI2:
         draws = Draws.possible(theta, np.full(len(theta), turn))
     shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
                    positions=positions, statuses=[drape.status.value])
@@ -149,17 +147,17 @@ def _search(
 
 
 def best_view(found: Found, drape: DrapeResult) -> np.ndarray:
-    """(K, H, W) the views of a drape, from where it fits the captured ones best."""
+    """(K, H, W) views of a drape with the pose that fits the captured ones best."""
     nuisance = found.best.nuisance
     try:
         nuisance = fit_nuisances(found.objective, drape.positions, nuisance)
     except KeyboardInterrupt:
-        pass  # as good as can be: the estimate must not be lost
+        pass  # render with the present pose: the estimate must not be lost
     return found.objective.render(drape.positions, nuisance)
 
 
 def specimen_spread() -> NuisanceConfig:
-    """How specimens differ: ``configs/nuisances/real.yaml``."""
+    """Distribution of the nuisances over specimens, ``configs/nuisances/real.yaml``."""
     options = compose_config("generate", ["nuisances=real"], schema=Options)
     return config_from_options(options).sampling.nuisances
 
@@ -175,22 +173,22 @@ def _samples(found: Found) -> np.ndarray | None:
 def _doubts(
     found: Found, theta: np.ndarray | None, near: Fidelity | None, *, scan: bool
 ) -> list[str]:
-    """What to say of a search, a line each; ``near``: of the drape let go at a ``scan``."""
+    """One line for each fault of a search; ``near``: of the released drape of a ``scan``."""
     doubts = []
-    if theta is not None and found.uncertainty.reduced_chi2 >= WORST:
+    if theta is not None and found.uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
         doubts.append("no simulated cloth fits the captured surface (squared misfit "
                       f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
-                      f"most {WORST:g}): the network's estimate stands; check rig, specimen, "
-                      "cut-out and intrinsics")
+                      f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check rig, "
+                      "specimen, cut-out and intrinsics")
     elif not found.improved:
         doubts.append("the refinement found no fabric that agrees better with the capture: the "
                       "network's estimate stands")
     elif theta is None:
         doubts.append("the refinement gives no uncertainty: the network's estimate stands")
     unsettled = scan and not near and found.status is not Status.INTERRUPTED
-    if unsettled or (near and near.displacement_mm > FAR):
+    if unsettled or (near and near.displacement_mm > MAX_DISPLACEMENT_MM):
         ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
-                f"{FAR:g} mm)" if near else "does not come to rest at the scan")
+                f"{MAX_DISPLACEMENT_MM:g} mm)" if near else "does not come to rest at the scan")
         doubts.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
                       "and that the cloth hung freely")
     return doubts
@@ -215,8 +213,8 @@ def _content(
 
 
 def _specimen(found: Found, density: float) -> dict[str, Any]:
-    """Medians and 68 % intervals of what else the search has estimated of the specimen, at the
-    fabric's own ``density``, kg/m²."""
+    """Medians and 68 % intervals of the specimen's nuisances, at the fabric's ``density``, kg/m².
+    """
     if found.uncertainty is None:
         return {}
     deviations = np.sqrt(np.diag(found.uncertainty.covariance))

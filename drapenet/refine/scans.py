@@ -1,11 +1,10 @@
-"""Scans of drapes, registered to a mesh of the specimen by pulling simulated cloth onto them.
+"""Registration of scans of drapes to a mesh of the specimen, by pulling simulated cloth onto them.
 
-A scan without marks on the cloth says nothing of sliding along the surface. The cloth says it
-itself: it stretches little, so from the plate's rim on every vertex has its place. The specimen is
-laid on the surface (:mod:`.guided`), its fabric soft so that it follows the folds, and pulled onto
-it more and more, until its strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al.
-2007), which Larionov et al. use (section 3.2), stretches the mesh instead: its hem ends up to
-25 mm from the scanned one.
+A scan of unmarked cloth does not determine tangential positions on the surface, but the small
+strain of cloth does, from the plate's rim outwards. The specimen, of a soft fabric that follows the
+folds, is laid on the surface (:mod:`.guided`) and pulled onto it with increasing force until its
+strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al. 2007), which Larionov et
+al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm from the scanned one.
 """
 
 import io
@@ -29,21 +28,21 @@ from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.scene import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
-"""Bends as easily as the softest real fabrics: it irons no fold out."""
-FIRMLY = 30.0
-"""Last pull, force at 1 mm over the cloth's weight. Nine real scans are met to 0.6 mm, the mesh
-strained by 0.6 % as drapes are; 100 leaves 0.4 mm at 1.1 %."""
-SLID = 0.05
-"""Cloth does not stretch so much by its own weight: a scan whose edges differ by this from their
-rest lengths, root mean square, has vertices that slid along the cloth."""
+"""As soft as the softest real fabrics, so that folds are preserved."""
+LAST_PULL = 30.0
+"""Force of the last pull at 1 mm over the cloth's weight. Nine real scans are matched to 0.6 mm
+with a strain of 0.6 %, as in drapes; a force of 100 gives 0.4 mm at 1.1 %."""
+MAX_STRAIN = 0.05
+"""Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond,
+the scan's vertices have slid along the cloth."""
 RAW = (".ply", ".obj")
-LARGEST_CLOUD = 256 << 20  # bytes
-LEAST_HELD = 0.5  # of the support's radius
+MAX_CLOUD_BYTES = 256 << 20  # bytes
+MIN_HELD = 0.5  # of the support's radius
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
-_FLAT = 0.02  # m, how far a raw scan's plate may lie from the plane z = 0
-_APART = 5e-3  # m, mean distance from which on the specimen does not lie on the scan
-_ELSEWHERE = 15e-3  # m from the specimen laid on it, a scanned point shows something else ...
-_FOREIGN = 0.1  # ... and more than this share of them does not go
+_PLATE_TOLERANCE = 0.02  # m, maximum distance of a raw scan's plate from the plane z = 0
+_MAX_DISTANCE = 5e-3  # m, mean distance of the specimen from the scan
+_FOREIGN_DISTANCE = 15e-3  # m, from the specimen, beyond which a scanned point is not cloth
+_MAX_FOREIGN_SHARE = 0.1  # of such points
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,8 @@ class Registered:
 
     Attributes:
         shape: the mesh, on the scan.
-        distance: m, mean of its hanging vertices from the scanned surface; 0 for a scan whose own
-            vertices serve.
+        distance: m, mean distance of its hanging vertices from the scanned surface; 0 for a scan
+            whose vertices are used.
     """
 
     shape: CapturedShape
@@ -64,36 +63,36 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
     """The captured shape of a scan: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or
     a raw PLY or OBJ in metres, z up, the plate's centre the origin.
 
-    Raw scans are registered; so are those whose own vertices slid along the cloth.
+    Raw scans are registered, and scans whose vertices have slid along the cloth.
 
     Args:
         held: see :class:`.surface.CapturedShape`.
         edge: m, at the rim of the mesh that a scan is registered to.
 
     Raises:
-        InputError: no such scan, a surface that the specimen cannot be laid on, or a share out of
+        InputError: no such scan, a surface that does not fit the specimen, or ``held`` out of
             range.
     """
-    if not LEAST_HELD <= held <= 1.0:
-        raise InputError(f"held={held:g} must lie between {LEAST_HELD} and 1 (share of the "
+    if not MIN_HELD <= held <= 1.0:
+        raise InputError(f"held={held:g} must lie between {MIN_HELD} and 1 (share of the "
                          "support's radius)")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
         found = register(cloud, rig, edge=edge, held=held)
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
-        if (foreign := float((away > _ELSEWHERE).mean())) > _FOREIGN:
+        if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
             raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
                              f"{rig.name}; cut away all that is not cloth, such as the table")
     else:
         scan = read_scan(path, rig)
         own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
-        if own.strain < SLID:
+        if own.strain < MAX_STRAIN:
             return Registered(own, 0.0)
         found = register(
             Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
             held=held)
-    if found.distance > _APART:
+    if found.distance > _MAX_DISTANCE:
         raise InputError(f"{path}: the specimen of {rig.name} lies {1e3 * found.distance:.0f} mm "
                          "from this surface on average and does not fit it; give all of the cloth "
                          "and nothing else, in metres")
@@ -103,20 +102,20 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
 def read_scan_capture(
     path: Path, *, density: float, held: float = 1.0
 ) -> tuple[Capture, CapturedScan]:
-    """A scan of a drape on the disc rig as a capture, and as what the search compares with.
+    """A scan of a drape on the disc rig as a capture, and as the input of the search.
 
     Args:
         density: kg/m². held: see :class:`.surface.CapturedShape`.
 
     Raises:
-        InputError: no such scan, or none of a drape.
+        InputError: no such scan, or not of a drape.
     """
     shape = read_shape(path, DISC_RIG, held=held).shape
     return scan_capture(path, shape, density), CapturedScan(shape)
 
 
 def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
-    """A scan as a capture of four views without noise, by the rig's camera in its usual place.
+    """A scan as a capture of four views without noise, from the rig's nominal camera.
 
     Args:
         density: kg/m², of the fabric.
@@ -137,20 +136,20 @@ def flat_turn(shape: CapturedShape) -> float:
 def register(
     cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0
 ) -> Registered:
-    """A mesh of the specimen on the scan ``cloud``; z up, the plate's centre the origin.
+    """Register a mesh of the specimen to the scan ``cloud``; z up, the plate's centre the origin.
 
     Args:
         edge: length of the mesh's edges at the plate's rim, m.
-        turn: rad, direction of the mesh's first rest axis on the plate, which a scan does not show.
+        turn: rad, direction of the mesh's first rest axis on the plate, unknown from a scan.
         held: see :class:`.surface.CapturedShape`.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes
-    # Which side a scanned normal points to is not known.
+    # The sign of scanned normals is unknown.
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
-    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[FIRMLY])
+    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
     shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
     apart = distances(cloud, shape.positions)[shape.hanging].mean()
     return Registered(shape, float(apart))
@@ -164,8 +163,8 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     """
     import trimesh
 
-    # In memory first: a scan may name other files, materials for example, which are not read.
-    data = read_bytes(path, LARGEST_CLOUD, "scan")
+    # From memory: files that a scan refers to, such as materials, must not be read.
+    data = read_bytes(path, MAX_CLOUD_BYTES, "scan")
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                               skip_materials=True, force=None)
@@ -174,7 +173,7 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
             raise ValueError("points of another number of coordinates than three")
         faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     except Exception as error:
-        # What trimesh makes of a file that it cannot read is of no use to its owner.
+        # Messages of trimesh do not help the user.
         reason = getattr(error, "strerror", None) or (
             "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
         raise InputError(f"cannot read the scan {path}: {reason}") from None
@@ -192,10 +191,10 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
     if not len(middle):
         raise InputError(f"{path}: no point lies on the plate; move its centre to the origin")
-    if (off := np.abs(np.median(middle[:, 2]))) > _FLAT:
+    if (off := np.abs(np.median(middle[:, 2]))) > _PLATE_TOLERANCE:
         raise InputError(f"{path}: cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 "
-                         f"(median), at most {1e3 * _FLAT:g} mm is allowed; move the plate's top "
-                         "to z = 0, with z pointing up")
-    if points[:, 2].min() > -_FLAT:
+                         f"(median), at most {1e3 * _PLATE_TOLERANCE:g} mm is allowed; move the "
+                         "plate's top to z = 0, with z pointing up")
+    if points[:, 2].min() > -_PLATE_TOLERANCE:
         raise InputError(f"{path}: no point lies below the support; z must point up (in metres)")
     return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)

@@ -1,13 +1,12 @@
-"""The search for the specimen that a capture shows, the same for views and for scans.
+"""Search for the captured specimen, from views or scans.
 
-On a mesh a drape has many equilibria close to each other, a millimetre or two apart: its folds
-stick where the mesh lets them. A free simulation ends in one of them, the captured cloth in none,
-and the difference would be charged to the moduli. So a specimen is pulled onto the captured surface
-(:mod:`.attraction`), which finds the folds, and weak springs hold it there: one equilibrium is
-left, which moves smoothly with the moduli. The right fabric needs the springs little; a wrong one
-pulls at them, which shows in the same residuals, only smaller. Several fabrics begin, and
-Levenberg-Marquardt goes on from the best; then the specimen is pulled again, for the first shape
-was that of a wrong fabric, seen from a little beside.
+On a mesh a drape has many equilibria a millimetre or two apart, because folds lock to the mesh. A
+free simulation ends in one of them, the captured cloth in none, and the difference would bias the
+moduli. The specimen is therefore pulled onto the captured surface (:mod:`.attraction`), which gives
+the folds, and held there by weak springs: the equilibrium is unique and moves smoothly with the
+moduli. The springs carry little load for the right fabric and more for a wrong one, which shows in
+the same residuals, only smaller. All initial fabrics are evaluated, and Levenberg-Marquardt
+continues from the best; then the specimen is pulled again, with the improved fabric and pose.
 """
 
 import math
@@ -39,11 +38,11 @@ from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import follow
 
-REACH = 6e-3  # m, beyond which a captured point does not hold cloth
-WORTHWHILE = 3e-3  # share of the value that a step must promise
-IMPROVEMENT = 0.5  # of the logarithm of the probability, below which nothing was gained
+REACH = 6e-3  # m, maximum distance of a vertex from the captured point that holds it
+MIN_DECREASE = 3e-3  # predicted decrease of a step, relative to the value
+MIN_IMPROVEMENT = 0.5  # of the log probability over the initial estimate
 RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)
-"""When cloth that is let go is at rest well enough to be looked at."""
+"""Tolerances of the released drape, which is for display and a check."""
 
 Progress = Callable[[int, float], None]
 """Called after each simulation with the number of simulations so far and the best value."""
@@ -55,8 +54,8 @@ class Round:
 
     Attributes:
         edge: m, of its edges at the plate's rim.
-        pulls: force of the springs at 1 mm, over the cloth's weight, one after the other.
-        evaluations: simulations with each of them at most, beside those of the starts.
+        pulls: force of the springs at 1 mm, over the cloth's weight, in turn.
+        evaluations: maximum simulations for each pull, without those of the starts.
     """
 
     edge: float
@@ -66,7 +65,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Held:
-    """Cloth on the captured surface: where it lies, what holds it there, what it is compared by."""
+    """Cloth on the captured surface: its shape, springs that hold it, and objective."""
 
     near: DrapeResult
     springs: Callable[[float], Hold]
@@ -74,16 +73,16 @@ class Held:
 
 
 class Seen(Protocol):
-    """Something captured.
+    """A captured drape, as views or as a scan.
 
     Attributes:
-        rounds: in which it is searched for.
+        rounds: of the search.
     """
 
     rounds: tuple[Round, ...]
 
     def held(self, level: Round, cloth: Cloth, nuisance: np.ndarray | None) -> Held:
-        """A specimen on the surface as it is seen with the objective's parameters ``nuisance``."""
+        """A specimen on the surface that corresponds to the objective's ``nuisance`` (K,)."""
 
 
 class CapturedViews:
@@ -91,12 +90,12 @@ class CapturedViews:
 
     Args:
         views: (K, H, W) z-depth, m, background 0.
-        camera: of all of them, as well as it is known.
-        turns: (K,) rad, how far the table had turned in each view.
-        turn: direction of the warp in the first view, rad, as well as it is known.
+        camera: of all of them, initial guess.
+        turns: (K,) rad, of the table in each view.
+        turn: direction of the warp in the first view, rad, initial guess.
         rig: with a plate.
-        edge: m, at the rim of the specimen's mesh in the last round; coarse: in those before, which
-            find folds, pose and most of the fabric.
+        edge: m, mesh edge at the rim in the last round; coarse: in the rounds before, which
+            determine folds, pose and most of the fabric.
     """
 
     def __init__(
@@ -160,17 +159,16 @@ class CapturedScan:
 
 @dataclass
 class Found:
-    """What a search has found.
+    """Result of a search.
 
     Attributes:
         best: the best trial, held to the surface by weak springs.
-        objective: it was compared by.
-        start_value: of the first start, by the last round's objective; None where that did not
-            converge.
-        uncertainty: None where the drape has no derivatives, or after an interruption.
-        released: the best cloth let go; None where it did not come to rest.
-        effort: spent on all.
-        seconds: in all.
+        objective: of the last round.
+        start_value: of the first start with that objective; None if it did not converge.
+        uncertainty: None if the drape has no derivatives, or after an interruption.
+        released: drape of the best cloth without springs; None if it did not converge.
+        effort: simulations of all rounds.
+        seconds: total time.
         status, message: how it ended.
     """
 
@@ -187,7 +185,7 @@ class Found:
     @property
     def improved(self) -> bool:
         """Whether the cloth found explains the capture better than the first start."""
-        return self.start_value is None or self.best.value < self.start_value - IMPROVEMENT
+        return self.start_value is None or self.best.value < self.start_value - MIN_IMPROVEMENT
 
 
 def search(
@@ -198,14 +196,14 @@ def search(
     known: Knowledge | None = None,
     progress: Progress | None = None,
 ) -> Found | None:
-    """The specimen that ``seen`` shows; None where no cloth converges on its surface.
+    """Search for the specimen that ``seen`` shows; None if no cloth converges on its surface.
 
-    Interrupted from the keyboard, it hands back the best so far.
+    An interruption from the keyboard returns the best so far.
 
     Args:
-        starts: all begin; the last round compares with the first of them.
-        free: names of :data:`.cloth.UNKNOWNS` that are unknown.
-        known: of them beforehand.
+        starts: initial guesses; the result is compared with the first of them.
+        free: names of the free parameters of :data:`.cloth.UNKNOWNS`.
+        known: prior; None for none.
     """
     run = _Run(seen, free, known, progress)
     try:
@@ -227,7 +225,7 @@ def search(
 
 
 class _Run:
-    """One search: the problem under way, and what was found."""
+    """State of a search: present problem and results."""
 
     def __init__(
         self, seen: Seen, free: Collection[str], known: Knowledge | None, progress: Progress | None
@@ -242,41 +240,43 @@ class _Run:
         self.status, self.message = Status.FAILED, ""
 
     def round(self, level: Round, cloths: Sequence[Cloth], *, first: Cloth | None) -> None:
-        """Hold all ``cloths`` to the surface, and go on from the one that it fits best, while the
-        springs become weaker; in the end compare with ``first``.
+        """Hold all ``cloths`` to the surface and optimise from the one that fits best, with springs
+        of decreasing stiffness; finally evaluate ``first``.
         """
         before = self.problem
-        nuisance, doubt = (before.best.nuisance, before.doubt) if before else (None, 1.0)
+        nuisance, error_scale = None, 1.0
+        if before:
+            nuisance, error_scale = before.best.nuisance, before.error_scale
         held = self.seen.held(level, cloths[0], nuisance)
-        tried = [self.problem_at(held, held.near, cloth, nuisance, level.pulls[0], doubt)
+        tried = [self.problem_at(held, held.near, cloth, nuisance, level.pulls[0], error_scale)
                  for cloth in cloths]
         tried = [problem for problem in tried if problem.best is not None]
         if not tried:
-            return  # the round before stands
+            return  # keep the result of the previous round
         self.minimise(min(tried, key=lambda one: one.best.value), level.evaluations)
         for pull in level.pulls[1:]:
             best = self.problem.best
             problem = self.problem_at(held, best.drape, best.cloth, best.nuisance, pull,
-                                      self.problem.doubt)
+                                      self.problem.error_scale)
             if problem.best is None:
                 return
             self.minimise(problem, level.evaluations)
         if first is not None:
             near = self.problem.best.drape
             self.first = self.problem_at(held, near, first, self.problem.best.nuisance,
-                                         level.pulls[-1], self.problem.doubt).best
+                                         level.pulls[-1], self.problem.error_scale).best
 
     def problem_at(
         self, held: Held, near: DrapeResult, cloth: Cloth, nuisance: np.ndarray | None, pull: float,
-        doubt: float,
+        error_scale: float,
     ) -> Problem:
-        """The problem that begins with ``cloth``, seen from where that fits best."""
+        """The problem with initial guess ``cloth``, evaluated, with fitted nuisances."""
         problem = Problem(near, cloth, held.objective, free=self.free, known=self.known,
                           rest=held.near.rest, nuisance=nuisance, hold=held.springs(pull),
-                          doubt=doubt, effort=self.effort)
+                          error_scale=error_scale, effort=self.effort)
         problem.value(problem.start)
         if problem.best is not None:
-            self.problem = self.problem or problem  # for whoever interrupts the first round
+            self.problem = self.problem or problem  # result if the first round is interrupted
             best = problem.best
             nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
             problem.value(np.concatenate([best.x[: problem.cloths],
@@ -285,19 +285,19 @@ class _Run:
         return problem
 
     def minimise(self, problem: Problem, evaluations: int) -> None:
-        """Levenberg-Marquardt from the best trial of ``problem``, which is then the one."""
+        """Run Levenberg-Marquardt from the best trial of ``problem``, the new present problem."""
         self.problem = problem
         problem.weigh()
         problem.start = problem.best.x
         outcome = minimise(
-            problem, limits=Limits(evaluations=evaluations + 1, decrease=WORTHWHILE),
+            problem, limits=Limits(evaluations=evaluations + 1, decrease=MIN_DECREASE),
             report=lambda *_: self.report(problem))
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         self.status, self.message = outcome.status, outcome.message
 
     def conclude(self) -> None:
-        """How certain the best is, how well the first start does, and the free drape."""
+        """Compute the uncertainty of the best, the first start's value and the released drape."""
         problem = self.problem
         problem.weigh()
         best = problem.best

@@ -1,5 +1,5 @@
-"""Captured surfaces: registered drapes, whose vertices belong to points of the flat specimen, and
-clouds of points that belong to no known points of the cloth; the objective of the former.
+"""Captured surfaces: registered drapes, whose vertices correspond to points of the flat specimen;
+point clouds without such correspondence; the objective for registered drapes.
 """
 
 import math
@@ -21,7 +21,7 @@ from sim.scene import Rig
 from sim.sensitivity.tangent import possible_contact
 
 _ON_PLATE = 1.003  # of the plate's radius: vertices on its rim are held
-NEIGHBOURS = 20  # that a raw point's normal is taken from
+NEIGHBOURS = 20  # used to estimate the normal of a raw point
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class CapturedShape:
         rest: (V, 2) m, in any material axes.
         faces: (F, 3), counter-clockwise at rest.
         rig: with a plate.
-        held_share: of the plate's radius, within which the plate holds the cloth; further out
-            cloth lies on it, may lift and slide, and turns over the rim as it likes.
+        held_share: of the plate's radius, within which the plate holds the cloth; beyond, the cloth
+            may lift, slide and bend over the rim freely.
     """
 
     positions: np.ndarray
@@ -55,7 +55,7 @@ class CapturedShape:
 
     @property
     def strain(self) -> float:
-        """By how much the hanging edges differ from their rest lengths, root mean square."""
+        """Root mean square strain of the hanging edges."""
         edges = edges_of(self.faces)[0]
         edges = edges[self.hanging[edges].any(axis=1)]
         length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
@@ -66,7 +66,7 @@ class CapturedShape:
         return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * share * self.rig.plate_radius
 
     def as_drape(self, fabric: Fabric) -> DrapeResult:
-        """The shape as a drape of ``fabric`` that has not settled yet."""
+        """The shape as a drape of ``fabric``, not in equilibrium."""
         mesh = Mesh(self.rest, self.faces)
         ends = mesh.rest[mesh.edges]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -93,7 +93,7 @@ class Cloud:
 
     @staticmethod
     def of_mesh(positions: np.ndarray, faces: np.ndarray) -> "Cloud":
-        """Vertices, middles of edges and of faces of a scanned mesh, (V, 3) m and (F, 3)."""
+        """Vertices, edge and face midpoints of a scanned mesh, (V, 3) m and (F, 3)."""
         vertices, edges = vertex_normals(positions, faces), edges_of(faces)[0]
         points = [positions, positions[edges].mean(axis=1), positions[faces].mean(axis=1)]
         normals = np.concatenate([vertices, vertices[edges].sum(axis=1),
@@ -103,7 +103,7 @@ class Cloud:
 
     @staticmethod
     def of_points(points: np.ndarray) -> "Cloud":
-        """A raw cloud (N, 3), m: normals from each point's neighbours.
+        """A raw point cloud (N, 3), m, with normals estimated from neighbours.
 
         Raises:
             InputError: too few points.
@@ -123,18 +123,18 @@ def distances(cloud: Cloud, positions: np.ndarray) -> np.ndarray:
     tree = cKDTree(cloud.points)
     distance, nearest = tree.query(positions)
     across = np.abs((cloud.normals[nearest] * (positions - cloud.points[nearest])).sum(1))
-    # Next to a point of the surface only what lies across counts, beyond the hem all of it.
+    # Normal distance near the surface, Euclidean distance beyond the hem.
     spacing = tree.query(cloud.points, 2)[0][:, 1].max()
     return np.where(distance < spacing, across, distance)
 
 
 @dataclass(frozen=True)
 class Fidelity:
-    """A settled drape beside the captured shape it began at (Feng et al. 2022, section 7.2).
+    """Comparison of a released drape with its captured shape (Feng et al. 2022, section 7.2).
 
     Attributes:
-        displacement_mm: mean distance of a hanging vertex from where it was captured.
-        surface_mm: the same from the captured surface, wherever on it.
+        displacement_mm: mean distance of hanging vertices from their captured positions.
+        surface_mm: mean distance of hanging vertices from the captured surface.
         coefficient, captured_coefficient: drape coefficients, percent.
     """
 
@@ -145,7 +145,7 @@ class Fidelity:
 
 
 def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
-    """How far ``drape``, settled from ``shape`` on the same mesh, is from it."""
+    """Compare ``drape``, released from ``shape`` on the same mesh, with it."""
     hanging, settled = shape.hanging, drape.positions
     surface = Cloud.of_mesh(shape.positions, shape.faces)
     return Fidelity(
@@ -155,7 +155,7 @@ def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
 
 
 class RobustPositions:
-    """Objective: distances between vertices and their captured places, far ones counting less.
+    """Objective: robust distances between vertices and their captured positions.
 
     Value: that of Huber's function of the distances in units of ``sigma``, half its mean over
     ``vertices`` times ``independent``.
@@ -163,9 +163,9 @@ class RobustPositions:
     Args:
         target: (V, 3) m, on the same mesh.
         vertices: (V,) bool, those that count.
-        sigma: m, standard deviation of a distance; those of 2 mm already are far.
-        limit: in units of ``sigma``, from which the value grows linearly.
-        independent: how many of the distances are independent: of one fold, about one.
+        sigma: m, standard deviation of a distance.
+        limit: in units of ``sigma``, beyond which the value is linear.
+        independent: number of independent distances, about one per fold.
     """
 
     nuisances = ()
@@ -181,11 +181,11 @@ class RobustPositions:
         self._factor = math.sqrt(independent / len(self._vertices))
 
     def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (3 N,)."""
+        """Residuals (3 N,) at positions (V, 3), m."""
         return self._bent(positions)[0].ravel()
 
     def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """The same with derivatives."""
+        """Residuals (3 N,) and their derivatives."""
         residuals, scale, across = self._bent(positions)
 
         def along(moves: np.ndarray) -> np.ndarray:

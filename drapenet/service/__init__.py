@@ -1,3 +1,3 @@
-"""The service: requests (app), what is uploaded (uploads), estimates under way and finished (jobs),
-and what a worker process does for one (work).
+"""The service: requests (app), uploads (uploads), queue and results (jobs), and the task of a
+worker process (work).
 """

@@ -1,4 +1,4 @@
-"""Requests: the page, and the HTTP interface that it uses and others may."""
+"""HTTP interface of the service and its page."""
 
 import asyncio
 import io
@@ -32,7 +32,7 @@ from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
-from drapenet.service.protocol import ImpatientProtocol
+from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
@@ -41,14 +41,14 @@ from drapenet.tree import plain_name
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "captures" / "twill"
-_TIDY = 600.0  # s between two looks for results that are too old
+_TIDY_INTERVAL = 600.0  # s between removals of old results
 _SECURE = {
     "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src "
                                "'self' data: blob:; connect-src 'self' data: blob:; "
                                "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"}
-_DRAIN = 1 << 20  # bytes, of a refused upload that are read so that its sender reads the answer
-_PATIENCE = 2.0  # s, for them
+_MAX_DRAINED = 1 << 20  # bytes read of a refused upload, so that the client reads the response
+_DRAIN_TIMEOUT = 2.0  # s
 _ANSWERS = {404: "no such estimate, or file of it", 408: "the upload paused or took too long",
             409: "not yet available", 413: "too many or too large files",
             415: "a kind of file that is not taken", 422: "not a capture",
@@ -68,12 +68,12 @@ def serve(settings: Settings) -> None:
     """Serve until interrupted; keys in ``configs/serve.yaml``.
 
     Raises:
-        InputError: settings out of range, or an address that cannot be listened at.
+        InputError: settings out of range, or an address that cannot be bound.
     """
     require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
-        http=ImpatientProtocol, ws="none",
+        http=TimeoutProtocol, ws="none",
         limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
         timeout_graceful_shutdown=3, server_header=False))
     try:
@@ -158,7 +158,7 @@ def _answers(*statuses: int) -> dict[int, dict[str, str]]:
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
              responses=_answers(408, 413, 415, 422, 429))
 async def begin(request: Request) -> dict[str, str]:
-    """Upload a capture or a scan, and begin to estimate it."""
+    """Upload a capture or a scan and start its estimate."""
     jobs: Jobs = request.app.state.jobs
     try:
         jobs.reserve()
@@ -171,16 +171,15 @@ async def begin(request: Request) -> dict[str, str]:
     except BaseException:
         jobs.release()
         raise
-    # From here on the place is the job's: a request that is cancelled must not give it back.
+    # The place now belongs to the job: a cancelled request must not release it.
     identity = await run_in_threadpool(jobs.submit, upload)
     return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
 
 @router.get("/estimates/{identity}", responses=_answers(404))
 def state(identity: str, request: Request) -> JSONResponse:
-    """How far an estimate is, and what is known: `state` is queued, running, done, failed or
-    interrupted; `estimate` has the content of estimate.json as soon as the network has seen the
-    capture.
+    """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
+    `estimate` has the content of estimate.json as soon as the network's estimate is available.
     """
     folder, found = request.app.state.jobs.found(identity)
     content = read_json(folder / ESTIMATE)
@@ -207,8 +206,8 @@ def file(identity: str, file: str, request: Request) -> FileResponse:
             responses=_answers(404, 409, 422))
 def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
            edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
-    """A file for another tool, or a zip where there are several; `mesh` and `edge_mm` for tools
-    made of hinges, `curvature_1_m` at which one modulus stands for the law.
+    """A file for another tool, or a zip of several files; `mesh` and `edge_mm` are for tools with
+    hinges, `curvature_1_m` is that of the secant for tools with one modulus.
     """
     folder, found = request.app.state.jobs.found(identity)
     if name not in TARGETS:
@@ -246,12 +245,12 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 async def _form(
     request: Request, settings: Settings
 ) -> tuple[list[tuple[str, bytes]], dict[str, str]]:
-    """Files, names and bytes, and texts of a multipart request, within the limits."""
+    """Files (name, bytes) and text fields of a multipart request, within the limits."""
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         await _drain(request)
         raise RequestError(415, "send the files as multipart/form-data, in the field files")
     stated = request.headers.get("content-length", "0")
-    if stated.isdigit() and int(stated) > settings.bytes + _DRAIN:
+    if stated.isdigit() and int(stated) > settings.bytes + _MAX_DRAINED:
         raise RequestError(413, f"the upload has {int(stated) / 1e6:.0f} MB; at most "
                            f"{settings.bytes / 1e6:g}")
     _limit(request, settings)
@@ -275,7 +274,7 @@ async def _form(
 
 
 def _limit(request: Request, settings: Settings) -> None:
-    """Bound the bytes that a request may send, and its pauses."""
+    """Limit the size, duration and pauses of a request."""
     receive, total = request._receive, 0
     end = asyncio.get_running_loop().time() + settings.upload_seconds
 
@@ -288,7 +287,7 @@ def _limit(request: Request, settings: Settings) -> None:
             raise RequestError(408, f"the upload paused for {settings.idle_seconds:g} s or took "
                                f"more than {settings.upload_seconds:g} s; try again") from None
         total += len(message.get("body", b""))
-        if total > settings.bytes + _DRAIN:
+        if total > settings.bytes + _MAX_DRAINED:
             raise RequestError(413, f"the upload has more than {settings.bytes / 1e6:g} MB")
         return message
 
@@ -296,22 +295,22 @@ def _limit(request: Request, settings: Settings) -> None:
 
 
 async def _drain(request: Request) -> None:
-    """Read what a refused request sends, so that its sender is ready for the answer."""
+    """Read the body of a refused request, up to a limit, so that the client reads the response."""
     async def read() -> None:
         total = 0
         async for part in request.stream():
             total += len(part)
-            if total > _DRAIN:
+            if total > _MAX_DRAINED:
                 return
 
-    with suppress(Exception):  # it is refused anyway
-        await asyncio.wait_for(read(), _PATIENCE)
+    with suppress(Exception):  # the request is refused in any case
+        await asyncio.wait_for(read(), _DRAIN_TIMEOUT)
 
 
 async def _guarded(
     request: Request, call_next: Callable[[Request], Awaitable[Response]]
 ) -> Response:
-    """Other sites' pages may not send requests here; headers that browsers heed go out."""
+    """Refuse requests from pages of other sites, and add security headers to responses."""
     origin = request.headers.get("origin")
     if request.method not in ("GET", "HEAD") and origin is not None:
         if urlsplit(origin).netloc != request.headers.get("host"):
@@ -338,4 +337,4 @@ async def _closed(request: Request, error: ClientDisconnect) -> JSONResponse:
 async def _tidy(jobs: Jobs) -> None:
     while True:
         await run_in_threadpool(jobs.tidy)
-        await asyncio.sleep(_TIDY)
+        await asyncio.sleep(_TIDY_INTERVAL)

@@ -1,4 +1,4 @@
-"""Estimates under way and finished: a bounded queue, worker processes, a folder of results."""
+"""Queued, running and finished estimates: bounded queue, worker processes, folder of results."""
 
 import multiprocessing
 import os
@@ -30,7 +30,7 @@ from drapenet.service.work import (
 )
 
 _ID = re.compile(r"[A-Za-z0-9_-]{22}")
-_SPENT = 500  # estimates after which a worker process makes room for a fresh one
+_MAX_TASKS = 500  # estimates after which a worker process is replaced
 _RESTARTED = ("the service was started again before this estimate was finished; upload the capture "
               "again")
 
@@ -38,8 +38,8 @@ _RESTARTED = ("the service was started again before this estimate was finished; 
 class Jobs:
     """The estimates of one service.
 
-    What was under way when an earlier service ended is marked as interrupted; what it finished is
-    there.
+    Estimates that a previous service did not finish are marked as interrupted; its finished ones
+    are available.
     """
 
     def __init__(self, settings: Settings):
@@ -55,32 +55,32 @@ class Jobs:
         self._pool = self._workers()
 
     def _workers(self) -> ProcessPool:
-        """Worker processes, getting ready."""
+        """Start the worker processes."""
         pool = ProcessPool(
-            max_workers=self.settings.processes, max_tasks=_SPENT, initializer=warm_up,
+            max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
             initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
         pool.schedule(os.getpid)  # starts them
         return pool
 
     def close(self) -> None:
-        """End all worker processes; what they were at is marked as interrupted by the next."""
+        """End all worker processes; the next service marks their estimates as interrupted."""
         self._pool.stop()
         self._pool.join(timeout=5)
 
     def reserve(self) -> None:
-        """Take a place in the queue, to be given back by :meth:`release` unless :meth:`submit`
-        is called, which sees to it; RequestError with the status 429 where none is free.
+        """Reserve a place in the queue, to be released by :meth:`release` unless :meth:`submit` is
+        called, which releases it; RequestError with the status 429 if none is free.
         """
         if not self._places.acquire(blocking=False):
             raise RequestError(429, f"{self.settings.queue} estimates are waiting or under way, as "
                                "many as this service takes; try again in a minute")
 
     def release(self) -> None:
-        """Give a place in the queue back."""
+        """Release a place in the queue."""
         self._places.release()
 
     def submit(self, upload: Upload) -> str:
-        """Begin to estimate an upload, in the place that :meth:`reserve` took; its identity."""
+        """Start the estimate of an upload in the reserved place of the queue; its identity."""
         identity = secrets.token_urlsafe(16)
         folder = self.settings.folder / identity
         try:
@@ -139,7 +139,7 @@ class Jobs:
                 if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
 
     def _ended(self, folder: Path, done: Any) -> None:
-        """See to what a worker left: pebble calls this however the work ended."""
+        """Release the place and record failures; called by pebble at the end of a task."""
         self.release()
         if done.cancelled():
             return

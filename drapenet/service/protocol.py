@@ -1,24 +1,24 @@
-"""HTTP connections that do not wait forever."""
+"""HTTP connections with a timeout for the head of a request."""
 
 import asyncio
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-SECONDS = 8.0  # that the head of a request may take
+HEAD_TIMEOUT = 8.0  # s, for the head of a request
 
 
-class ImpatientProtocol(H11Protocol):
-    """Closes a connection whose next request does not begin, for which uvicorn has no limit."""
+class TimeoutProtocol(H11Protocol):
+    """Closes a connection whose next request does not begin; uvicorn has no such limit."""
 
     _overdue: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Begin to wait for the first request."""
+        """Start the timeout of the first request."""
         super().connection_made(transport)
         self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; wait on while they do not make a request's head."""
+        """Receive bytes; stop the timeout when a request's head is complete."""
         super().data_received(data)
         if self._idle and self._overdue is None:
             self._wait()
@@ -31,7 +31,7 @@ class ImpatientProtocol(H11Protocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _wait(self) -> None:
-        self._overdue = self.loop.call_later(SECONDS, self._close)
+        self._overdue = self.loop.call_later(HEAD_TIMEOUT, self._close)
 
     def _close(self) -> None:
         self._overdue = None

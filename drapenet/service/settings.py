@@ -1,4 +1,4 @@
-"""Limits of the service, as ``configs/serve.yaml`` states them."""
+"""Settings of the service, documented in ``configs/serve.yaml``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ from drapenet.config import FromOne, FromZero, Positive
 
 @dataclass
 class Settings:
-    """``configs/serve.yaml``, and what follows from it: sizes in bytes and pixels, seconds."""
+    """``configs/serve.yaml``, and derived sizes in bytes and pixels and times in seconds."""
 
     host: str
     port: Annotated[int, Field(ge=0, le=65535)]

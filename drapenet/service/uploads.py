@@ -1,7 +1,7 @@
-"""What a request brings, checked and written as a capture folder or a scan.
+"""Checks uploads and writes them as a capture folder or a scan.
 
-Names of files are those of this module's own choice or plain ones of known kinds; nothing of an
-upload is run, unpickled, or used as a path.
+File names are set by this module or reduced to plain names of known kinds; no part of an upload is
+executed, unpickled or used as a path.
 """
 
 import io
@@ -71,12 +71,12 @@ NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
 class RequestError(HTTPException):
-    """A request that is not taken: an HTTP status and, as its detail, a sentence."""
+    """A refused request: HTTP status and a sentence as its detail."""
 
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """A RequestError for a document or a number that is not what it must be."""
+    """Raise RequestError with the status 422 for an InputError."""
     try:
         yield
     except InputError as error:
@@ -91,7 +91,7 @@ class Upload:
         files: bytes by name; plain names.
         fields: of the form.
         scan: name of the file that is a scan; None where the files are a capture.
-        name: what the user calls it.
+        name: given by the user.
     """
 
     files: dict[str, bytes]
@@ -101,7 +101,7 @@ class Upload:
 
     @property
     def refine(self) -> bool:
-        """Whether the simulator is to decide."""
+        """Whether to refine by simulation."""
         return self.fields.get("refine") == "yes"
 
 
@@ -109,7 +109,7 @@ class Upload:
 def checked_upload(
     files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
 ) -> Upload:
-    """The upload that a form's ``files``, names and bytes, and ``texts`` make.
+    """Check a form's ``files``, names and bytes, and ``texts``.
 
     Raises:
         RequestError: with the status 413, 415 or 422.
@@ -138,7 +138,7 @@ def write_upload(upload: Upload, folder: Path) -> None:
     """Write an upload to a new ``folder``, a capture with its description, or the scan alone.
 
     Raises:
-        RequestError: fields and files that do not make a capture.
+        RequestError: fields and files that are not a capture.
     """
     folder.mkdir(parents=True)
     files = dict(upload.files)
@@ -151,7 +151,7 @@ def write_upload(upload: Upload, folder: Path) -> None:
 
 
 def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
-    """Files by plain name, zips unpacked."""
+    """Files by plain name, with zips unpacked."""
     found: dict[str, bytes] = {}
     for name, data in files:
         for inner, content in (_members(data, settings) if _suffix(name) == ".zip"
@@ -210,8 +210,8 @@ def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
 
 
 def _require_pixels(name: str, data: bytes, most: int) -> None:
-    """Refuse a picture whose header states more than ``most`` pixels, before it is unpacked, and
-    a text that nobody writes.
+    """Refuse an image whose header states more than ``most`` pixels, before decoding, and a text
+    file that is too large.
     """
     suffix = Path(name).suffix
     if suffix in (".yaml", ".txt") and len(data) > MAX_TEXT_BYTES:
@@ -229,7 +229,7 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
     except Image.DecompressionBombError:
         raise RequestError(413, f"{name} has too many pixels; at most {most / 1e6:g} million"
                            ) from None
-    except Exception as error:  # whatever a library makes of a hostile header
+    except Exception as error:  # libraries raise any exception for malformed headers
         raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
                       ) from None
     if (count := math.prod(size)) > most:
@@ -238,7 +238,7 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
 
 
 def _numbered(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Pictures called view_0 and so on, in the order of their names, unless they are already."""
+    """Rename images to view_0 and so on, in the order of their names, unless named so already."""
     others = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
     if not others or any(_NAMED.fullmatch(name) for name in others):
         return files
@@ -249,7 +249,7 @@ def _numbered(files: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
-    """``capture.yaml``: the given one with what the form's fields state in its place."""
+    """``capture.yaml``: the given one, updated by the form's fields."""
     try:
         text = (given or b"{}").decode("utf-8")
         content = dict(parse_yaml(text, "capture.yaml"))

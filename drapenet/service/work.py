@@ -1,4 +1,4 @@
-"""What a worker process does for one estimate; how far it is stands in its folder's state.json."""
+"""Task of a worker process: one estimate, with its progress in state.json of its folder."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from drapenet.output import ESTIMATE, write_result
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
 ENDED = (DONE, FAILED, LOST)
-_PAUSE = 0.25  # s between two reports of progress
+_PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
@@ -25,7 +25,7 @@ def read_state(folder: Path) -> dict[str, Any] | None:
 
 
 def read_json(file: Path) -> Any:
-    """What a file holds; None where it cannot be read."""
+    """Content of a JSON file; None if it cannot be read."""
     try:
         return read_document(file)
     except InputError:
@@ -38,7 +38,7 @@ def change_state(folder: Path, **values: object) -> None:
 
 
 def warm_up(parent: int) -> None:
-    """Prepare a worker of the process ``parent``: what the first estimate would wait for."""
+    """Import and cache, in a worker of the process ``parent``, what the first estimate needs."""
     follow(parent)
     from data.cameras import DEFAULT_RIG
     from data.render import import_open3d
@@ -56,11 +56,11 @@ def warm_up(parent: int) -> None:
 
 def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
                     density: float | None) -> None:
-    """Estimate what was uploaded to ``folder``, and remove it; a failure is a state.
+    """Estimate the upload in ``folder``; input errors are recorded in its state.
 
     Args:
         scan: file of a scan; None for a capture.
-        name: of the capture, for people. density: kg/m², of a scan.
+        name: of the capture, for display. density: kg/m², of a scan.
     """
     from data.captures import read_capture
     from drapenet.checkpoint import header_for
@@ -76,7 +76,7 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
         else:
             capture = read_capture(uploaded)
         replace_file(folder / PREVIEW, preview(capture))
-        # Where the service keeps it is nobody's business.
+        # Results must not reveal paths of the server.
         capture = replace(capture, path=Path(name))
         change_state(folder, stage="estimating", warnings=list(capture.warnings))
 
@@ -97,7 +97,7 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
 
 def preview(capture: Any) -> bytes:
-    """PNG of what was captured: frames with the cloth outlined, or the cloth of each view."""
+    """PNG of a capture: frames with the cloth outlined, or the cloth of each view."""
     from data.capture import picture
     from data.picture import thumbnails
     from sim.scene import Rig
@@ -109,12 +109,12 @@ def preview(capture: Any) -> bytes:
 
 
 def _throttled(folder: Path) -> Callable[[int, int, float], None]:
-    """Writes the refinement's progress into a folder's state, a few times a second."""
+    """Callback that writes the progress of a refinement to a folder's state, rate limited."""
     last = 0.0
 
     def progress(made: int, expected: int, misfit: float) -> None:
         nonlocal last
-        if time.monotonic() - last > _PAUSE:
+        if time.monotonic() - last > _PROGRESS_INTERVAL:
             change_state(folder, progress={"made": made, "expected": max(expected, made),
                                            "misfit": misfit})
             last = time.monotonic()

@@ -5,7 +5,7 @@ import pytest
 
 from data.cameras import CameraRig
 from data.render import DepthRenderer
-from drapenet.refine.attraction import BENT, captured_shape, smoothed
+from drapenet.refine.attraction import MAX_HINGE_ANGLE, captured_shape, smoothed
 from drapenet.refine.depth import DepthViews
 from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
@@ -22,7 +22,7 @@ def scene() -> Scene:
 
 def bent(scene: Scene, positions: np.ndarray) -> np.ndarray:
     hinges = Hinges(scene.mesh, scene.active)
-    return np.abs(hinge_angles(positions.ravel(), hinges.dofs)) > BENT
+    return np.abs(hinge_angles(positions.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
 
 
 def test_crumpled_cloth_is_smoothed_and_held_cloth_stays(scene: Scene) -> None:

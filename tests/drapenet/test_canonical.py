@@ -9,7 +9,7 @@ from data.cameras import CameraRig, Pose
 from data.render import DepthRenderer
 from drapenet.canonical import (
     AZIMUTHS,
-    NEARER,
+    CENTRE_BIAS,
     drape_coefficient,
     drape_map,
     elevations,
@@ -110,7 +110,7 @@ def test_distances_are_those_of_the_cloth(renderer):
     views = np.stack([DepthRenderer(points, faces).view(camera, angle) for angle in QUARTERS])
     # As the plate of a drape is located: a little too near. A cone itself does not show it.
     located = camera.world_to_camera.copy()
-    located[:3, 3] += located[:3, :3] @ [0.0, -NEARER, 0.0]
+    located[:3, 3] += located[:3, :3] @ [0.0, -CENTRE_BIAS, 0.0]
     found = drape_map(views, replace(camera, world_to_camera=located), Rig(), zero=0.0)
     borders = elevations(Rig())
     up = (borders[1:] + borders[:-1]) / 2

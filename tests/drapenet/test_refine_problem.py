@@ -108,7 +108,7 @@ def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult
     known = Knowledge.of(GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7), SPREAD)
     free = (*THETA_NAMES, "membrane", "friction", "offset_warp")
     problem = Problem(away, Cloth(known.mean).with_theta(AWAY), vertex_positions(shape.positions),
-                      free=free, known=known, doubt=1.5)
+                      free=free, known=known, error_scale=1.5)
     problem.value(problem.start)
     residuals, jacobian = problem.linearised(problem.start)
     assert 0.5 * residuals @ residuals == pytest.approx(problem.best.value)
@@ -168,11 +168,11 @@ def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape: Drape
     rng = np.random.default_rng(0)
     target = shape.positions + 2e-3 * rng.standard_normal(shape.positions.shape)
     noisy = Problem(shape, Cloth.of(THETA), vertex_positions(target), free=THETA_NAMES)
-    for one, doubt in ((problem, 1.0), (noisy, 2.0)):
+    for one, scale in ((problem, 1.0), (noisy, 2.0)):
         one.value(one.start)
         one.weigh()
-        assert one.doubt == pytest.approx(doubt, rel=0.03)
-        assert one.best.value == pytest.approx(one.best.misfit / one.doubt**2)
+        assert one.error_scale == pytest.approx(scale, rel=0.03)
+        assert one.best.value == pytest.approx(one.best.misfit / one.error_scale**2)
 
 
 def test_laplace_is_the_covariance_of_least_squares() -> None:
