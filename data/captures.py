@@ -446,15 +446,15 @@ def checked_density(value: object, what: str = "") -> float:
 
 
 def _turns(degrees: list[float] | None, file: Path, count: int) -> np.ndarray:
+    example = [round(360 * k / max(count, 4)) for k in range(count)]
     if degrees is None:
         if 1 < count < MIN_EQUAL_TURNS:
             raise InputError(f"{file}: turns_deg is missing, and {count} views need not be equally "
-                             "spaced; state the table's angles, such as turns_deg: "
-                             f"{[90 * k for k in range(count)]}")
+                             f"spaced; state the table's angles, such as turns_deg: {example}")
         return whole_turns(count)
     if len(degrees) != count:
         raise InputError(f"{file}: turns_deg={shown(degrees)}: give one angle for each of the "
-                         f"{count} views, such as {[0, 90, 180, 270][:count]}")
+                         f"{count} views, such as {example}")
     if 0 < (largest := max(map(abs, degrees))) <= MIN_TURN:
         raise InputError(f"{file}: turns_deg={shown(degrees)} reach only {largest:.3g}° (a full "
                          "turn in radians is 6.28); give degrees, of views from several sides")
