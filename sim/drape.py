@@ -9,8 +9,10 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.initial import borrowed_positions, check_start, initial_positions, interpolate_positions
+from sim.initial import LOWERED, borrowed_positions, check_start, initial_positions, interpolate_positions
 from sim.laws import Laws
+from sim.lowering import EDGE as LOWERING_EDGE
+from sim.lowering import lowered, with_origins
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.mesh.specimens import (
@@ -126,7 +128,7 @@ class DrapeResult:
 
 
 def drape(
-    fabric: Fabric, *, rig: Rig | None = None, edge: float | None = None, start: str = "sine",
+    fabric: Fabric, *, rig: Rig | None = None, edge: float | None = None, start: str | None = None,
     borrowed: tuple[np.ndarray, np.ndarray] | None = None, seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
     options: NewtonOptions | None = None
@@ -141,10 +143,11 @@ def drape(
         edge: edge length at the plate's rim, m, of the final mesh
             (:func:`sim.mesh.specimens.make_specimen`); None chooses it by the fabric
             (:func:`sim.mesh.specimens.default_edge`).
-        start: initial shape, see :data:`sim.initial.STARTS`.
+        start: "lowered" (:mod:`sim.lowering`), or an initial shape (:data:`sim.initial.STARTS`);
+            None: lowered over a plate, else "sine".
         borrowed: warm start in place of ``start``: rest points (W, 2) and positions (W, 3), m, of
             another fabric's drape on the same rig, on a mesh fine enough for its folds.
-        seed: seed of the initial shape; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES`
+        seed: seed of the start; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES`
             selects the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: bending law, membrane and user-defined energies; evaluated for every mesh.
@@ -154,19 +157,30 @@ def drape(
         The drape; ``status`` gives the outcome. Only invalid parameters raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
+    start = start or (LOWERED if rig.has_plate else "sine")
     check_arguments(rig, laws, start, seed, offset)
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
+    longest, topology = longest_edge(rig, offset), seed % TOPOLOGIES
     found, statuses = None, []
-    coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
-    coarsest = min(coarsest, longest_edge(rig, offset))
-    for level in coarse_to_fine(edge, coarsest):
+    if start == LOWERED and borrowed is None:
+        coarse = make_specimen(rig, edge=min(max(LOWERING_EDGE, edge), longest), topology=topology,
+                               offset=offset)
+        found = lowered(scene_on(coarse, rig, soft=True), simulated, rig,
+                        laws=laws.softened(COARSE_MEMBRANE), seed=seed)
+        statuses, levels = [found.status], [edge]
+    else:
+        levels = coarse_to_fine(edge, min(longest, MAX_BORROWED_EDGE if borrowed is not None
+                                          else MAX_COARSE_EDGE))
+    for level in levels:
         last = level == edge
-        specimen = make_specimen(rig, edge=level, topology=seed % TOPOLOGIES, offset=offset)
+        specimen = make_specimen(rig, edge=level, topology=topology, offset=offset)
         positions = start_positions(specimen, rig, coarse=found, borrowed=borrowed, start=start,
                                     seed=seed)
         scene = scene_on(specimen, rig, soft=not last)
+        if found is not None:
+            laws = with_origins(laws, found, scene)
         found = find_equilibrium(
             scene, simulated, scene.state(positions), self_contact=last,
             laws=laws if last else laws.softened(COARSE_MEMBRANE),
@@ -186,7 +200,10 @@ def check_arguments(
     if not isinstance(laws, Laws):
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
-    check_start(start)
+    if start == LOWERED and not rig.has_plate:
+        raise InputError(f"start={LOWERED} needs a plate, which {rig.name} lacks")
+    if start != LOWERED:
+        check_start(start)
     if np.shape(offset) != (2,) or not np.isfinite(offset).all():
         raise InputError(f"offset={offset}: give two finite numbers, in metres")
     if seed < 0:

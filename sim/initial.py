@@ -13,6 +13,9 @@ from sim.scene import Rig
 STARTS = ("sine", "fold", "ring")
 """Random initial shapes; for a warm start from another drape see :func:`borrowed_positions`."""
 
+LOWERED = "lowered"
+"""The start by lowering (:mod:`sim.lowering`)."""
+
 _RING_WAVES = (4, 15)  # range of the number of waves, end exclusive
 
 
@@ -23,23 +26,23 @@ def initial_positions(
     InputError for an unknown start, or one that the rig does not support."""
     check_start(start)
     if start == "sine" and not rig.has_plate:
-        return _hung(rest, rig) + _waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
+        return _hung(rest, rig) + waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
     if not rig.has_plate:
         raise InputError(f"start={start} bends the cloth over a plate, which {rig.name} lacks")
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
-        return flat + _waves(rest, rig, rng, amplitude=5e-3)
+        return flat + waves(rest, rig, rng, amplitude=5e-3)
     shape = _fold if start == "fold" else _ring
-    return shape(rest, rig, rng) + _waves(rest, rig, rng, amplitude=1e-3)
+    return shape(rest, rig, rng) + waves(rest, rig, rng, amplitude=1e-3)
 
 
 def check_start(start: str) -> None:
     """InputError unless ``start`` is one of :data:`STARTS`."""
     if start not in STARTS:
-        raise InputError(f"unknown start '{start}'; choose from {', '.join(STARTS)}")
+        raise InputError(f"unknown start '{start}'; choose from {', '.join((LOWERED, *STARTS))}")
 
 
-def _waves(
+def waves(
     rest: np.ndarray, rig: Rig, rng: np.random.Generator, *, amplitude: float, count: int = 8
 ) -> np.ndarray:
     """Vertical displacements (V, 3), m: random plane sine waves that vanish at the rim."""

@@ -117,11 +117,15 @@ _ENDINGS = {
 
 
 def minimise(
-    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None, *,
+    solver: CholeskySolver | None = None
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Numerical failures raise no exception."""
+    """Find a local minimum near the state ``start``. Numerical failures raise no exception.
+
+    ``solver``, for the objective's pattern, is used in place of a new one; its factor is lost.
+    """
     start = np.array(start, dtype=np.float64)
-    run = _Minimisation(objective, start, options or NewtonOptions())
+    run = _Minimisation(objective, start, options or NewtonOptions(), solver)
     with run.timed("total"), np.errstate(all="ignore"):
         run.iterate()
     return run.result
@@ -130,7 +134,10 @@ def minimise(
 class _Minimisation:
     """State of a running minimisation."""
 
-    def __init__(self, objective: Objective, q: np.ndarray, options: NewtonOptions) -> None:
+    def __init__(
+        self, objective: Objective, q: np.ndarray, options: NewtonOptions,
+        solver: CholeskySolver | None
+    ) -> None:
         self.objective, self.options = objective, options
         self.convexity, self.shift = 1.0, 0
         self.hold = False  # whether the next step must not try less convexity
@@ -138,7 +145,7 @@ class _Minimisation:
         self.result.seconds = dict.fromkeys(
             ("analyse", "assemble", "factorise", "search", "total"), 0.0)
         self.rng = np.random.default_rng(0)
-        self.solver: CholeskySolver | None = None
+        self.solver = solver
 
     def iterate(self) -> None:
         result, options, perturbations = self.result, self.options, 0

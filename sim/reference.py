@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
-from sim.energies.contact import DEPTH, RIM_RADIUS
+from sim.energies.contact import DEPTH, RIM
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, MidEdgeBending, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants
@@ -101,7 +101,7 @@ class ReferenceEnergy:
         free = self._free[self.edges].any(1)
         for points, shares in ((x, at_vertices * self._free), (x[self.edges].mean(1),
                                                                at_edges * free)):
-            scale = self.pressure / (3 * DEPTH**2) / 4 * shares
+            scale = self.pressure / (3 * (DEPTH * self.plate_radius) ** 2) / 4 * shares
             total = total + (scale * _depths(points, self.plate_radius) ** 3).sum()
         return total
 
@@ -166,11 +166,12 @@ def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
 
 def _depths(points: Tensor, radius: float) -> Tensor:
     """(P,) depths of points (P, 3) in the cylinder, m, 0 outside."""
-    out = points[..., :2].norm(dim=-1) - (radius - RIM_RADIUS)
-    up = points[..., 2] + RIM_RADIUS
+    rim = RIM * radius
+    out = points[..., :2].norm(dim=-1) - (radius - rim)
+    up = points[..., 2] + rim
     rounded = (out > 0) & (up > 0)
     corner = torch.where(rounded, out**2 + up**2, 1.0).sqrt()
-    depth = RIM_RADIUS - torch.where(rounded, corner, torch.maximum(out, up))
+    depth = rim - torch.where(rounded, corner, torch.maximum(out, up))
     return depth.clamp(min=0.0)
 
 

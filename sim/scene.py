@@ -12,7 +12,8 @@ from sim.state import State
 
 GRAVITY = 9.81  # m/s²
 CONTACT_PRESSURE = 120.0
-"""Pressure of an obstacle on cloth 0.1 mm deep in it, as a multiple of the cloth's weight."""
+"""Pressure of an obstacle on cloth :data:`sim.energies.contact.DEPTH` deep in it, as a multiple of
+the cloth's weight."""
 
 
 @dataclass(frozen=True)

@@ -7,26 +7,31 @@ import numpy as np
 from sim.energies.base import Energy
 from sim.energies.cache import StateCache
 
-RIM_RADIUS = 5e-4
-"""Radius of the rounded rim of the plate, m. At a sharp rim the nearest surface would jump from top
-to side; the penetration of cloth is smaller than this radius."""
-DEPTH = 1e-4
-"""Depth, m, at which an obstacle exerts its nominal pressure."""
+RIM = 0.01
+"""Radius of the rounded rim over that of the plate: 0.5 mm for 100 mm of diameter. At a sharp rim
+the nearest surface would jump from top to side; the penetration of cloth is smaller than it."""
+DEPTH = 0.002
+"""Depth, relative to the radius of the plate, at which an obstacle exerts its nominal pressure."""
 
 
 @dataclass(frozen=True)
 class Cylinder:
     """The solid below the plate: z < 0 within ``radius`` (m) of the axis, unbounded downwards. Its
-    rim is rounded to :data:`RIM_RADIUS`."""
+    rim is rounded (:data:`RIM`), in proportion, so that drapes of any size are similar."""
 
     radius: float
+
+    @property
+    def rim(self) -> float:
+        """Radius of the rounded rim, m."""
+        return RIM * self.radius
 
     def depths(self, points: np.ndarray) -> np.ndarray:
         """Depths (N,), m, of points (N, 3) below the nearest surface; negative outside. A concave
         function with Lipschitz constant 1."""
         _, outwards, upwards = self._from_rim(points)
         corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
-        return RIM_RADIUS - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
+        return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Outward normals (N, 3) of the surface nearest to points (N, 3): the negative gradient of
@@ -48,7 +53,7 @@ class Cylinder:
         """Distances (N,) from the axis, and radial and vertical ones from the rim's centre line."""
         x, y, z = points.T
         distance = np.hypot(x, y)
-        return distance, distance - (self.radius - RIM_RADIUS), z + RIM_RADIUS
+        return distance, distance - (self.radius - self.rim), z + self.rim
 
     def _surface(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
         """Radial directions (N, 2), distances from the axis and from the rim's centre line where
@@ -81,7 +86,7 @@ class ObstacleContact(Energy):
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
         self._count, self._share = vertices.shape[1], 1.0 / vertices.shape[1]
-        self._scale = areas * pressure / DEPTH**2  # (N,) N/m²
+        self._scale = areas * pressure / (DEPTH * obstacle.radius) ** 2  # (N,) N/m²
         self._obstacle = obstacle
         self._touching = StateCache()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.energies.bending_friction import BendingFriction
-from sim.energies.contact import RIM_RADIUS, Cylinder, ObstacleContact
+from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.gravity import Gravity
 from sim.energies.midedge import MidEdgeBending
@@ -66,9 +66,9 @@ def case_of(name: str):
         points = rng.uniform(-0.045, 0.045, (40, 3)) - [0, 0, 0.05]
     else:  # at the rounded rim
         angle = rng.uniform(0, 2 * np.pi, 40)
-        radius = 0.05 + rng.uniform(-0.9, -0.2, 40) * RIM_RADIUS
+        radius = 0.05 + rng.uniform(-0.9, -0.2, 40) * Cylinder(0.05).rim
         points = np.stack([radius * np.cos(angle), radius * np.sin(angle),
-                           rng.uniform(-0.9, -0.2, 40) * RIM_RADIUS], axis=1)
+                           rng.uniform(-0.9, -0.2, 40) * Cylinder(0.05).rim], axis=1)
     contact = ObstacleContact(np.arange(40)[:, None], np.full(40, 1e-5), obstacle=Cylinder(0.05),
                               pressure=60.0)
     return contact, points.ravel(), lambda step: points.ravel() + step
@@ -174,9 +174,9 @@ def test_the_rim_turns_smoothly_from_top_to_side():
     depths = cylinder.depths(points)
     sharp = np.minimum(0.05 - radius, -z)
     assert (depths <= sharp + 1e-12).all()
-    away = np.maximum(0.05 - radius, -z) > RIM_RADIUS
+    away = np.maximum(0.05 - radius, -z) > cylinder.rim
     assert np.allclose(depths[away], sharp[away], atol=1e-15)
-    pressed = np.abs(depths) < 0.8 * RIM_RADIUS
+    pressed = np.abs(depths) < 0.8 * cylinder.rim
     nudge = rng.normal(0, 1e-6, points.shape)
     turned = np.linalg.norm(cylinder.normals(points + nudge) - cylinder.normals(points), axis=1)
     assert turned[pressed].max() < 0.05

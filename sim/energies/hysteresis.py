@@ -1,0 +1,188 @@
+"""Bending with hysteresis: a share of the torque that does not come back.
+
+In Kawabata's pure bending test (KES-FB2) the torque of a fabric follows a loading curve when it is
+first bent; when it is bent back, its torque is lower by 2HB, read at 1 cm⁻¹. Here the moduli are
+those of the loading curve, as a cantilever measures them and as a simulator without hysteresis
+needs them. The stress of the plate law psi (:mod:`sim.energies.midedge`) becomes
+
+    dpsi/dS(S) - F(S) + F(S - S0),
+
+with F the stress of a friction that is saturated, at HB, beyond a change of curvature Y/HB:
+
+    F(C) = f(|C|/Y) P C/|C|,   |C|² = C : P : C,   f(y) = (3 y - y³)/2 for y < 1, else 1.
+
+P is the plate form (:func:`sim.material.plate_constants`) of HB², so that a cylinder along warp,
+bias or weft has the friction of that direction. S0 is the curvature at which the friction is zero.
+It is zero in cloth that has not been bent, which therefore follows the loading curve. It follows
+the cloth (:meth:`HystereticBending.origin_at`): where |S - S0| exceeds Y, S0 is moved towards S
+until it does not (the radial return of plasticity). Beyond the build-up, bending back from any
+curvature gives 2HB.
+
+HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m, which
+are shares of 0.05 to 0.37 (docs/physics.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.errors import InputError
+from sim.energies.natural_curvature import CurvedBending, NaturallyCurved
+from sim.material import (
+    BIAS,
+    REFERENCE_DENSITY,
+    WARP,
+    WEFT,
+    Fabric,
+    plate_constants,
+    torque,
+)
+from sim.mesh import Mesh
+
+KES_CURVATURE = 100.0
+"""Curvature, 1/m, at which 2HB is read."""
+BUILD_UP = 0.03
+"""Smallest change of curvature, relative to :data:`KES_CURVATURE`, that saturates the friction."""
+_MAX_SHARE_OF_STIFFNESS = 0.9  # of the friction in the stiffness of flat cloth
+
+
+@dataclass(frozen=True, eq=False)
+class Hysteresis:
+    """A bending law (:class:`sim.laws.Law`) with hysteresis.
+
+    Attributes:
+        share: HB over the torque of the loading curve at the curvature ``at``, one number or
+            (warp, bias, weft).
+        added: whether the moduli are those of the elastic part alone, as KES's B, so that the
+            friction adds to them: HB is the same share of their sum.
+        curvature: natural curvature, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
+        origin: (N, 3) S0 of the active triangles of a mesh, 1/m; None: zero.
+        at: curvature, 1/m, at which HB is read.
+
+    Raises:
+        InputError: a share outside 0 to 0.5, or a natural curvature that is not valid.
+    """
+
+    share: float | tuple[float, float, float] = 0.0
+    added: bool = False
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    origin: np.ndarray | None = None
+    at: float = KES_CURVATURE
+
+    def __post_init__(self) -> None:
+        share = np.asarray(self.share, float)
+        if share.shape not in ((), (3,)) or not ((share >= 0) & (share < 0.5)).all():
+            raise InputError(f"a hysteresis share of {self.share}: give a number from 0 to 0.5, or "
+                             "three, for warp, bias and weft")
+        NaturallyCurved(self.curvature)  # raises for an invalid curvature
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "HystereticBending":
+        return HystereticBending(mesh, active, fabric=fabric, law=self)
+
+    def friction(self, fabric: Fabric) -> np.ndarray:
+        """HB (3,), N, of ``fabric`` along warp, bias and weft."""
+        share = np.broadcast_to(self.share, 3)
+        scale = share / (1 - share) if self.added else share
+        return scale * torque(self.at, fabric.alpha, fabric.beta)
+
+
+def kes_fabric(
+    b: np.ndarray, two_hb: np.ndarray, density: float = REFERENCE_DENSITY
+) -> tuple[Fabric, Hysteresis]:
+    """The fabric and bending law of readings of KES-FB2: its loading torque is B kappa + HB.
+
+    Args:
+        b: B (3,), N·m, along warp, bias and weft.
+        two_hb: 2HB (3,), N·m per metre of width, likewise.
+        density: kg/m².
+    """
+    b, friction = np.asarray(b, float), np.asarray(two_hb, float) / 2
+    share = friction / (KES_CURVATURE * b + friction)
+    return Fabric(b, density=density), Hysteresis(tuple(share.tolist()), added=True)
+
+
+class HystereticBending(CurvedBending):
+    """Plate energy of the free triangles with the hysteresis ``law``; other arguments are those of
+    :class:`sim.energies.midedge.MidEdgeBending`.
+
+    Attributes:
+        origin: (N, 3) S0, 1/m. It may be changed between minimisations, not during them.
+    """
+
+    def __init__(
+        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, law: Hysteresis
+    ) -> None:
+        self._hysteresis = law
+        shape = (int(active.sum()), 3)
+        self.origin = np.zeros(shape) if law.origin is None else law.origin
+        if self.origin.shape != shape:
+            raise InputError(f"origin has shape {self.origin.shape}, this mesh needs {shape}; find "
+                             "its equilibrium with sim.equilibrium.find_equilibrium")
+        super().__init__(mesh, active, fabric=fabric, curvature=np.array(law.curvature))
+
+    def _set_fabric(self, fabric: Fabric) -> None:
+        super()._set_fabric(fabric)
+        law, friction = self._hysteresis, self._hysteresis.friction(fabric)
+        self._frictional = bool(friction.any())
+        if not self._frictional:
+            return
+        # A plate form exists only above this friction along the bias (sim.material.bias_limit).
+        least = 0.51 * abs(friction[WARP] - friction[WEFT])
+        friction[BIAS] = max(friction[BIAS], least)
+        a11, a22, a12, a66 = plate_constants(friction**2)
+        self._form = np.array([[a11, a12, 0], [a12, a22, 0], [0, 0, 4 * a66]])
+        self._limit = BUILD_UP * law.at * float(friction.mean())
+        if not law.added:
+            # The elastic part of flat cloth keeps a positive stiffness.
+            stiffness = float((friction**2 / fabric.alpha).max())
+            self._limit = max(self._limit, 1.5 * stiffness / _MAX_SHARE_OF_STIFFNESS)
+
+    def origin_at(self, q: np.ndarray) -> np.ndarray:
+        """S0 (N, 3), 1/m, after the cloth has reached the state ``q``."""
+        if not self._frictional:
+            return self.origin
+        curvatures = self.curvatures(q)
+        change = curvatures - self.origin
+        size = np.sqrt(_quadratic(change, self._form))
+        kept = np.minimum(self._limit / np.maximum(size, 1e-300), 1.0)
+        return curvatures - kept[:, None] * change
+
+    def density(self, curvatures: np.ndarray) -> np.ndarray:
+        total = super().density(curvatures)
+        if self._frictional:
+            total = total + self._work(curvatures - self.origin)
+            if not self._hysteresis.added:
+                total -= self._work(curvatures)
+        return total
+
+    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        stress, tangent = super().stress(curvatures)
+        if self._frictional:
+            moved, stiffness = self._resistance(curvatures - self.origin)
+            stress, tangent = stress + moved, tangent + stiffness
+            if not self._hysteresis.added:
+                moved, stiffness = self._resistance(curvatures)
+                stress, tangent = stress - moved, tangent - stiffness
+        return stress, tangent
+
+    def _work(self, change: np.ndarray) -> np.ndarray:
+        """Friction potential (N,), J/m², whose derivative is F."""
+        y = np.sqrt(_quadratic(change, self._form)) / self._limit
+        inside = np.minimum(y, 1.0)
+        return self._limit * (0.75 * inside**2 - 0.125 * inside**4 + y - inside)
+
+    def _resistance(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """F (N, 3), N, and its derivatives (N, 3, 3), N·m, at changes of curvature (N, 3)."""
+        y = np.sqrt(_quadratic(change, self._form)) / self._limit
+        inside = y < 1.0
+        pull = change @ self._form / self._limit
+        over = np.where(inside, 1.5 - 0.5 * y**2, 1 / np.maximum(y, 1.0))  # f(y)/y
+        bend = np.where(inside, -1.0, -1 / np.maximum(y, 1.0) ** 3)  # (f'(y) - f(y)/y)/y²
+        dyad = pull[:, :, None] * pull[:, None, :]
+        tangent = over[:, None, None] * self._form + bend[:, None, None] * dyad
+        return over[:, None] * pull, tangent / self._limit
+
+
+def _quadratic(change: np.ndarray, form: np.ndarray) -> np.ndarray:
+    """C : P : C (N,) of changes of curvature C (N, 3) with the form P (3, 3)."""
+    return ((change @ form) * change).sum(axis=1)

@@ -1,0 +1,123 @@
+"""Lowering: the start of a drape test (BS 5058, ISO 9073-9).
+
+The specimen lies flat on the plate and on a ring around it, with sub-millimetre waviness. The ring
+sinks, the cloth follows by implicit time steps (:mod:`sim.dynamics`), and folds form at the hem,
+which becomes too long for the circle in which it hangs. Their number is that of real drapes, and
+depends on the speed, as in the test (docs/physics.md).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sim.cloth import Cloth
+from sim.dynamics import Inertia, Motion
+from sim.energies.base import Energy
+from sim.energies.hysteresis import HystereticBending
+from sim.equilibrium import Equilibrium
+from sim.initial import waves
+from sim.laws import Laws
+from sim.linear import make_solver
+from sim.material import Fabric
+from sim.newton import Status
+from sim.scene import GRAVITY, Rig, Scene
+
+EDGE = 10e-3
+"""Edge length at the rim, m, of the mesh on which cloth is lowered."""
+SPEEDS = (0.05, 0.30)
+"""Range of the ring's speed, m/s, log-uniform: an overhang of 60 mm in 0.2 to 1.2 s."""
+STEP = 0.05
+"""Time step, s. Its damping is that of a bending viscosity with a relaxation time of half of it."""
+SETTLING = 0.2
+"""Time, s, from the ring's last contact to the search for the equilibrium."""
+_WAVINESS = 3e-4  # m
+_GAP = 1e-3  # m, of the ring below the cloth at the start
+_PRESSURE = 50.0  # of the ring on cloth 1 mm inside it, as a multiple of the cloth's weight
+_MAX_STEPS = 400
+
+
+class Ring(Energy):
+    """Plane that supports vertices, the penalty k d³/3 on their depth d below it.
+
+    Args:
+        vertices: (M,) supported vertices.
+        weights: (M,) their weights, N.
+
+    Attributes:
+        height: m; may be changed between minimisations.
+    """
+
+    def __init__(self, vertices: np.ndarray, weights: np.ndarray) -> None:
+        self.dofs = 3 * vertices[:, None] + 2
+        self._stiffness = _PRESSURE / 1e-6 * weights  # N/m²
+        self.height = 0.0
+
+    def depths(self, q: np.ndarray) -> np.ndarray:
+        """Depths (M,), m, of the vertices below the plane; 0 above it."""
+        return np.maximum(self.height - q[self.dofs[:, 0]], 0.0)
+
+    def value(self, q: np.ndarray) -> float:
+        return float(self._stiffness @ self.depths(q) ** 3) / 3
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return -(self._stiffness * self.depths(q) ** 2)[:, None]
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return (2 * self._stiffness * self.depths(q))[:, None, None]
+
+
+def lowered(
+    scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int, speed: float | None = None,
+    step: float = STEP
+) -> Equilibrium:
+    """Cloth lowered over the plate of ``rig``, close to its equilibrium.
+
+    Args:
+        scene: the specimen on its plate.
+        seed: of the waviness and of the speed.
+        speed: of the ring, m/s; None: drawn from :data:`SPEEDS`.
+        step: time step, s.
+
+    Returns:
+        The cloth in motion, with its energies; status NOT_FINITE if a time step fails, else
+        MAX_ITERATIONS.
+    """
+    rng = np.random.default_rng([seed, 1])
+    speed = speed or float(np.exp(rng.uniform(*np.log(SPEEDS))))
+    rest, held = scene.mesh.rest, scene.held
+    flat = np.column_stack([rest, np.zeros(len(rest))])
+    flat[~held] += waves(rest, rig, rng, amplitude=_WAVINESS)[~held]
+    inertia = Inertia(scene.mesh, density=fabric.density)
+    ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
+    cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
+    solver = make_solver(cloth.potential.pattern)
+    motion, free, found = Motion.at_rest(scene.state(flat)), 0.0, None
+    for _ in range(_MAX_STEPS):
+        ring.height = -_GAP - speed * (motion.time + step)
+        motion, result = motion.advanced(cloth.potential, inertia, step, solver=solver)
+        found = Equilibrium(cloth, motion.state, result).after(found)
+        if result.status is Status.NOT_FINITE:
+            return found
+        if isinstance(cloth.bending, HystereticBending):
+            cloth.bending.origin = cloth.bending.origin_at(motion.state.q)
+        free = 0.0 if ring.depths(motion.state.q).any() else free + step
+        if free >= SETTLING:
+            break
+    return found.ended(Status.MAX_ITERATIONS, "in motion")
+
+
+def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:
+    """``laws`` for the mesh of ``scene``, with the hysteresis of ``lowered`` cloth: each triangle
+    has the mean S0 of the three nearest ones, weighted by their inverse distances."""
+    bending = lowered.cloth.bending
+    if not (isinstance(bending, HystereticBending) and bending.origin.any()):
+        return laws
+    before = lowered.cloth.scene
+    centres, places = (one.mesh.rest[one.mesh.faces[one.active]].mean(axis=1)
+                       for one in (before, scene))
+    distance, near = cKDTree(centres).query(places, k=3)
+    weight = 1 / (distance + 1e-6)
+    weight /= weight.sum(axis=1, keepdims=True)
+    origin = (bending.origin[near] * weight[:, :, None]).sum(axis=1)
+    return replace(laws, bending=replace(laws.bending, origin=origin))

@@ -1,0 +1,107 @@
+"""Hysteresis in the virtual pure-bending test, and its derivatives."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from common.errors import InputError
+from sim.cantilever.pure_bending import pure_bending
+from sim.energies.hysteresis import BUILD_UP, KES_CURVATURE, Hysteresis, kes_fabric
+from sim.material import Fabric, torque
+
+TWILL = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
+ANGLES = {0: 0.0, 1: np.pi / 4, 2: np.pi / 2}
+UP = np.arange(1.0, 151.0)
+DOWN = np.arange(149.0, -1.0, -1.0)
+
+
+def cycle(fabric: Fabric, law: Hysteresis, direction: int) -> tuple[np.ndarray, np.ndarray]:
+    """Torques, N, at 1 to 150 1/m, and at 149 to 0 1/m on the way back."""
+    torques = pure_bending(fabric, law, [*UP, *DOWN], angle=ANGLES[direction])
+    return torques[: len(UP)], torques[len(UP):]
+
+
+@pytest.mark.parametrize("direction", ANGLES)
+@pytest.mark.parametrize("share", [0.08, 0.2, (0.3, 0.2, 0.15)])
+def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share, direction: int) -> None:
+    law = Hysteresis(share)
+    loading, unloading = cycle(TWILL, law, direction)
+    stated = torque(UP, TWILL.alpha[direction], TWILL.beta[direction])
+    assert np.allclose(loading, stated, rtol=1e-2)
+    friction = np.broadcast_to(share, 3)[direction] * stated[UP == KES_CURVATURE][0]
+    assert law.friction(TWILL)[direction] == pytest.approx(friction, rel=1e-2)
+    # Beyond the build-up of the way back, the difference is 2HB; it is read at 1 cm⁻¹.
+    saturated = np.searchsorted(-DOWN, -KES_CURVATURE)
+    assert stated[UP == KES_CURVATURE][0] - unloading[saturated] == pytest.approx(
+        2 * friction, rel=1e-2)
+
+
+@pytest.mark.parametrize("direction", ANGLES)
+def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction: int) -> None:
+    b, two_hb = np.array([9e-6, 6e-6, 5e-6]), np.array([4.5e-4, 2.4e-4, 1.2e-4])
+    fabric, law = kes_fabric(b, two_hb)
+    loading, unloading = cycle(fabric, law, direction)
+    between = (UP >= 50) & (UP <= 150)
+    slope, intercept = np.polyfit(UP[between], loading[between], 1)
+    assert slope == pytest.approx(b[direction], rel=1e-2)
+    assert intercept == pytest.approx(two_hb[direction] / 2, rel=1e-2)
+    at = np.searchsorted(-DOWN, -KES_CURVATURE)
+    gap = loading[UP == KES_CURVATURE][0] - unloading[at]
+    assert gap == pytest.approx(two_hb[direction], rel=1e-2)
+    # B kappa - HB = 0
+    residual = brentq(lambda k: np.interp(k, DOWN[::-1], unloading[::-1]), 1.0, 140.0)
+    assert residual == pytest.approx(two_hb[direction] / 2 / b[direction], rel=1e-2)
+
+
+def test_a_closed_cycle_loses_energy_and_a_reversal_inside_the_build_up_does_not() -> None:
+    law = Hysteresis(0.2)
+    path = np.concatenate([UP, DOWN, UP])
+    torques = pure_bending(TWILL, law, path)
+    loop = slice(len(UP) - 1, None)
+    assert np.trapezoid(torques[loop], path[loop]) > 0.5 * 150 * law.friction(TWILL)[0]
+    small = 0.1 * BUILD_UP * KES_CURVATURE
+    first, _, again = pure_bending(TWILL, law, [80.0, 80.0 - small, 80.0])
+    assert again == pytest.approx(first, rel=1e-6)
+
+
+@pytest.mark.parametrize("added", [False, True])
+def test_stress_and_tangent_are_derivatives(added: bool) -> None:
+    rng = np.random.default_rng(0)
+    energy = _energy(Hysteresis((0.2, 0.3, 0.25), added=added, curvature=(3.0, -2.0, 0.0)))
+    energy.origin = rng.normal(0, 30, energy.origin.shape)
+    energy.origin[::2] = 0.0
+    curvatures = energy.origin + rng.normal(0, 20, energy.origin.shape)
+    stress, tangent = energy.stress(curvatures)
+    for k, step in enumerate(1e-4 * np.eye(3)):
+        ahead, behind = curvatures + step, curvatures - step
+        slope = (energy.density(ahead) - energy.density(behind)) / 2e-4
+        assert np.allclose(slope, stress[:, k], atol=1e-8 * np.abs(stress).max())
+        bend = (energy.stress(ahead)[0] - energy.stress(behind)[0]) / 2e-4
+        assert np.allclose(bend, tangent[:, :, k], atol=1e-7 * np.abs(tangent).max())
+
+
+def test_friction_of_yarns_that_differ_has_a_plate_form() -> None:
+    """Where the bias has too little friction for a plate, it has just enough."""
+    fabric = Fabric(np.array([40e-6, 10.5e-6, 2e-6]))
+    assert np.linalg.eigvalsh(_energy(Hysteresis(0.3), fabric)._form).min() > 0
+
+
+@pytest.mark.parametrize(("wrong", "word"), [
+    ({"share": -0.1}, "hysteresis share"), ({"share": 0.6}, "hysteresis share"),
+    ({"share": (0.1, 0.2)}, "hysteresis share"), ({"share": np.nan}, "hysteresis share"),
+    ({"share": 0.1, "curvature": (1.0, 2.0)}, "curvature=")])
+def test_hysteresis_that_no_fabric_has_is_refused(wrong: dict, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        Hysteresis(**wrong)
+
+
+def test_an_origin_belongs_to_one_mesh() -> None:
+    with pytest.raises(InputError, match=r"origin has shape \(5, 3\)"):
+        _energy(Hysteresis(0.1, origin=np.zeros((5, 3))))
+
+
+def _energy(law: Hysteresis, fabric: Fabric = TWILL):
+    from sim.mesh import strip
+
+    mesh, held = strip(length=0.03, width=0.012, edge=0.003, clamp=0.006)
+    return law(mesh, ~held[mesh.faces].all(axis=1), fabric=fabric)
