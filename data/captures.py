@@ -44,7 +44,7 @@ from data.reading import (
     numbered,
     read_picture,
 )
-from data.testers import Tester, described_tester, missing_tester, named_tester
+from data.testers import Tester, described_tester, named_tester, tester_choices
 from sim.scene import SQUARE_RIG, Rig
 
 CAPTURE_FILES = ("capture.yaml", "density.txt")
@@ -225,8 +225,8 @@ def write_capture(
         background: (H, W) z-depth of the scene without cloth, m.
 
     Raises:
-        InputError: wrong shape, a tester outside the limits, depth that does not fit 16 bits, a folder that is not empty or
-            cannot be written.
+        InputError: wrong shape, a tester outside the limits, depth that does not fit 16 bits, a
+            folder that is not empty or cannot be written.
     """
     path = Path(path)
     views = np.asarray(views)
@@ -303,7 +303,8 @@ def _read_metric(path: Path) -> Capture:
                                    for key in INTRINSICS_KEYS},
                                 width=views.shape[2], height=views.shape[1])
     if known.tester is None:
-        raise InputError(f"{file} {missing_tester(plate_diameter(views, intrinsics))}")
+        seen = plate_diameter(views, intrinsics)
+        raise InputError(f"{file} states no tester; {tester_choices(seen)}")
     cut = _cut(path, views, intrinsics, known.tester,
                None if background is None else background[::step, ::step])
     views = cut.views if cut else views

@@ -76,15 +76,15 @@ def described_tester(rig: Rig) -> str | dict[str, str | float]:
             "plate_mm": round(1e3 * rig.plate_diameter, 6)}
 
 
-def missing_tester(plate: float | None) -> str:
-    """Message for a capture without tester; ``plate``: diameter in its pictures, m, if seen."""
+def tester_choices(plate: float | None = None) -> str:
+    """Remedy for a capture without tester; ``plate``: diameter in its pictures, m, if seen."""
     if plate is None:
-        return f"tester is missing; give tester: {_choices()}"
+        return f"give tester: {_choices()}"
     seen = 1e3 * plate
     alike = [name for name in TESTERS
              if abs(1e3 * RIGS[name].plate_diameter - seen) < _SAME_PLATE * seen]
     numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {seen:.0f}}}"
-    return (f"states no tester; the pictures show a plate of about {seen:.0f} mm: give tester: "
+    return (f"the pictures show a plate of about {seen:.0f} mm: give tester: "
             + " or ".join([*alike, f"numbers such as {numbers}"]))
 
 
