@@ -41,7 +41,7 @@ _DIAMETERS = 0.055, 0.210  # m, of plates that are measured
 _RIM_SECTORS, _MIN_SECTORS = 24, 6  # around the plate; in which the rim must be seen
 _PROFILE_STEP, _PROFILE = 3e-3, 50  # m and number of steps, of the height over the radius
 _MIN_POINTS_OF_STEP = 3
-_FALLS = 1.5e-3, 0.75e-3  # m below the plate; the second for cloth that hardly hangs
+_FALLS = 1.5e-3, 0.75e-3  # m below the plate; the second for cloth that is nearly flat
 _TO_RIM = 0.75
 """Distance from the rim to where the cloth has fallen by one of these, relative to that from there
 to where it has fallen by four times as much: 0.65 to 0.81 in simulated drapes (a parabola has 1).

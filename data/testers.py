@@ -38,7 +38,7 @@ def read_tester(value: object) -> Rig:
             value if isinstance(value, str) else "")
     except InputError as error:
         reason = f" ({error})" if isinstance(value, Mapping) else ""
-        raise InputError(f"is no tester{reason}; give {_choices()}") from None
+        raise InputError(f"is not a tester{reason}; give {_choices()}") from None
     return checked_tester(rig)
 
 

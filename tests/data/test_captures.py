@@ -339,8 +339,8 @@ BAD_METRIC = {
     "negative unit": (setting(depth_unit_m=-0.001), "must be more than 0; 0.001 for"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
     "former key": (setting(rig="disc300_support180"), "unknown key 'rig'; known keys: "),
-    "unknown tester": (setting(tester="disc300"), "tester='disc300' is no tester; give square300"),
-    "list for a tester": (setting(tester=["disc300"]), "tester=['disc300'] is no tester; give"),
+    "unknown tester": (setting(tester="disc300"), "tester='disc300' is not a tester; give squ"),
+    "list for a tester": (setting(tester=["disc300"]), "tester=['disc300'] is not a tester"),
     "tester without plate": (
         setting(tester="square300_corners200"), "has a plate of 0 mm; give 60 to 200 mm"),
     "tester without size": (

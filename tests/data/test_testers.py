@@ -17,7 +17,7 @@ from sim.material import MICRO, Fabric
 from sim.scene import Rig
 
 NAMES = ("disc240_support180", "square300_cylinder100", "disc360_support120")
-PLATE_ERROR = 6e-3  # m
+PLATE_ERROR, ERROR_IN_SCENE = 6e-3, 8e-3  # m, in views without noise and in scenes with it
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -45,7 +45,7 @@ def test_a_tester_of_any_size_drapes_renders_and_reads_back(tmp_path, shape):
     assert shape.converged and capture.rig == rig and capture.warnings == ()
     cloth = capture.views > 0
     assert np.abs(capture.views - views)[cloth].max() < 0.51e-3
-    assert cloth.sum() > 0.999 * (views > 0).sum()  # hardly any pixel is taken for an outlier
+    assert cloth.sum() > 0.999 * (views > 0).sum()  # few pixels are taken for outliers
     assert plate_diameter(capture.views, capture.intrinsics) == pytest.approx(
         rig.plate_diameter, abs=PLATE_ERROR)
 
@@ -59,10 +59,10 @@ def test_a_missing_tester_is_refused_with_the_plate_of_the_scene(tmp_path, shape
                   rig=shape.rig)
     assert read_capture(folder).cut is not None
     state_tester(folder, None)
-    with pytest.raises(InputError, match="states no tester; the pictures show a plate of ") as error:
+    with pytest.raises(InputError, match="states no tester; the pictures show a plate") as error:
         read_capture(folder)
     words = str(error.value).partition("about ")[2].split()
-    assert float(words[0]) == pytest.approx(1e3 * plate, abs=1e3 * PLATE_ERROR)
+    assert float(words[0]) == pytest.approx(1e3 * plate, abs=1e3 * ERROR_IN_SCENE)
     assert (shape.rig.name in words) == (shape.rig.name != "disc360_support120")
 
 
