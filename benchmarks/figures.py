@@ -16,6 +16,7 @@ from common.cli import run_command
 from common.errors import InputError
 from common.files import replace_file
 from drapenet.checkpoint import bundled, read_header
+from sim.scene import Rig
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -37,7 +38,7 @@ def cell(kind: str, name: str = "as trained") -> dict:
 
 def spread(kind: str) -> float:
     """Root mean square over directions of the standard deviation of log α over fabrics."""
-    std = read_header(bundled(RIGS[kind])).scale.std[:3]
+    std = read_header(bundled(Rig.from_name(RIGS[kind]))).scale.std[:3]
     return sqrt(sum(one**2 for one in std) / 3)
 
 

@@ -27,15 +27,15 @@ CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0,
 """Fields of :class:`data.setups.Setups`: exact quarter turns, a smooth sensor, an exact cut-out."""
 
 
-def plan_specimen(number: int, *, rig: str, nuisances: str, seed: int) -> DrapePlan:
+def plan_specimen(number: int, *, rig: Rig, nuisances: str, seed: int) -> DrapePlan:
     """Draw a fabric from the prior, without the extra soft fabrics of training, and a specimen."""
-    words = [f"nuisances={nuisances}", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0"]
+    words = [f"nuisances={nuisances}", f"rig={rig.name}", f"seed={seed}", "dataset.soft_share=0"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     return plan_drape(number, config=config.sampling, prior=config.prior)
 
 
 def drape_plan(
-    plan: DrapePlan, *, rig: str, edge: float, start: str = "", seed: int | None = None,
+    plan: DrapePlan, *, rig: Rig, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] | None = None, nuisances: Nuisances | None = None,
     laws: Laws | None = None,
 ) -> DrapeResult:
@@ -48,7 +48,7 @@ def drape_plan(
         InputError: the drape does not converge.
     """
     used = nuisances or plan.nuisances
-    result = drape(fabric_from_theta(plan.theta), rig=used.rig(Rig.from_name(rig)), edge=edge,
+    result = drape(fabric_from_theta(plan.theta), rig=used.rig(rig), edge=edge,
                    start=start or plan.start, seed=plan.seed if seed is None else seed,
                    offset=tuple(plan.offset) if offset is None else offset,
                    laws=laws or used.laws)
@@ -59,7 +59,7 @@ def drape_plan(
 
 
 def known_drape(
-    number: int, *, rig: str, nuisances: str, edge_mm: float, seed: int
+    number: int, *, rig: Rig, nuisances: str, edge_mm: float, seed: int
 ) -> tuple[DrapePlan, DrapeResult]:
     """Draw a fabric and a specimen from the prior, and simulate the drape."""
     plan = plan_specimen(number, rig=rig, nuisances=nuisances, seed=seed)

@@ -12,16 +12,18 @@ world +x is to the right in the picture and the direction at 90 degrees points a
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from common.configs import group_options, read_config
+from common.configs import read_config
 from common.errors import InputError, one_line
 from common.units import si
+from sim.scene import DISC_RIG, SQUARE_RIG, Rig
 
-DEFAULT_RIG = "square300_cylinder100"
+_MEASURED = {"square": SQUARE_RIG, "disc": DISC_RIG}
+"""Rigs with a file in ``configs/camera``, by the specimen's shape."""
 
 # Jitter has a truncated normal distribution, so that the specimen is always in the picture.
 JITTER_LIMIT_SIGMAS = 2.0
@@ -163,7 +165,7 @@ JITTERED = ("focal", "principal", *(field.name for field in fields(Pose)))
 class CameraRig:
     """Nominal camera of a drape tester, and how much real set-ups vary around it.
 
-    Loaded from ``configs/camera/NAME.yaml``, where lengths are in mm and angles in degrees.
+    Loaded from ``configs/camera``, where lengths are in mm and angles in degrees.
 
     Attributes:
         jitter: standard deviations of what differs from one set-up to the next, by
@@ -171,7 +173,6 @@ class CameraRig:
             and radians.
     """
 
-    name: str
     intrinsics: Intrinsics
     pose: Pose
     jitter: dict[str, float]
@@ -181,12 +182,19 @@ class CameraRig:
             raise InputError("the rig's jitter must be given in finite numbers, none below 0")
 
     @classmethod
-    def load(cls, name: str = DEFAULT_RIG) -> "CameraRig":
-        """Read ``configs/camera/NAME.yaml``; InputError when there is no such rig."""
-        known = group_options("camera")
-        if name not in known:
-            raise InputError(f"unknown rig {name!r}; known rigs: {', '.join(known)}")
-        return cls.from_config(read_config(f"camera/{name}"))
+    def load(cls, rig: Rig = SQUARE_RIG) -> "CameraRig":
+        """The camera of a rig: that in ``configs/camera`` for the specimen's shape, with all
+        lengths in proportion to the specimen's reach, so that pictures of all sizes look alike.
+        """
+        measured = _MEASURED[rig.specimen]
+        camera = cls.from_config(read_config(f"camera/{measured.name}"))
+        scale = rig.reach / measured.reach
+        lengths = ("distance", "above", "aside")
+        return replace(
+            camera,
+            pose=replace(camera.pose, **{key: scale * getattr(camera.pose, key)
+                                         for key in lengths}),
+            jitter=camera.jitter | {key: scale * camera.jitter[key] for key in lengths})
 
     @classmethod
     def from_config(cls, config: Mapping) -> "CameraRig":
@@ -199,12 +207,12 @@ class CameraRig:
             camera, jitter = si(config["camera"]), si(config["jitter"])
             intrinsics, pose = ({field.name: camera[field.name] for field in fields(kind)}
                                 for kind in (Intrinsics, Pose))
-            return cls(str(config["name"]), Intrinsics(**intrinsics), Pose(**pose),
+            return cls(Intrinsics(**intrinsics), Pose(**pose),
                        {name: jitter[name] for name in JITTERED})
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"rig configuration is incomplete ({one_line(error)}); "
-                f"see configs/camera/{DEFAULT_RIG}.yaml"
+                f"see configs/camera/{SQUARE_RIG.name}.yaml"
             ) from None
 
     def nominal(self) -> Camera:

@@ -63,12 +63,11 @@ def main(config: CaptureConfig) -> None:
     out = folder_named(config.out)
     require_folder(out)
     capture = read_capture(config.frames)
-    cut = capture.cut or cut_out(capture.views, capture.intrinsics, Rig.from_name(capture.rig))
+    cut = capture.cut or cut_out(capture.views, capture.intrinsics, capture.rig)
     write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
                   warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
-                  depth_unit=DEPTH_UNIT)
-    replace_file(out / PICTURE, picture(cut, capture.intrinsics, Rig.from_name(capture.rig),
-                                        turns=capture.turns))
+                  face=capture.face, depth_unit=DEPTH_UNIT)
+    replace_file(out / PICTURE, picture(cut, capture.intrinsics, capture.rig, turns=capture.turns))
     for line in (*capture.warnings, *(() if capture.cut else ("the frames were cut out already",))):
         print(f"note: {line}")
     print(f"capture: {out}\npicture: {out / PICTURE}")

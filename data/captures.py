@@ -7,7 +7,7 @@ Two formats are recognised by their files:
   intrinsics; or other files of depth (:mod:`data.frames`).
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
   count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
-  used), the rig's intrinsics.
+  used), of the square on its cylinder, with the intrinsics of its camera.
 
 In frames of the full scene, in the first format, the cloth is cut out (:mod:`data.cutout`); other
 frames show only cloth. All content is validated; a fault raises an InputError of one line that
@@ -21,7 +21,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
@@ -32,9 +32,10 @@ from scipy import ndimage
 from common.documents import Schema, read_text, read_yaml, shown
 from common.errors import InputError, one_line
 from data.board import board_intrinsics, board_turns, shows_board
-from data.cameras import DEFAULT_RIG, CameraRig, Intrinsics
+from data.cameras import CameraRig, Intrinsics
 from data.cutout import CutOut, cut_out, is_raw
 from data.frames import read_frames
+from data.plate import plate_diameter
 from data.reading import (
     MAX_PICTURE,
     MAX_VIEWS,
@@ -43,7 +44,8 @@ from data.reading import (
     numbered,
     read_picture,
 )
-from sim.scene import Rig
+from data.testers import Tester, described_tester, named_tester, tester_choices
+from sim.scene import SQUARE_RIG, Rig
 
 CAPTURE_FILES = ("capture.yaml", "density.txt")
 """Files that identify a capture folder: one for each format."""
@@ -82,7 +84,7 @@ class _Pixels(Schema):
 
 class Description(_Density):
     """``capture.yaml``: density, g/m²; depth unit, m; intrinsics, px; turns and direction, °; size
-    of the picture to which points are projected, px.
+    of the picture to which points are projected, px; tester; face of the fabric that is on top.
     """
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
@@ -92,7 +94,8 @@ class Description(_Density):
     turns_deg: list[float] | None = Field(
         None, description="one angle for each view, such as [0, 90, 180, 270]")
     warp_direction_deg: float | None = None
-    rig: str = DEFAULT_RIG
+    tester: Tester | None = None
+    face: Literal["up", "down"] = "up"
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
 
@@ -108,10 +111,11 @@ class Capture:
         density: kg/m2.
         warp_direction: angle of the warp direction in the first view, in [0, pi) radians, 0 to
             the right in the picture, pi/2 away from the camera; None when it is not marked.
-        rig: name of the rig.
+        rig: the tester.
         path: its folder.
         warnings: one line each, for the report.
         cut: result of cutting out the cloth; None if the frames showed only cloth.
+        face: "up" if the face of the fabric that the laboratory has marked is on top, else "down".
     """
 
     views: np.ndarray
@@ -119,10 +123,11 @@ class Capture:
     turns: np.ndarray
     density: float
     warp_direction: float | None
-    rig: str
+    rig: Rig
     path: Path
     warnings: tuple[str, ...]
     cut: CutOut | None = None
+    face: str = "up"
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -152,7 +157,7 @@ def _read(path: Path) -> Capture:
         raise InputError(f"{path / 'capture.yml'}: rename it to capture.yaml")
     raise InputError(
         f"capture folder '{path}' has neither capture.yaml nor density.txt; "
-        "write capture.yaml with density_g_m2 and intrinsics"
+        "write capture.yaml with density_g_m2, tester and intrinsics"
     )
 
 
@@ -176,16 +181,16 @@ def captures_in(path: Path) -> list[Path]:
 
 
 def require_one_fabric(
-    rigs: Iterable[str], marked: Iterable[bool], densities: Sequence[float]
+    rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[float]
 ) -> None:
     """InputError for captures that cannot be combined in the estimate of one fabric.
 
     Args:
-        rigs: of the captures.
+        rigs: of the captures, or their names.
         marked: whether each states the warp direction.
         densities: kg/m².
     """
-    for right, values in (("have the same rig", set(rigs)),
+    for right, values in (("have the same tester", set(rigs)),
                           ("state warp_direction_deg, or none of them", set(marked))):
         if len(values) > 1:
             raise InputError(f"captures of one fabric must all {right}; estimate those that differ "
@@ -203,9 +208,10 @@ def write_capture(
     views: np.ndarray,
     intrinsics: Intrinsics,
     density: float,
+    rig: Rig,
     warp_direction: float | None = None,
     turns: np.ndarray | None = None,
-    rig: str = DEFAULT_RIG,
+    face: str = "up",
     depth_unit: float = 1e-3,
     background: np.ndarray | None = None,
 ) -> None:
@@ -214,15 +220,17 @@ def write_capture(
     Args:
         views: (K, H, W) z-depth in metres, background 0.
         density: kg/m²; warp_direction: radians in the first view; depth_unit: metres per count.
+        rig: the tester. face: of the fabric on top, "up" or "down".
         turns: (K,) nominal turns of the table, rad; None: equally spaced.
         background: (H, W) z-depth of the scene without cloth, m.
 
     Raises:
-        InputError: wrong shape, depth that does not fit 16 bits, a folder that is not empty or
-            cannot be written.
+        InputError: wrong shape, a tester outside the limits, depth that does not fit 16 bits, a
+            folder that is not empty or cannot be written.
     """
     path = Path(path)
     views = np.asarray(views)
+    named_tester(rig.name)
     if views.shape[1:] != (intrinsics.height, intrinsics.width):
         raise InputError(f"views have the shape {views.shape}, but the intrinsics are for "
                          f"{intrinsics.width}x{intrinsics.height} pixels; give the intrinsics of "
@@ -243,7 +251,8 @@ def write_capture(
         "density_g_m2": round(density * 1e3, 6),
         "depth_unit_m": depth_unit,
         "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
-        "rig": rig,
+        "tester": described_tester(rig),
+        "face": face,
     }
     if turns is None and 1 < len(views) < MIN_EQUAL_TURNS:
         turns = whole_turns(len(views))
@@ -274,10 +283,6 @@ def whole_turns(count: int) -> np.ndarray:
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     known = Description.of(read_yaml(file), file)
-    try:
-        CameraRig.load(known.rig)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
     found = read_frames(
         path, known.depth_unit_m,
         lambda width, height: _intrinsics(known.intrinsics, file, width, height), known.size_px)
@@ -297,27 +302,29 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = Intrinsics(**{key: getattr(intrinsics, key) / step
                                    for key in INTRINSICS_KEYS},
                                 width=views.shape[2], height=views.shape[1])
-    cut = _cut(path, views, intrinsics, known.rig,
+    if known.tester is None:
+        seen = plate_diameter(views, intrinsics)
+        raise InputError(f"{file} states no tester; {tester_choices(seen)}")
+    cut = _cut(path, views, intrinsics, known.tester,
                None if background is None else background[::step, ::step])
     views = cut.views if cut else views
     direction = known.warp_direction_deg
     capture = checked_capture(
         path, views, intrinsics, turns, 1e-3 * known.density_g_m2,
-        None if direction is None else math.radians(direction) % math.pi, known.rig,
+        None if direction is None else math.radians(direction) % math.pi, known.tester,
         cut.doubts if cut else ())
-    return replace(capture, cut=cut)
+    return replace(capture, cut=cut, face=known.face)
 
 
 def _cut(
-    path: Path, frames: np.ndarray, intrinsics: Intrinsics, rig: str,
+    path: Path, frames: np.ndarray, intrinsics: Intrinsics, rig: Rig,
     background: np.ndarray | None,
 ) -> CutOut | None:
     """Cut the cloth out of frames (K, H, W), m, of full scenes; None if they show only cloth."""
-    tester = Rig.from_name(rig)
-    if not any(is_raw(frame, intrinsics, tester) for frame in frames):
+    if not any(is_raw(frame, intrinsics, rig) for frame in frames):
         return None
     try:
-        return cut_out(frames, intrinsics, tester, background)
+        return cut_out(frames, intrinsics, rig, background)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -335,9 +342,9 @@ def _read_published(path: Path) -> Capture:
     counts = counts[:, ::keep, ::keep]
     views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
     warning = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
-    intrinsics = CameraRig.load(DEFAULT_RIG).intrinsics
+    intrinsics = CameraRig.load(SQUARE_RIG).intrinsics
     return checked_capture(path, views, intrinsics, whole_turns(len(views)), density, None,
-                           DEFAULT_RIG, (warning,))
+                           SQUARE_RIG, (warning,))
 
 
 def checked_capture(
@@ -347,7 +354,7 @@ def checked_capture(
     turns: np.ndarray,
     density: float,
     warp_direction: float | None,
-    rig: str,
+    rig: Rig,
     warnings: tuple[str, ...],
 ) -> Capture:
     """Build a capture: remove specks, check size and distance of the cloth, collect warnings.

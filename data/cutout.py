@@ -108,8 +108,8 @@ def cut_out(
         median = np.median(frames[seen]) if seen.any() else 0.0
         raise InputError(
             f"no plate of {1e3 * rig.plate_diameter:g} mm diameter with cloth on it was found in "
-            f"the frames (median depth {median:.3g} m); check rig, depth_unit_m and intrinsics, or "
-            "set every pixel that is not cloth to 0")
+            f"the frames (median depth {median:.3g} m); check tester, depth_unit_m and intrinsics, "
+            "or set every pixel that is not cloth to 0")
     doubts = [] if plate.table is not None else [
         "no table is seen below the plate; look with python -m data.capture whether only cloth is "
         "cut out"]

@@ -1,16 +1,17 @@
-"""Geometric detection of a drape tester's plate in frames of a full scene.
+"""Geometric detection of a drape tester's plate in frames of a full scene, and its diameter.
 
 The vertical is the normal of the table or, if no table is visible, a trial pitch of the camera. The
 plate is the horizontal patch that fills a disc of its radius and has cloth hanging around it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
+from data.cameras import Intrinsics
 from data.render import import_open3d
-from sim.scene import Rig
+from sim.scene import DISC_RIG, SQUARE_RIG, Rig
 
 _MAX_DEPTH = 2.5  # m, of table and plate
 _MAX_POINTS = 60_000  # of the subsample in which the plate is searched
@@ -36,6 +37,17 @@ _LEVEL_TOLERANCE = 2e-3  # m from the plane, of the points whose centroid is the
 _CENTRE_OFFSET = 2.9e-3
 """m, bias of this centroid towards the camera: more of the cloth that bends over the rim is visible
 on the near side."""
+_DIAMETERS = 0.055, 0.210  # m, of plates that are measured
+_RIM_SECTORS, _MIN_SECTORS = 24, 6  # around the plate; in which the rim must be seen
+_PROFILE_STEP, _PROFILE = 3e-3, 50  # m and number of steps, of the height over the radius
+_MIN_POINTS_OF_STEP = 3
+_FALLS = 1.5e-3, 0.75e-3  # m below the plate; the second for cloth that is nearly flat
+_TO_RIM = 0.75
+"""Distance from the rim to where the cloth has fallen by one of these, relative to that from there
+to where it has fallen by four times as much: 0.65 to 0.81 in simulated drapes (a parabola has 1).
+"""
+_RIM_ROUNDS = 4
+_MAX_RIM_SPREAD = 0.2  # of the diameter, between the quartiles of the sectors
 
 
 @dataclass(frozen=True)
@@ -204,3 +216,73 @@ def _refined(
         centre = weights @ points[level] / weights.sum()
         centre = centre - ((centre - middle) @ normal) * normal
     return centre + _CENTRE_OFFSET * _axes(normal)[:, 1], normal
+
+
+def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
+    """Diameter, m, of the plate under the cloth in frames (K, H, W), z-depth in m, 0 where it is
+    missing; None if it is not found.
+
+    Of the known testers' plates, one is found near every plate; its centre and size are corrected.
+    """
+    points = intrinsics.back_project(frames)[frames > 0]
+    measured = [_measured(points, rig) for rig in (DISC_RIG, SQUARE_RIG)]
+    spread, diameter = min((one for one in measured if one), default=(np.inf, 0.0))
+    if spread > _MAX_RIM_SPREAD * diameter or not _DIAMETERS[0] < diameter < _DIAMETERS[1]:
+        return None
+    return diameter
+
+
+def _measured(points: np.ndarray, rig: Rig) -> tuple[float, float] | None:
+    """Difference between quartiles over sectors, and median, of the diameter, m, of a plate that is
+    found as that of ``rig``.
+    """
+    plate = find_plate(points, rig)
+    if plate is None:
+        return None
+    centre, normal = plate.centre, plate.normal
+    for _ in range(_RIM_ROUNDS):
+        rim = _rim(Plate(centre, normal, None).local(points))
+        if len(rim) < _MIN_SECTORS:
+            return None
+        radius, shift = _circle(rim)
+        centre = centre + _axes(normal)[:, :2] @ shift
+        trial = replace(rig, plate_diameter=float(np.clip(2 * radius, *_DIAMETERS)))
+        centre, normal = _refined(points, centre, normal, trial)
+    low, middle, high = np.quantile(2 * np.linalg.norm(rim, axis=1), [0.25, 0.5, 0.75])
+    return float(high - low), float(middle)
+
+
+def _rim(local: np.ndarray) -> np.ndarray:
+    """Points (S, 2), m, of the rim in the sectors where it is seen, from ``local`` (N, 3), m, in
+    the plate's axes: extrapolated from two heights of the cloth that falls beyond it.
+    """
+    steps = (np.hypot(local[:, 0], local[:, 1]) / _PROFILE_STEP).astype(int)
+    near = (steps < _PROFILE) & (np.abs(local[:, 2]) < 8 * _FALLS[0])
+    angle = np.arctan2(local[near, 1], local[near, 0]) % (2 * np.pi)
+    sector = np.minimum((angle * _RIM_SECTORS / (2 * np.pi)).astype(int), _RIM_SECTORS - 1)
+    cell, shape = sector * _PROFILE + steps[near], (_RIM_SECTORS, _PROFILE)
+    counts = np.bincount(cell, minlength=_RIM_SECTORS * _PROFILE)
+    sums = np.bincount(cell, local[near, 2], minlength=len(counts))
+    heights = (sums / np.maximum(counts, 1)).reshape(shape)
+    known, rim = (counts >= _MIN_POINTS_OF_STEP).reshape(shape), []
+    for k in range(_RIM_SECTORS):
+        radius = _PROFILE_STEP * (np.flatnonzero(known[k]) + 0.5)
+        fallen = np.maximum.accumulate(-heights[k, known[k]])
+        for fall in _FALLS:
+            if len(fallen) and fallen[0] < fall / 2 and fallen[-1] > 4 * fall:
+                first, second = np.interp([fall, 4 * fall], fallen, radius)
+                middle = (k + 0.5) * 2 * np.pi / _RIM_SECTORS
+                rim.append((first - _TO_RIM * (second - first))
+                           * np.array([np.cos(middle), np.sin(middle)]))
+                break
+    return np.array(rim).reshape(-1, 2)
+
+
+def _circle(points: np.ndarray) -> tuple[float, np.ndarray]:
+    """Radius and centre (2,), m, of the circle through points (N, 2), m, without outliers."""
+    radii = np.linalg.norm(points, axis=1)
+    off = np.abs(radii - np.median(radii))
+    kept = points[off <= 4 * np.median(off) + 1e-3]
+    equations = np.column_stack([2 * kept, np.ones(len(kept))])
+    *centre, constant = np.linalg.lstsq(equations, np.square(kept).sum(axis=1), rcond=None)[0]
+    return float(np.sqrt(max(constant + np.square(centre).sum(), 0.0))), np.array(centre)

@@ -72,7 +72,7 @@ def raw_scene(
         setups: that the camera is drawn from; None: ``configs/setup/real.yaml``.
         column: m, radius of the column; None: a fifth to nine tenths of the plate's.
     """
-    camera = (setups or Setups.load()).camera(rng, CameraRig.load(rig.name).intrinsics)
+    camera = (setups or Setups.load()).camera(rng, CameraRig.load(rig))
     orientation = float(rng.uniform(0, 2 * np.pi))
     clean = DepthRenderer(positions, faces).views(camera, orientation, turns)
     table, column_drawn = -rng.uniform(*TABLE), rng.uniform(0.2, 0.9) * rig.plate_radius

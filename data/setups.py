@@ -24,7 +24,8 @@ from data.reading import MAX_VIEWS
 from data.sensor import load_sensor
 from data.sensor_noise import Share
 
-REFERENCE_DISTANCE = 0.527  # m, at which offsets parallel to the picture are stated
+REFERENCE_DISTANCE = 0.527
+"""m, at which offsets parallel to the picture are stated, for specimens of 300 mm."""
 
 
 @dataclass(frozen=True)
@@ -122,15 +123,14 @@ class Setups:
         faces: np.ndarray,
         rng: np.random.Generator,
         *,
-        nominal: Intrinsics | None = None,
+        nominal: CameraRig | None = None,
     ) -> SyntheticCapture:
         """Simulate a capture of a drape with vertices (V, 3), m, and triangles (F, 3).
 
         Args:
-            nominal: intrinsics of the rig's camera, for :data:`REFERENCE_DISTANCE`.
+            nominal: camera of the rig; None: of the square on its cylinder.
         """
-        nominal = nominal or CameraRig.load().intrinsics
-        camera = self.camera(rng, nominal)
+        camera = self.camera(rng, nominal or CameraRig.load())
         count = 1 + int(rng.choice(len(self.views), p=self.views))
         turns = np.arange(count) * (2 * np.pi / count)
         wrong = rng.normal(0.0, self.turn, count)
@@ -149,14 +149,18 @@ class Setups:
         given = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
         return SyntheticCapture(noisy, given, turns, orientation, name)
 
-    def camera(self, rng: np.random.Generator, nominal: Intrinsics) -> Camera:
-        """Draw a camera with random pose; ``nominal`` as for :meth:`capture`."""
+    def camera(self, rng: np.random.Generator, nominal: CameraRig) -> Camera:
+        """Draw a camera with random pose; ``nominal``: of the rig."""
         distance = rng.uniform(*self.distance)
         ratio = distance / REFERENCE_DISTANCE
-        pose = Pose(distance, rng.uniform(*self.pitch), ratio * rng.uniform(*self.above),
-                    ratio * rng.uniform(*self.aside), self.roll * rng.standard_normal())
-        focal = nominal.fx * ratio * rng.uniform(*self.fill)
-        return Camera(focal, focal, nominal.cx, nominal.cy, nominal.width, nominal.height,
+        # The nominal distance is in proportion to the size of the specimen.
+        size = nominal.pose.distance / REFERENCE_DISTANCE
+        offset = size * ratio
+        pose = Pose(distance, rng.uniform(*self.pitch), offset * rng.uniform(*self.above),
+                    offset * rng.uniform(*self.aside), self.roll * rng.standard_normal())
+        given = nominal.intrinsics
+        focal = given.fx / size * ratio * rng.uniform(*self.fill)
+        return Camera(focal, focal, given.cx, given.cy, given.width, given.height,
                       pose.world_to_camera())
 
     def _cut_out(

@@ -10,12 +10,12 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from common.documents import (
     Excerpt,
@@ -31,6 +31,7 @@ from common.files import remove_partial, replace_file
 from data.captures import Capture, require_one_fabric
 from data.fabrics import THETA_NAMES
 from drapenet.convention import SWAPPED
+from sim.scene import Rig
 
 if TYPE_CHECKING:
     import torch
@@ -80,6 +81,12 @@ class _Config(Excerpt):
     setup: dict[str, Any]
 
 
+def _rig(name: object) -> Rig:
+    with suppress(InputError):
+        return Rig.from_name(name if isinstance(name, str) else "")
+    raise ValueError("is not the name of a tester")
+
+
 class Header(Excerpt):
     """The keys that are read of a checkpoint's JSON file, made by
     :func:`drapenet.training.describe`; ``path`` is the file of the weights.
@@ -89,7 +96,7 @@ class Header(Excerpt):
     kind: Literal[SCHEMA] = Field(alias="schema")
     schema_version: Literal[SCHEMA_VERSION] = Field(
         description="use the program version that wrote it")
-    rig: str
+    rig: Annotated[Rig, PlainValidator(_rig)]
     model: _Model
     targets: _Targets
     fabrics: _Fabrics
@@ -146,12 +153,15 @@ class Record(Schema):
     best_loss: float | None
 
 
-def bundled(rig: str) -> Path:
+def bundled(rig: Rig) -> Path:
     """The bundled checkpoint of a rig; InputError if there is none."""
-    path = Path(__file__).parent / "weights" / f"{rig}.safetensors"
+    folder = Path(__file__).parent / "weights"
+    path = folder / f"{rig.name}.safetensors"
     if not path.exists():
-        raise InputError(f"no network is bundled for the rig '{rig}'; train one (python train.py) "
-                         "and give checkpoint=FILE")
+        known = " and ".join(sorted(file.stem for file in folder.glob("*.safetensors")))
+        raise InputError(f"no network is bundled for the tester {rig.name}; the bundled networks "
+                         f"know {known}: give checkpoint=FILE of a network of this tester "
+                         "(python train.py trains one)")
     return path
 
 
@@ -178,16 +188,16 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
     """Header of the checkpoint for captures of one fabric; of the bundled one if none is given.
 
     Raises:
-        InputError: different rigs or densities, captures with and without a marked warp, or a
-            checkpoint of another rig.
+        InputError: different testers or densities, captures with and without a marked warp, or a
+            checkpoint of another tester.
     """
     require_one_fabric([one.rig for one in captures],
                   [one.warp_direction is not None for one in captures],
                   [one.density for one in captures])
     header = read_header(checkpoint or bundled(captures[0].rig))
     if header.rig != captures[0].rig:
-        raise InputError(f"the capture is of the rig '{captures[0].rig}' but the checkpoint of "
-                         f"'{header.rig}'; choose a checkpoint trained for this rig")
+        raise InputError(f"the capture is of the tester {captures[0].rig.name} but the checkpoint "
+                         f"of {header.rig.name}; choose a checkpoint trained for this tester")
     return header
 
 

@@ -123,7 +123,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
         from drapenet.targets import MODULI
         from drapenet.training import CaptureSet
 
-    disc = Rig.from_name(header.rig).specimen == "disc"
+    disc = header.rig.specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
     truth, means, places = captures.truth, [], []
     for rows, batch in captures.in_order(_BATCH_SIZE, known=known):
@@ -167,8 +167,8 @@ def main(config: EvaluateConfig) -> None:
     with deferred():
         from drapenet.maps import make_maps
 
-    header = read_header(config.checkpoint or bundled(config.rig))
-    out = folder_named(config.out) / header.rig
+    header = read_header(config.checkpoint or bundled(Rig.from_name(config.rig)))
+    out = folder_named(config.out) / header.rig.name
     require_folder(out)
     network = load_model(header)
     base = make_config(header, drapes=config.drapes, seed=config.seed)
@@ -184,7 +184,7 @@ def main(config: EvaluateConfig) -> None:
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
         folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
         generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
-        maps = make_maps(folder, folder, rig=Rig.from_name(header.rig),
+        maps = make_maps(folder, folder, rig=header.rig,
                          setups=replace(header.setups, **cell.setups),
                          captures=config.captures, seed=config.seed,
                          workers=config.workers, shards=few if cell.setups else None)
@@ -201,7 +201,7 @@ def main(config: EvaluateConfig) -> None:
 def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
     """Configuration of new drapes, generated as the training set of a checkpoint was."""
     training = header.dataset.generation
-    words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig}",
+    words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig.name}",
              "dataset=specimens", "nuisances=real",
               f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
               f"edge_mm={training['solver']['edge_mm']}"]

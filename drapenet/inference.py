@@ -61,7 +61,7 @@ def infer_capture(
         membrane: N/m along the yarns, friction: N·m per metre, of the fabric at its own density;
             None if unknown.
     """
-    rig = Rig.from_name(header.rig)
+    rig = capture.rig
     camera = locate_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
     given = {"membrane": membrane, "friction": friction}
@@ -80,8 +80,7 @@ def capture_doubts(
     Raises:
         InputError: the views do not show cloth on a plate.
     """
-    quality = measure(capture.views, camera, found, Rig.from_name(capture.rig),
-                      turns=capture.turns)
+    quality = measure(capture.views, camera, found, capture.rig, turns=capture.turns)
     try:
         require_plate(quality)
     except InputError as error:
@@ -115,7 +114,7 @@ def estimate_capture(
     Raises:
         InputError: strict, and something is wrong with the capture.
     """
-    known, rig = known or {}, Rig.from_name(header.rig)
+    known, rig = known or {}, capture.rig
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
     doubts = capture_doubts(capture, header.setups, camera, found)
@@ -210,6 +209,6 @@ def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:
     """Description of the capture for ``estimate.json``."""
     share = drape_coefficient(found, rig)
     return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
-            "rig": capture.rig, "views": len(capture.views),
+            "rig": capture.rig.name, "face": capture.face, "views": len(capture.views),
             "turns_deg": (np.degrees(found.turns).round(1) + 0.0).tolist(),  # no -0.0
             "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}

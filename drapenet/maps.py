@@ -123,7 +123,7 @@ def maps_of_shard(
     shard: Path, *, rig: Rig, setups: Setups, captures: int, seed: int, neighbours: bool
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
-    nominal = CameraRig.load(rig.name).intrinsics
+    nominal = CameraRig.load(rig)
     found = []
     rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
     drapes = Shard(shard)

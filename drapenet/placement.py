@@ -101,7 +101,7 @@ def main(config: PlacementConfig) -> None:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     rig, setups = Rig.from_name(config.rig), Setups.load()
     manifest, root = finished_manifest(config.data), Path(config.data)
-    nominal = CameraRig.load(rig.name).intrinsics
+    nominal = CameraRig.load(rig)
     scales: list[tuple[np.ndarray, float, int]] = []
     offsets: list[tuple[np.ndarray, complex, int]] = []
     for name in reversed(list(manifest["shards"])):  # networks are trained on the first

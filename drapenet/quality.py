@@ -163,14 +163,14 @@ def require_plate(quality: Quality) -> None:
         raise InputError(
             f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "
             f"(limit {REFUSED_LOG_SCALE:.0%}, and cloth does not stretch); check depth unit and "
-            "scale, fx and fy, the rig, and that the pictures are upright")
+            "scale, fx and fy, the tester, and that the pictures are upright")
     if quality.off_plate > MAX_OFF_PLATE:
         raise InputError(
             f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
             f"{1e3 * _PLATE_TOLERANCE:g} mm off its plane (limit {MAX_OFF_PLATE:.0%}), so what was "
             "found is not a drape on a plate; check that the pictures are upright, neither turned "
-            "nor mirrored, that all show the cloth, and the rig; python -m data.capture shows what "
-            "was cut out")
+            "nor mirrored, that all show the cloth, and the tester; python -m data.capture shows "
+            "what was cut out")
 
 
 def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:

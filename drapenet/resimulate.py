@@ -58,8 +58,8 @@ class Resimulation:
         if self.overlap >= MIN_OVERLAP:
             return []
         return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
-                "the captured one: check the pictures, their intrinsics and the rig; if they are "
-                "right, the fabric is unlike those trained on"]
+                "the captured one: check the pictures, their intrinsics and the tester; if they "
+                "are right, the fabric is unlike those trained on"]
 
     def as_dict(self) -> dict:
         """Drape coefficient, folds, overlap and statuses in JSON's types."""

@@ -26,9 +26,9 @@ from data.render import VIEWS, DepthRenderer
 from data.scenes import raw_scene
 from data.sensor import load_sensor
 from data.structured_light import StructuredLight
+from data.testers import named_tester
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.scene import Rig
 
 FILES = {"capture.yaml", "truth.json", "background.png", *(f"view_{k}.png" for k in range(VIEWS))}
 
@@ -41,6 +41,7 @@ class MakeCaptureConfig:
     alpha: list[float]
     beta: list[float]
     density: float
+    tester: str
     warp_direction: float
     edge_mm: float
     sensor: str
@@ -57,29 +58,28 @@ def main(config: MakeCaptureConfig) -> None:
         raise InputError(f"{out} contains other files than a capture made by this program; choose "
                          "another out=")
     require_folder(out)
-    density = checked_density(config.density)
-    rig = CameraRig.load()
+    density, tester = checked_density(config.density), named_tester(config.tester)
+    nominal = CameraRig.load(tester)
     noise = load_sensor(config.sensor)
     if isinstance(noise, StructuredLight):
         # 8-bit quantisation belongs to the published format, not to 16-bit captures.
         noise = noise.model_copy(update={"eight_bit_probability": 0.0})
     fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(config.beta) * NANO,
                     density=density)
-    result = drape(fabric, rig=Rig.from_name(rig.name), edge=1e-3 * config.edge_mm,
-                   seed=config.seed)
+    result = drape(fabric, rig=tester, edge=1e-3 * config.edge_mm, seed=config.seed)
     if not result.converged:
         raise InputError(f"the drape did not converge ({result.message}); try another seed")
 
     rng = np.random.default_rng(config.seed)
     direction, background = math.radians(config.warp_direction), None
-    intrinsics = rig.intrinsics  # users know only the nominal ones
+    intrinsics = nominal.intrinsics  # users know only the nominal ones
     if config.raw:
-        scene = raw_scene(result.positions, result.faces, rng, rig=result.rig,
+        scene = raw_scene(result.positions, result.faces, rng, rig=tester,
                           turns=whole_turns(VIEWS), sensor=config.sensor)
         views, background, direction = scene.frames, scene.background, scene.orientation
         intrinsics = scene.camera.intrinsics  # of a camera with another focal length
     else:
-        camera = rig.sample(rng)
+        camera = nominal.sample(rng)
         drawn = DepthRenderer(result.positions, result.faces)
         views = torch.from_numpy(drawn.views(camera, direction))
         generator = torch.Generator().manual_seed(config.seed)
@@ -87,7 +87,7 @@ def main(config: MakeCaptureConfig) -> None:
     for file in old:
         file.unlink()
     write_capture(out, views=views, intrinsics=intrinsics, density=density,
-                  warp_direction=direction, rig=rig.name, background=background)
+                  rig=tester, warp_direction=direction, background=background)
     truth = {
         "density_g_m2": config.density,
         "moduli": {name: {"alpha_uN_m": alpha, "beta_nN_m2": beta} for name, alpha, beta in

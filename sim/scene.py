@@ -1,6 +1,9 @@
 """Rigs and scenes: the constants of a simulation, in SI units."""
 
-from dataclasses import asdict, dataclass
+import math
+import re
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +17,8 @@ GRAVITY = 9.81  # m/s²
 CONTACT_PRESSURE = 120.0
 """Pressure of an obstacle on cloth :data:`sim.energies.contact.DEPTH` deep in it, as a multiple of
 the cloth's weight."""
+_NAME = re.compile(r"(?P<specimen>square|disc)(?P<size>[\d.]+)_"
+                   r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)(_cut(?P<cut>-?[\d.]+))?")
 
 
 @dataclass(frozen=True)
@@ -127,19 +132,40 @@ class Rig:
 
     @staticmethod
     def from_name(name: str) -> "Rig":
-        """The rig called ``name``; InputError for an unknown name."""
-        if name not in RIGS:
-            raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}")
-        return RIGS[name]
+        """The rig with this :attr:`name`; InputError if ``name`` is not of this form."""
+        with suppress(ValueError):  # numbers such as 1.2.3, sizes that no rig can have
+            rig = _rig_of(_NAME.fullmatch(name))
+            if rig and rig.name == name:
+                return rig
+        raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}, and others of "
+                         "this form with sizes in mm")
 
+
+def _rig_of(words: re.Match | None) -> Rig | None:
+    """The rig whose name has these words; None without words."""
+    if words is None:
+        return None
+    size, held = float(words["size"]) / 1e3, float(words["held"]) / 1e3
+    hung = words["holder"] == "corners"
+    return Rig(size, 0.0 if hung else held, words["specimen"], held if hung else None,
+               math.radians(float(words["cut"] or 0)))
+
+
+SQUARE_RIG = Rig()
+"""The tester of Feng et al. 2022, section 3.1."""
 
 DISC_RIG = Rig(0.300, 0.180, specimen="disc")
 """The drape tester of textile laboratories: ISO 9073-9, BS 5058."""
 
+SMALL_DISC_RIG, LARGE_DISC_RIG = (replace(DISC_RIG, specimen_size=size) for size in (0.240, 0.360))
+"""The same tester with its specimens for limp and for stiff cloth."""
+
 HUNG_SQUARE = Rig(0.600, 0.0, corners_apart=0.500)
 """The hanging test of section 7.4.2."""
 
-RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG, HUNG_SQUARE)}
+RIGS = {rig.name: rig for rig in
+        (SQUARE_RIG, SMALL_DISC_RIG, DISC_RIG, LARGE_DISC_RIG, HUNG_SQUARE)}
+"""Rigs with a common name, by name."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,9 @@ from drapenet.inference import Inferred, capture_doubts, infer_capture
 from sim.drape import DrapeResult
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY
+from sim.scene import SQUARE_RIG
 
-RIG = "square300_cylinder100"
+RIG = SQUARE_RIG
 IDEAL = known.CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
                  "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
 """Changes to a set-up that remove all faults: smooth sensor, nominal pose, exact quarter turns."""
@@ -108,7 +109,7 @@ def ideal_setups(**changes: object) -> Setups:
 def capture_drape(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
     """Capture a drape with a random set-up."""
     return setups.capture(shape.positions, shape.faces, rng,
-                          nominal=CameraRig.load(RIG).intrinsics)
+                          nominal=CameraRig.load(RIG))
 
 
 def infer(synthetic: SyntheticCapture, *, density: float = REFERENCE_DENSITY,

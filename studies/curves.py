@@ -20,7 +20,7 @@ from sim.drape import drape
 from sim.energies.torque_law import TorqueLaw
 from sim.laws import Laws
 from sim.material import Fabric, torque
-from sim.scene import GRAVITY, Rig
+from sim.scene import GRAVITY
 from sim.sensitivity import follow
 from studies.captured import RIG, rms, specimen
 from studies.study import Report, Study, run_fabrics
@@ -81,7 +81,7 @@ def case(
     for kind in KINDS:
         true = true_torque(kind, alpha, ratio)
         clean = {"strips": [strip(true, x) for x in LENGTHS]}
-        shape = drape(fabric, rig=Rig.from_name(RIG), edge=1e-3 * edge_mm, start=plan.fallback,
+        shape = drape(fabric, rig=RIG, edge=1e-3 * edge_mm, start=plan.fallback,
                       seed=plan.seed, laws=Laws(bending=law(true)))
         result[kind] = {}
         for noise in noise_mm:

@@ -37,19 +37,19 @@ MEASURES = ("coefficient", "log_alpha")
 
 
 def measure_drape(
-    positions: np.ndarray, faces: np.ndarray, rig: str, *, seed: list[int], torque: float = 0.0
+    positions: np.ndarray, faces: np.ndarray, rig: Rig, *, seed: list[int], torque: float = 0.0
 ) -> dict[str, float]:
     """Drape coefficient, %, and mean log alpha (N·m) over directions, of positions (V, 3), m.
 
     "log_alpha" is the network's estimate, "given" that with the known friction ``torque``, N·m per
     metre.
     """
-    nominal, header = CameraRig.load(rig).intrinsics, read_header(bundled(rig))
+    nominal, header = CameraRig.load(rig), read_header(bundled(rig))
     capture = ideal_setups().capture(positions, faces, np.random.default_rng(seed), nominal=nominal)
     found, given = (
         float(estimate_views(capture.views, capture.intrinsics, header, friction=friction)
               .samples[:, LINEAR].mean()) for friction in (None, torque))
-    return {"coefficient": 100 * drape_coefficient(positions, faces, Rig.from_name(rig)),
+    return {"coefficient": 100 * drape_coefficient(positions, faces, rig),
             "log_alpha": found, "given": given}
 
 
@@ -69,17 +69,18 @@ def case(
     """Measures of drapes of one fabric by torque and start, from above and from below; None where
     one of both did not converge. "tester" has log alpha by the cantilever tester, or None.
     """
-    plan = plan_specimen(number, rig=rig, nuisances="none", seed=seed)
+    tester = Rig.from_name(rig)
+    plan = plan_specimen(number, rig=tester, nuisances="none", seed=seed)
     fabric, result = fabric_from_theta(plan.theta), {"drapes": [], "tester": []}
     for torque in (MICRO * one for one in friction):
         laws, repeats = Laws(bending=BendingFriction(torque)), []
         for k in range(REPEATS):
-            above = drape(fabric, rig=Rig.from_name(rig), edge=1e-3 * edge_mm, start=STARTS[-1 - k],
+            above = drape(fabric, rig=tester, edge=1e-3 * edge_mm, start=STARTS[-1 - k],
                           seed=k, laws=laws)
             below = raise_drape(above, fabric, torque, overshoot=overshoot)
             ends = {"above": above, "below": below}
             repeats.append({"apart_mm": 1e3 * compare(above, below).displacement} | {
-                name: measure_drape(one.positions, one.faces, rig, seed=[seed, number, k],
+                name: measure_drape(one.positions, one.faces, tester, seed=[seed, number, k],
                                     torque=torque)
                 for name, one in ends.items()}
                 if all(one.converged for one in ends.values()) else None)
@@ -103,7 +104,7 @@ def tester_log_alpha(fabric: Fabric, laws: Laws) -> float | None:
 def scan_case(*, path: str, seed: int) -> dict[str, float]:
     """Measures of one scan."""
     scan = read_scan(Path(path), DISC_RIG)
-    return measure_drape(scan.positions, scan.faces, DISC_RIG.name,
+    return measure_drape(scan.positions, scan.faces, DISC_RIG,
                     seed=[seed, *map(ord, scan.name)])
 
 

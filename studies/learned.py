@@ -31,11 +31,11 @@ from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.maps import Maps, make_maps
 from drapenet.targets import MODULI, TargetScale
 from drapenet.training import CaptureSet
-from sim.scene import Rig
+from sim.scene import SQUARE_RIG
 from studies.networks import COMPONENTS, FoldNetwork, MapNetwork, OutlineNetwork, ViewNetwork
 from studies.stacked_views import CHANNELS, TARGETS, StackedSet, capture_views, setups
 
-RIG = "square300_cylinder100"
+RIG = SQUARE_RIG
 HELD_OUT = {"train": 0.88, "unseen": 0.12}  # fractions of the fabrics of the first dataset
 DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "fabrics": ("drapes", 0, ()),
@@ -145,7 +145,7 @@ def drapes_folder(name: str, config: dict[str, Any]) -> Path:
 
 def load_maps(name: str, config: dict[str, Any]) -> Maps:
     """Maps of the captures of a set, computed unless they are stored."""
-    return make_maps(drapes_folder(name, config), Path(config["work"]), rig=Rig.from_name(RIG),
+    return make_maps(drapes_folder(name, config), Path(config["work"]), rig=RIG,
                      setups=setups(), captures=config["captures"], seed=config["seed"],
                      workers=config.get("workers", 1))
 
@@ -155,7 +155,7 @@ def load_views(config: dict[str, Any], *, fixed: bool) -> list[np.ndarray]:
     root, work = drapes_folder("fabrics", config), Path(config["work"])
     manifest = finished_manifest(root)
     cases = {f"{Path(name).stem}{'_fixed' if fixed else ''}": {
-        "shard": str(root / name), "rig": RIG, "captures": config["captures"],
+        "shard": str(root / name), "rig": RIG.name, "captures": config["captures"],
         "seed": config["seed"], "dataset": manifest["hash"], "fixed": fixed}
         for name in manifest["shards"]}
     run_cases(capture_views, cases, folder=work, workers=config.get("workers", 1),
@@ -177,7 +177,7 @@ class Experiment:
 
 def make_experiment(one: Training, config: dict[str, Any]) -> Experiment:
     """Load the captures of a training and initialise its network."""
-    rig, maps = Rig.from_name(RIG), load_maps("fabrics", config)
+    rig, maps = RIG, load_maps("fabrics", config)
     held = split_by_fabric(maps.fabric, fractions=HELD_OUT) == "unseen"
     if one.input == "views":
         parts, other = load_views(config, fixed=one.fixed), load_views(config, fixed=False)

@@ -59,7 +59,7 @@ def describe_drape(positions: np.ndarray, mesh: Mesh, rig: Rig) -> dict[str, lis
 def fabric_case(*, number: int, starts: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Descriptors of all drapes of one fabric."""
     plan = specimen(number, seed=seed)
-    rig, rng = Rig.from_name(RIG), np.random.default_rng([seed, number])
+    rig, rng = RIG, np.random.default_rng([seed, number])
     found = []
     for k in range(starts):
         shape = drape_specimen(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
@@ -74,8 +74,8 @@ def scan_case(*, path: str, seed: int) -> dict[str, Any]:
     scan = read_scan(Path(path), DISC_RIG)
     capture = Setups.load("real").capture(
         scan.positions, scan.faces, np.random.default_rng([seed, *map(ord, Path(path).stem)]),
-        nominal=CameraRig.load(DISC_RIG.name).intrinsics)
-    header = read_header(bundled(DISC_RIG.name))
+        nominal=CameraRig.load(DISC_RIG))
+    header = read_header(bundled(DISC_RIG))
     estimate = estimate_views(capture.views, capture.intrinsics, header)
     one = describe_drape(scan.positions, Mesh(scan.rest, scan.faces), DISC_RIG)
     return one | {"network": estimate.samples[:, LINEAR].mean(axis=0).tolist()}

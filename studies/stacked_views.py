@@ -12,6 +12,7 @@ from drapenet.canonical import AZIMUTHS
 from drapenet.maps import Maps
 from drapenet.targets import MODULI, Symmetry, TargetScale, targets_of
 from drapenet.training import CaptureSet
+from sim.scene import Rig
 from studies.networks import Prediction
 
 VIEW_SHARES = (0.0, 0.0, 0.0, 1.0)  # shares of captures with 1, 2, ... views
@@ -37,7 +38,7 @@ def capture_views(
     nominal focal length, less 1; ``orientation`` (N,) of the warp in the first view, rad.
     ``dataset`` is the digest of the drapes, a part of the key of the stored result.
     """
-    distribution, nominal = setups(fixed=fixed), CameraRig.load(rig).intrinsics
+    distribution, nominal = setups(fixed=fixed), CameraRig.load(Rig.from_name(rig))
     views, focal, orientation = [], [], []
     drapes = Shard(shard)
     index = drapes.column("index")
@@ -47,10 +48,10 @@ def capture_views(
             rng = np.random.default_rng([seed, int(index[row]), number])  # as in make_maps
             capture = distribution.capture(positions, faces, rng, nominal=nominal)
             views.append(downsample(capture.views))
-            focal.append(capture.intrinsics.fx / nominal.fx - 1)
+            focal.append(capture.intrinsics.fx / nominal.intrinsics.fx - 1)
             orientation.append(capture.orientation)
     return {"dataset": dataset, "arrays": {
-        "views": np.array(views).reshape(len(focal), 4, -1, nominal.width // BLOCK),
+        "views": np.array(views).reshape(len(focal), 4, -1, nominal.intrinsics.width // BLOCK),
         "focal": np.array(focal), "orientation": np.array(orientation)}}
 
 

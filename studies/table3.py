@@ -178,7 +178,7 @@ def estimate_scan(*, path: str, refine: bool) -> dict[str, Any]:
 
 def _disc() -> Header:
     """Header of the bundled network for the rig of the scans."""
-    return read_header(bundled(DISC_RIG.name))
+    return read_header(bundled(DISC_RIG))
 
 
 def release_at_scan(

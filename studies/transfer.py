@@ -19,7 +19,6 @@ from sim.material import Fabric, torque
 from sim.mesh import strip
 from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
 from sim.newton import Status
-from sim.scene import Rig
 from studies.captured import RIG, drape_specimen, specimen
 from studies.study import Report, Study, run_fabrics
 
@@ -44,7 +43,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
     nearest equilibrium of each model of one fabric; None without convergence.
     """
-    plan, rig, edge = specimen(number, seed=seed), Rig.from_name(RIG), 1e-3 * edge_mm
+    plan, rig, edge = specimen(number, seed=seed), RIG, 1e-3 * edge_mm
     fabric = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
     equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)

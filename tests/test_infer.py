@@ -25,6 +25,7 @@ from data.captures import captures_in, read_capture, write_capture
 from drapenet.checkpoint import load_model, read_header
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, is_admissible
+from sim.scene import SQUARE_RIG
 
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
 
@@ -34,7 +35,8 @@ def capture(tmp_path: Path) -> Path:
     """A sound capture, which a test may spoil."""
     views, intrinsics = capture_views(orientation=0.4)
     folder = tmp_path / "capture"
-    write_capture(folder, views=views, intrinsics=intrinsics, density=0.15, warp_direction=0.4)
+    write_capture(folder, views=views, intrinsics=intrinsics, density=0.15, rig=SQUARE_RIG,
+                  warp_direction=0.4)
     return folder
 
 
@@ -273,7 +275,7 @@ def test_a_capture_has_any_number_of_views(
 ) -> None:
     views, intrinsics = capture_views(turns=np.radians(turns))
     write_capture(tmp_path / "capture", views=views, intrinsics=intrinsics, density=0.15,
-                  turns=np.radians(turns))
+                  rig=SQUARE_RIG, turns=np.radians(turns))
     infer.main(words(tmp_path / "capture", checkpoint, "drapes=1", "edge_mm=12"))
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert content["capture"]["views"] == len(turns)
@@ -287,7 +289,7 @@ def test_captures_of_one_fabric_give_one_estimate(
     for name, turn in (("a", 0.0), ("b", 1.0)):
         views, intrinsics = capture_views(orientation=turn)
         write_capture(tmp_path / "fabric" / name, views=views, intrinsics=intrinsics, density=0.15,
-                      warp_direction=turn)
+                      rig=SQUARE_RIG, warp_direction=turn)
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert "joint estimate of 2 captures" in capsys.readouterr().out
@@ -315,7 +317,7 @@ def test_large_pictures_give_the_same_drape(checkpoint: Path, tmp_path: Path) ->
     large = np.repeat(np.repeat(views, 4, axis=1), 4, axis=2)
     more = {name: 4 * getattr(intrinsics, name) + (1.5 if name in ("cx", "cy") else 0)
             for name in ("fx", "fy", "cx", "cy")}
-    write_capture(tmp_path / "capture", views=large, density=0.15,
+    write_capture(tmp_path / "capture", views=large, density=0.15, rig=SQUARE_RIG,
                   intrinsics=Intrinsics(**more, width=480, height=360))
     read = read_capture(tmp_path / "capture")
     assert read.views.shape == (4, 180, 240)
@@ -488,7 +490,7 @@ def test_a_capture_upside_down_is_doubted(tmp_path: Path) -> None:
     twill = read_capture(Path(__file__).parents[1] / "examples" / "captures" / "twill")
     folder = tmp_path / "capture"
     write_capture(folder, views=twill.views[:, ::-1], intrinsics=twill.intrinsics,
-                  density=twill.density)
+                  density=twill.density, rig=twill.rig)
     infer.main([f"capture={folder}", f"out={tmp_path / 'out'}", "drapes=1", "edge_mm=12"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     for doubt in ("check that the pictures are upright", "check the pictures, their intrinsics"):

@@ -40,7 +40,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
          estimated: bool) -> dict:
     """Errors of one capture; ``failed`` has the message if no cloth was found."""
     tester = Rig.from_name(rig)
-    _, shape = known_drape(number, rig=rig, nuisances="none", edge_mm=edge_mm, seed=seed)
+    _, shape = known_drape(number, rig=tester, nuisances="none", edge_mm=edge_mm, seed=seed)
     rng = np.random.default_rng([seed, number, SENSORS.index(sensor)])
     errors = rng.uniform(-MAX_TURN_ERROR, MAX_TURN_ERROR, len(QUARTERS))
     turns = np.array(QUARTERS) + np.radians(errors)
@@ -64,9 +64,9 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
         measured = drape_map(views, camera, tester, turns=np.array(QUARTERS)).turns
         found[name] = float(np.degrees(np.abs(measured - turns)).max())
     if estimated:
-        found["shift"] = posterior_shifts(cut.views, perfect, scene, rig)
+        found["shift"] = posterior_shifts(cut.views, perfect, scene, tester)
         masked = np.where(scene.cloth, scene.frames, np.float32(0.0))
-        found["shift_true_mask"] = posterior_shifts(masked, perfect, scene, rig)
+        found["shift_true_mask"] = posterior_shifts(masked, perfect, scene, tester)
     return found
 
 
@@ -109,7 +109,7 @@ def angle(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def posterior_shifts(
-    views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: str
+    views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: Rig
 ) -> list[float]:
     """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
     from drapenet.inference import infer_capture

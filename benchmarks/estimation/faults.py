@@ -143,7 +143,7 @@ MOVED_CLOTH = "cloth moved between the views"
 def check_capture(capture: SyntheticCapture) -> Capture:
     """Check the capture as ``infer.py`` does when it reads one."""
     return checked_capture(Path("capture"), capture.views, capture.intrinsics, capture.turns,
-                           REFERENCE_DENSITY, None, Rig().name, ())
+                           REFERENCE_DENSITY, None, Rig(), ())
 
 
 def find_warnings(
@@ -187,7 +187,7 @@ def run(config: Config) -> Result:
     """Check captures without and with faults; print the share with a warning of each."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
-    nominal, source = CameraRig.load(rig.name).intrinsics, drapes(Path(config["data"]))
+    nominal, source = CameraRig.load(rig), drapes(Path(config["data"]))
 
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
         return setups.capture(positions, faces, rng, nominal=nominal)

@@ -51,15 +51,16 @@ def case(
     from drapenet.inference import infer_capture
     from drapenet.refine.refined import refined_capture
 
-    plan, shape = known_drape(number, rig=rig, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
+    tester = Rig.from_name(rig)
+    plan, shape = known_drape(number, rig=tester, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
     setups = Setups.load("real")
     if nuisances == "none":
         setups = replace(setups, **CLEAN)
     seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
-                          nominal=CameraRig.load(rig).intrinsics)
-    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,
+                          nominal=CameraRig.load(tester))
+    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
                       Path(), ())
-    header, nominal = read_header(bundled(rig)), Rig.from_name(rig)
+    header = read_header(bundled(tester))
     known = {"membrane": 200.0, "friction": 0.0} if nuisances == "none" else {}
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
@@ -73,8 +74,8 @@ def case(
     estimates = {"network": estimate}
     if refined is not None and refined.draws is not None:
         estimates["refined"] = make_estimate(refined.draws, capture=capture, header=header)
-    first = drape(estimate.fabric, rig=nominal, seed=number)
-    outlines = [fold_outline(d.positions, d.rest, nominal) for d in (shape, first)]
+    first = drape(estimate.fabric, rig=tester, seed=number)
+    outlines = [fold_outline(d.positions, d.rest, tester) for d in (shape, first)]
     arrays = {}
     for name in METHODS:  # without an improvement the refined estimate is that of the network
         one = estimates.get(name, estimate)

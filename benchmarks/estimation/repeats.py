@@ -44,22 +44,23 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
     words = ["nuisances=real", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0",
              f"dataset.starts_per_fabric={drapes}"]
     config = config_from_options(compose_config("generate", words, schema=Options))
-    setups, header = Setups.load("real"), read_header(bundled(rig))
+    tester, setups = Rig.from_name(rig), Setups.load("real")
+    header, camera = read_header(bundled(tester)), CameraRig.load(tester)
     arrays = {}
     for index in range(number * drapes, (number + 1) * drapes):
         plan = plan_drape(index, config=config.sampling, prior=config.prior)
-        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(Rig.from_name(rig)),
+        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(tester),
                       edge=1e-3 * truth_mm, start=plan.start, seed=plan.seed,
                       offset=tuple(plan.offset), laws=plan.nuisances.laws)
         if not shape.converged:
             continue
         seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, index]),
-                              nominal=CameraRig.load(rig).intrinsics)
-        capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, rig,
+                              nominal=camera)
+        capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
                           Path(str(index)), ())
         one = estimate_capture(capture, header, refine=refined, drapes=0).estimate
         along = math.cos(2 * (one.axis - seen.orientation)) >= 0
-        found = depth_information(shape, CameraRig.load(rig).nominal(), nuisances=plan.nuisances,
+        found = depth_information(shape, camera.nominal(), nuisances=plan.nuisances,
                                   orientation=seen.orientation)
         arrays[f"samples_{index}"] = one.samples if along else one.samples[:, SWAPPED]
         arrays[f"fisher_{index}"] = found.fisher

@@ -46,7 +46,7 @@ def make_tree(scans: list[Path], root: Path, *, sensor: str, seed: int) -> None:
         scene = raw_scene(scan.positions, scan.faces, rng, rig=DISC_RIG, turns=turns - turns[0],
                           sensor=sensor, clutter=str(rng.choice(list(CLUTTER))))
         write_capture(folder, views=scene.frames, intrinsics=scene.camera.intrinsics,
-                      density=REFERENCE_DENSITY, rig=DISC_RIG.name, depth_unit=1e-4)
+                      density=REFERENCE_DENSITY, rig=DISC_RIG, depth_unit=1e-4)
 
 
 def command(root: Path, out: Path) -> list[str]:

@@ -238,7 +238,7 @@ def invalid_files(service: Service, rng: random.Random) -> int:
                            "evil.py", "", "." * 300 + ".png", "\u202egnp.png"])
     fields = {}
     if what >= 3:
-        key = rng.choice(["density_g_m2", "rig", "fx", "refine", "name", "warp_direction_deg",
+        key = rng.choice(["density_g_m2", "tester", "fx", "refine", "name", "warp_direction_deg",
                           "turns_deg"])
         fields[key] = rng.choice(["nan", "1e999", "-1", "../../etc", "{{7*7}}", "<script>", "yes",
                                   "\0", "9" * 150, "$\\frac{", "="])

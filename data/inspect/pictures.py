@@ -12,6 +12,7 @@ from data.cameras import Camera, CameraRig
 from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, in_display_units, spread
 from data.render import DepthRenderer
 from data.shards import Shard
+from sim.scene import Rig
 
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
@@ -38,7 +39,7 @@ def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> lis
     """Render ``count`` converged drapes, sorted by drape coefficient, and up to a row of failed
     ones, with the rig's nominal camera and the warp to the right.
     """
-    camera = CameraRig.load(manifest["config"]["rig"]["name"]).nominal()
+    camera = CameraRig.load(Rig.from_name(manifest["config"]["rig"]["name"])).nominal()
     converged = np.flatnonzero(drapes.converged)
     by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
                                           kind="stable")]

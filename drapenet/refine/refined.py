@@ -33,7 +33,6 @@ from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
 from sim.material import MICRO, REFERENCE_DENSITY
-from sim.scene import Rig
 
 MAX_REDUCED_CHI2 = 10.0
 """Beyond this, no simulated cloth fits the captured surface; correct captures have 0.8 to 2.5."""
@@ -87,7 +86,7 @@ def refined_capture(
     if seen is None:
         source: Seen = CapturedViews(
             capture.views, camera, turns=turns, turn=estimate.axis,
-            rig=Rig.from_name(capture.rig), edge=1e-3 * settings["edge_mm"],
+            rig=capture.rig, edge=1e-3 * settings["edge_mm"],
             coarse=1e-3 * settings["coarse_mm"])
     else:
         source, axis = seen, flat_turn(seen.shape)
@@ -178,7 +177,7 @@ def _doubts(
     if theta is not None and found.uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
         doubts.append("no simulated cloth fits the captured surface (squared misfit "
                       f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
-                      f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check rig, "
+                      f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check tester, "
                       "specimen, cut-out and intrinsics")
     elif not found.improved:
         doubts.append("the refinement found no fabric that agrees better with the capture: the "

@@ -27,6 +27,7 @@ from starlette.requests import ClientDisconnect
 from common.errors import InputError, one_line
 from common.files import folder_named, require_folder
 from data.captures import CAPTURE_FILES
+from data.testers import TESTERS
 from drapenet.export import TARGETS
 from drapenet.material import MESHES, read_material
 from drapenet.output import ESTIMATE, SHOWN
@@ -37,6 +38,7 @@ from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
 from drapenet.tree import plain_name
+from sim.scene import RIGS
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"
@@ -121,6 +123,7 @@ def _add_pages(app: FastAPI, settings: Settings) -> None:
     @cache
     def page() -> bytes:
         return render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
+                      testers={name: RIGS[name] for name in TESTERS},
                       kinds=KINDS, example=EXAMPLE.is_dir())
 
     @app.get("/", include_in_schema=False)

@@ -25,6 +25,7 @@ from common.errors import InputError, one_line
 from data.arrays import header_of
 from data.captures import CAPTURE_FILES, INTRINSICS_KEYS, Description, checked_density
 from data.frames import BACKGROUND
+from data.testers import tester_choices
 from drapenet.service.settings import Settings
 from drapenet.tree import plain_name
 
@@ -61,12 +62,13 @@ class Form(Schema):
     fy: _Number = None
     cx: _Number = None
     cy: _Number = None
-    rig: _Text = None
+    tester: _Text = None
+    face: _Text = None
     refine: Literal["no", "yes"] = "no"
     name: _Text = None
 
 
-TEXTS = ("turns_deg", "rig", "refine", "name")
+TEXTS = ("turns_deg", "tester", "face", "refine", "name")
 NUMBERS = tuple(name for name in Form.model_fields if name not in TEXTS)
 
 
@@ -253,11 +255,13 @@ def _description(given: bytes | None, fields: Mapping[str, Any]) -> bytes:
     try:
         text = (given or b"{}").decode("utf-8")
         content = dict(parse_yaml(text, "capture.yaml"))
-        content |= {key: fields[key] for key in (*NUMBERS[:3], "turns_deg", "rig") if key in fields}
+        content |= {key: fields[key] for key in (*NUMBERS[:3], "turns_deg", "tester", "face")
+                    if key in fields}
         intrinsics = {key: fields[key] for key in INTRINSICS_KEYS if key in fields}
         if intrinsics:
             content["intrinsics"] = intrinsics
-        Description.of(content, "")
+        if Description.of(content, "").tester is None:
+            raise RequestError(422, f"tester is missing; {tester_choices()}")
         return yaml.safe_dump(content).encode()
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None

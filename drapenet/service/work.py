@@ -40,7 +40,6 @@ def change_state(folder: Path, **values: object) -> None:
 def warm_up(parent: int) -> None:
     """Import and cache, in a worker of the process ``parent``, what the first estimate needs."""
     follow(parent)
-    from data.cameras import DEFAULT_RIG
     from data.render import import_open3d
     from drapenet.checkpoint import bundled, read_header
     from drapenet.inference import network_of
@@ -48,8 +47,9 @@ def warm_up(parent: int) -> None:
     from drapenet.resimulate import EDGE
     from sim.drape import drape
     from sim.material import MICRO, Fabric
+    from sim.scene import SQUARE_RIG
 
-    network_of(read_header(bundled(DEFAULT_RIG)))
+    network_of(read_header(bundled(SQUARE_RIG)))
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
 
@@ -100,11 +100,9 @@ def preview(capture: Any) -> bytes:
     """PNG of a capture: frames with the cloth outlined, or the cloth of each view."""
     from data.capture import picture
     from data.picture import thumbnails
-    from sim.scene import Rig
 
     if capture.cut:
-        return picture(capture.cut, capture.intrinsics, Rig.from_name(capture.rig),
-                       turns=capture.turns)
+        return picture(capture.cut, capture.intrinsics, capture.rig, turns=capture.turns)
     return thumbnails(capture.views)
 
 

@@ -243,7 +243,7 @@ def _mend_checkpoint(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    capture = SimpleNamespace(rig="square300_cylinder100", warp_direction=None, density=0.15)
+    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15)
     header = header_for([capture], str(folder / "net"))
     _ = header.setups, header.scale, header.identity
     load_model(header)
@@ -397,7 +397,7 @@ def _setup(folder: Path) -> None:
 
 def _read_setup(folder: Path) -> None:
     setups = Setups.from_config(read_json(folder / "setup.json"))
-    setups.camera(np.random.default_rng(0), CameraRig.load().intrinsics)
+    setups.camera(np.random.default_rng(0), CameraRig.load())
 
 
 def _upload(folder: Path) -> None:

@@ -10,6 +10,8 @@ from common.configs import read_option
 from common.errors import InputError
 from data.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
 from data.captures import read_capture
+from data.setups import Setups
+from sim.scene import DISC_RIG, SQUARE_RIG, Rig
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
@@ -121,11 +123,24 @@ def test_every_set_up_keeps_the_specimen_in_the_picture_sideways(rig):
         assert pixels[:, 0].min() > 0 and pixels[:, 0].max() < 239 and pixels[:, 1].min() > 0
 
 
-def test_unknown_rig_and_unusable_intrinsics_are_input_errors():
-    with pytest.raises(InputError, match="known rigs: disc300_support180, square300_cylinder100"):
-        CameraRig.load("../../etc/passwd")
+@pytest.mark.parametrize("name", ["disc200_support100", "disc400_support200",
+                                  "square400_cylinder60"])
+def test_pictures_of_specimens_of_all_sizes_look_alike(name):
+    tester = Rig.from_name(name)
+    measured = DISC_RIG if tester.specimen == "disc" else SQUARE_RIG
+    ring = np.array([[np.cos(a), np.sin(a), -0.1] for a in np.linspace(0, 6, 9)])
+    pixels, expected = (
+        CameraRig.load(rig).sample(np.random.default_rng(3)).project(rig.reach * ring)[0]
+        for rig in (tester, measured))
+    assert np.allclose(pixels, expected, atol=1e-6)
+    pixels, expected = (Setups.load().camera(np.random.default_rng(3), CameraRig.load(rig))
+                        for rig in (tester, measured))
+    assert pixels.fx * tester.reach == pytest.approx(expected.fx * measured.reach)
+
+
+def test_unusable_intrinsics_are_input_errors():
     with pytest.raises(InputError, match="incomplete"):
-        CameraRig.from_config({"name": "half", "camera": {"fx": 1.0}, "jitter": {}})
+        CameraRig.from_config({"camera": {"fx": 1.0}, "jitter": {}})
     with pytest.raises(InputError, match="positive focal"):
         Intrinsics(fx=-300, fy=300, cx=119.5, cy=89.5, width=240, height=180)
     with pytest.raises(InputError, match="inner part of the 120x90"):

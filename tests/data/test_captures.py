@@ -17,9 +17,10 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture, read_capture, write_capture
 from data.render import DepthRenderer
+from data.testers import TESTERS
 from drapenet.canonical import drape_coefficient, drape_map
 from drapenet.registration import locate_camera
-from sim.scene import Rig
+from sim.scene import SQUARE_RIG, Rig
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -53,7 +54,8 @@ def views(renderer) -> np.ndarray:
 def folder(tmp_path, views) -> Path:
     """A good capture in the 16-bit format."""
     path = tmp_path / "capture"
-    write_capture(path, views=views, intrinsics=RIG.intrinsics, density=0.15, warp_direction=0.3)
+    write_capture(path, views=views, intrinsics=RIG.intrinsics, density=0.15, rig=SQUARE_RIG,
+                  warp_direction=0.3)
     return path
 
 
@@ -80,7 +82,7 @@ def test_what_is_written_is_read(folder, views):
     assert capture.views.shape == (4, 180, 240) and capture.views.dtype == np.float32
     assert np.abs(capture.views - views).max() < 0.51e-3
     assert ((capture.views > 0) == (views > 0)).all()
-    assert capture.intrinsics == RIG.intrinsics and capture.rig == RIG.name
+    assert capture.intrinsics == RIG.intrinsics and capture.rig == SQUARE_RIG
     assert capture.density == pytest.approx(0.15)
     assert capture.warp_direction == pytest.approx(0.3)
     assert capture.path == folder and capture.warnings == ()
@@ -89,8 +91,8 @@ def test_what_is_written_is_read(folder, views):
 def test_depth_unit_and_direction_are_converted(tmp_path, views):
     path = tmp_path / "fine"
     write_capture(
-        path, views=views, intrinsics=RIG.intrinsics, density=0.2, depth_unit=1e-4,
-        warp_direction=math.radians(200),
+        path, views=views, intrinsics=RIG.intrinsics, density=0.2, rig=SQUARE_RIG,
+        depth_unit=1e-4, warp_direction=math.radians(200),
     )  # fmt: skip
     capture = read_capture(path)
     assert np.abs(capture.views - views).max() < 0.051e-3
@@ -102,7 +104,7 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
 
 
 def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
-    common = {"intrinsics": RIG.intrinsics, "density": 0.15}
+    common = {"intrinsics": RIG.intrinsics, "density": 0.15, "rig": SQUARE_RIG}
     with pytest.raises(InputError, match="9 views given; a capture has 1 to 8"):
         write_capture(tmp_path / "many", views=np.repeat(views, 3, axis=0)[:9], **common)
     with pytest.raises(InputError, match="16 bits"):
@@ -116,10 +118,26 @@ def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
         write_capture(tmp_path / "taken" / "notes.txt" / "below", views=views, **common)
 
 
+@pytest.mark.parametrize("name", ["disc254_support127", "square250_cylinder60", *TESTERS])
+def test_a_tester_is_a_name_or_numbers_and_a_face_is_kept(tmp_path, views, name):
+    write_capture(tmp_path / "a", views=views, intrinsics=RIG.intrinsics, density=0.2,
+                  rig=Rig.from_name(name), face="down")
+    content = yaml.safe_load((tmp_path / "a" / "capture.yaml").read_text())
+    assert isinstance(content["tester"], str) == (name in TESTERS)
+    for value in (content["tester"], name):
+        edit(tmp_path / "a", tester=value)
+        capture = read_capture(tmp_path / "a")
+        assert capture.rig == Rig.from_name(name) and capture.face == "down"
+    with pytest.raises(InputError, match="tester=disc500_support180 has a specimen of 500 mm"):
+        write_capture(tmp_path / "b", views=views, intrinsics=RIG.intrinsics, density=0.2,
+                      rig=Rig.from_name("disc500_support180"))
+
+
 def test_published_format_is_recognised(published, views):
     capture = read_capture(published)
     assert np.abs(capture.views - views).max() < 0.51 / 255
     assert capture.density == pytest.approx(0.3) and capture.warp_direction is None
+    assert capture.rig == SQUARE_RIG and capture.face == "up"
     assert capture.intrinsics == RIG.intrinsics and "8-bit" in capture.warnings[0]
 
 
@@ -272,6 +290,7 @@ def setting(**changes: object) -> Callable[[Path], None]:
     return lambda folder: edit(folder, **changes)
 
 
+DISC = {"specimen": "disc", "size_mm": 300, "plate_mm": 180}
 GOOD = {"fx": 305.0, "fy": 305.0, "cx": 119.5, "cy": 89.5}
 
 BAD_METRIC = {
@@ -319,8 +338,26 @@ BAD_METRIC = {
         setting(intrinsics=GOOD | {"fy": -305.0}), "intrinsics.fy=-305.0 must be at least 10"),
     "negative unit": (setting(depth_unit_m=-0.001), "must be more than 0; 0.001 for"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
-    "unknown rig": (setting(rig="disc300"), "unknown rig 'disc300'"),
-    "list for a rig": (setting(rig=["disc300"]), "rig=['disc300'] is not a text"),
+    "former key": (setting(rig="disc300_support180"), "unknown key 'rig'; known keys: "),
+    "unknown tester": (setting(tester="disc300"), "tester='disc300' is not a tester; give squ"),
+    "list for a tester": (setting(tester=["disc300"]), "tester=['disc300'] is not a tester"),
+    "tester without plate": (
+        setting(tester="square300_corners200"), "has a plate of 0 mm; give 60 to 200 mm"),
+    "tester without size": (
+        setting(tester={"specimen": "disc", "plate_mm": 180}), "(size_mm is missing); give"),
+    "misspelt size": (setting(tester={**DISC, "size": 1}), "(unknown key 'size'; known keys: "),
+    "oval": (setting(tester={**DISC, "specimen": "oval"}), "(specimen='oval' must be 'square' or"),
+    "size in words": (setting(tester={**DISC, "size_mm": "wide"}), "(size_mm='wide' is not a numb"),
+    "size in m": (setting(tester={**DISC, "size_mm": 0.3}), "a plate of 180 mm under a specim"),
+    "large specimen": (setting(tester={**DISC, "size_mm": 401}), "a specimen of 401 mm; give 200"),
+    "small specimen": (setting(tester="disc199_support100"), "a specimen of 199 mm; give 200"),
+    "small plate": (setting(tester={**DISC, "plate_mm": 59.5}), "has a plate of 59.5 mm; give 60"),
+    "large plate": (setting(tester={**DISC, "plate_mm": 201}), "has a plate of 201 mm; give 60"),
+    "short overhang": (
+        setting(tester={**DISC, "size_mm": 218}), "has an overhang of 19 mm; give 20 mm or more"),
+    "cut at an angle": (setting(tester="square300_cylinder100_cut45"), "cut at an angle"),
+    "no tester": (setting(tester=None), "states no tester; the pictures show a plate of about 9"),
+    "another face": (setting(face="left"), "face='left' must be 'up' or 'down'"),
     "lines in a key": (write("capture.yaml", b'"a\\nb": 1\n'), "unknown key 'a\\nb'"),
     "endless density": (setting(density_g_m2=10**400), "is not a number"),
     "misspelt key": (setting(density=150), "unknown key 'density'"),

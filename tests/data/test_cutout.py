@@ -109,7 +109,8 @@ def folder(tmp_path, scene) -> Path:
     path = tmp_path / "raw"
     path.mkdir()
     numbers = {key: float(getattr(scene.camera, key)) for key in ("fx", "fy", "cx", "cy")}
-    text = yaml.safe_dump({"density_g_m2": 150, "intrinsics": numbers, "size_px": [240, 180]})
+    text = yaml.safe_dump({"density_g_m2": 150, "intrinsics": numbers, "size_px": [240, 180],
+                           "tester": "square300_cylinder100"})
     (path / "capture.yaml").write_text(text)
     return path
 

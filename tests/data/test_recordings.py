@@ -45,7 +45,7 @@ def test_stops_of_a_file_that_librealsense_recorded(table):
 def test_a_folder_with_a_recording_is_a_capture(table, tmp_path):
     shown, stops, intrinsics = table
     write_bag(tmp_path / "take.bag", shown, intrinsics)
-    (tmp_path / "capture.yaml").write_text("density_g_m2: 150\n")
+    (tmp_path / "capture.yaml").write_text("density_g_m2: 150\ntester: square300_cylinder100\n")
     capture = read_capture(tmp_path)
     assert capture.views.shape == stops.shape and capture.intrinsics == intrinsics
     assert capture.cut is not None and (capture.views > 0).mean() < 0.5

@@ -12,6 +12,7 @@ from common.errors import InputError
 from data.captures import write_capture
 from drapenet.table import csv_table
 from drapenet.tree import entries_of, plain_name
+from sim.scene import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
 NAMES = [("=cmd|' /C calc'!A0", "1", "a"), ("=cmd|' /C calc'!A0", "2", "a"),
@@ -25,7 +26,8 @@ def captured() -> tuple:
 
 def write(folder: Path, captured: tuple, density: float = 0.15) -> Path:
     views, intrinsics = captured
-    write_capture(folder, views=views, intrinsics=intrinsics, density=density)
+    write_capture(folder, views=views, intrinsics=intrinsics, density=density,
+                  rig=SQUARE_RIG)
     return folder
 
 

@@ -17,6 +17,7 @@ from drapenet.checkpoint import (
     save_state,
 )
 from drapenet.network import KNOWN, MapNet
+from sim.scene import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG, Rig
 
 
 @pytest.fixture
@@ -98,16 +99,17 @@ def test_hostile_json_is_refused_in_one_line(checkpoint: Path, text: str) -> Non
     assert str(caught.value).isprintable() and len(str(caught.value)) < 400
 
 
-@pytest.mark.parametrize("rig", ["square300_cylinder100", "disc300_support180"])
-def test_each_tester_has_a_bundled_network(rig: str) -> None:
+@pytest.mark.parametrize("rig", [SQUARE_RIG, DISC_RIG], ids=lambda rig: rig.name)
+def test_each_common_tester_has_a_bundled_network(rig: Rig) -> None:
     header = read_header(bundled(rig))
     assert header.rig == rig
     assert load_model(header).training is False
 
 
-def test_a_rig_without_a_network_is_named() -> None:
-    with pytest.raises(InputError, match="no network is bundled for the rig 'square600"):
-        bundled("square600_corners500")
+def test_a_tester_without_a_network_is_named_with_those_that_have_one() -> None:
+    with pytest.raises(InputError, match="for the tester disc240_support180; the bundled networks "
+                       "know disc300_support180 and square300_cylinder100: give checkpoint=FILE"):
+        bundled(SMALL_DISC_RIG)
 
 
 def test_changed_weights_are_refused(checkpoint: Path) -> None:

@@ -16,9 +16,10 @@ from drapenet.estimate import make_estimate
 from drapenet.predict import Draws
 from drapenet.table import format_table, with_interval
 from sim.material import MICRO, is_admissible
+from sim.scene import SQUARE_RIG
 
 CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), CameraRig.load().intrinsics, whole_turns(4),
-                  0.15, None, "square300_cylinder100", Path("here"), ())
+                  0.15, None, SQUARE_RIG, Path("here"), ())
 
 
 def drawn(

@@ -29,7 +29,7 @@ def sound() -> SyntheticCapture:
     shape = drape(FABRIC, edge=6e-3, seed=3)
     assert shape.converged
     return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
-                         nominal=CameraRig.load().intrinsics)
+                         nominal=CameraRig.load())
 
 
 def doubts(capture: SyntheticCapture) -> str:
@@ -100,7 +100,7 @@ def test_what_cannot_be_a_drape_on_the_plate_is_refused(
 def test_a_specimen_off_the_axis_is_measured() -> None:
     shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
     seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
-                         nominal=CameraRig.load().intrinsics)
+                         nominal=CameraRig.load())
     camera = locate_camera(seen.views, seen.intrinsics, RIG)
     found = drape_map(seen.views, camera, RIG, turns=seen.turns)
     measured = measure(seen.views, camera, found, RIG, turns=seen.turns)

@@ -41,7 +41,7 @@ def draped() -> DrapeResult:
 def capture_of(shape: DrapeResult) -> Capture:
     camera = CameraRig.load().nominal()
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
-    return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig().name, Path(), ())
+    return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig(), Path(), ())
 
 
 def run(

@@ -76,6 +76,7 @@ def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tm
     intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
     renamed = [(f"shot {k + 9}.png", data) for k, (_, data) in enumerate(VIEWS)]  # 9, 10, 11, 12
     upload = checked_upload(renamed[::-1], {"density_g_m2": "123,5", "refine": "yes",
+                                            "tester": "square300_cylinder100",
                                             **{key: str(intrinsics[key]) for key in intrinsics}},
                             settings)
     assert upload.refine
@@ -97,6 +98,7 @@ def test_a_field_overrides_the_description(settings, tmp_path):
 def test_turns_of_the_table_are_a_list(settings, tmp_path, text):
     intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
     upload = checked_upload(VIEWS[:3], {"density_g_m2": "90", "turns_deg": text,
+                                        "tester": "square300_cylinder100",
                                         **{key: str(intrinsics[key]) for key in intrinsics}},
                             settings)
     written(upload, tmp_path / "capture")

@@ -42,7 +42,7 @@ function complain(id, sentence, field) {
 }
 
 function clear() {
-  for (const id of ['error-files', 'error-density', 'error']) at(id).textContent = '';
+  for (const id of ['error-files', 'error-density', 'error-tester', 'error']) at(id).textContent = '';
   for (const field of at('form').querySelectorAll('[aria-invalid]')) field.removeAttribute('aria-invalid');
 }
 
@@ -68,7 +68,27 @@ function isComplete() {
     complain('error-density', 'Weigh the specimen and give its density in g/m², such as 210.', at('density'));
     return false;
   }
+  if (at('tester').value === '' && !isDescribed() && !isScan()) {
+    at('camera').open = true;
+    complain('error-tester', 'Choose the tester: the specimen and the plate under it.', at('tester'));
+    return false;
+  }
+  if (isOtherSize() && [at('size'), at('plate')].some((field) => !(number(field) > 0))) {
+    complain('error-tester', 'Give the diameter or side of the specimen and the diameter of the plate in mm.', at('size'));
+    return false;
+  }
   return true;
+}
+
+const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
+  && ['.npz', '.obj', '.ply'].includes(suffix(chosen()[0].name));
+const number = (field) => Number(field.value.trim().replace(',', '.'));
+const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
+
+// The name of the chosen tester, such as disc254_support127; empty where capture.yaml states it.
+function tester() {
+  const [specimen, holder] = at('tester').value.split('_');
+  return isOtherSize() ? `${specimen}${number(at('size'))}_${holder}${number(at('plate'))}` : at('tester').value;
 }
 
 async function send() {
@@ -79,6 +99,7 @@ async function send() {
   for (const field of at('form').querySelectorAll('input[name]:not([type=file]), select[name]')) {
     if (field.value.trim()) form.append(field.name, field.value.trim());
   }
+  if (tester()) form.append('tester', tester());
   form.append('refine', at('refine').checked ? 'yes' : 'no');
   at('submit').disabled = true;
   try {
@@ -263,6 +284,9 @@ async function fetchExport(name) {
 // ---- events
 
 at('files').addEventListener('change', check);
+at('tester').addEventListener('change', () => {
+  for (const label of document.querySelectorAll('.sizes')) label.hidden = !isOtherSize();
+});
 for (const kind of ['dragover', 'dragenter']) {
   document.addEventListener(kind, (event) => {
     event.preventDefault();
