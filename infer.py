@@ -83,9 +83,7 @@ def export_estimates(files: list[Path], targets: list[str]) -> None:
 
 def known(config: InferConfig) -> dict[str, float]:
     """Known properties of the fabric, in SI units, for :func:`estimate_capture`."""
-    values = {"membrane": config.membrane_n_per_m, "friction": 1e-6 * config.friction_un}
-    return {name: value for name, value in values.items()
-            if value > 0 or (name == "friction" and value == 0)}
+    return {"membrane": config.membrane_n_per_m} if config.membrane_n_per_m else {}
 
 
 def check(config: InferConfig) -> None:

@@ -10,8 +10,9 @@ from pydantic import Field
 from common.documents import Excerpt, read_json, shown
 from common.errors import InputError
 from common.files import replace_json
+from sim.scene import Rig
 
-SCHEMA_VERSION = 6  # of manifests and shards
+SCHEMA_VERSION = 7  # of manifests and shards
 MANIFEST = "dataset.json"
 REMEDY = ("remove it and run the command that made the dataset again, which keeps complete shards")
 
@@ -27,12 +28,13 @@ class _Begun(Excerpt):
     provenance: list[Any] = Field(default_factory=list)
 
 
-class _Named(Excerpt):
-    name: str
+class _Sampling(Excerpt):
+    testers: list[str]
+    random_testers: float
 
 
 class _Config(Excerpt):
-    rig: _Named
+    sampling: _Sampling
     prior: dict[str, Any]
 
 
@@ -88,6 +90,15 @@ def finished_manifest(root: str | Path) -> dict:
                          f"out={root} and its original settings")
     require_digest(root, manifest["config"], manifest["identity"])
     return manifest
+
+
+def only_tester(root: str | Path, manifest: dict) -> Rig:
+    """The tester of all drapes of a dataset; InputError if it has several."""
+    sampling = manifest["config"]["sampling"]
+    if sampling["random_testers"] or len(sampling["testers"]) != 1:
+        raise InputError(f"{root} has drapes of several testers; a network is trained on the drapes "
+                         "of a single tester: generate them with dataset.testers=[NAME]")
+    return Rig.from_name(sampling["testers"][0])
 
 
 def require_digest(root: str | Path, content: dict, digest: str) -> None:

@@ -11,8 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.bending_friction import BendingFriction
-from sim.energies.natural_curvature import NaturallyCurved
+from sim.energies.hysteresis import KES_CURVATURE, Hysteresis
 from sim.laws import Laws
 from sim.membranes import Corotational, OrthotropicStVK
 from sim.scene import Rig
@@ -27,15 +26,17 @@ class Nuisances:
     Attributes:
         membrane: stiffness along the yarns, N/m.
         shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
-        friction: frictional bending torque between the yarns, N·m per metre.
-        curl_warp, curl_weft: natural curvature, 1/m.
+        hysteresis: share of the torque that does not come back, see
+            :class:`sim.energies.hysteresis.Hysteresis`.
+        curl_warp, curl_weft: natural curvature as the specimen lies, 1/m; of the fabric's marked
+            face up, with the sign changed face down.
         size, plate: deviations of the specimen's size and of the plate's diameter, m.
         cut: angle from the warp to the specimen's side, rad.
     """
 
     membrane: float = Corotational().stiffness
     shear: float = 1.0
-    friction: float = 0.0
+    hysteresis: float = 0.0
     curl_warp: float = 0.0
     curl_weft: float = 0.0
     size: float = 0.0
@@ -56,9 +57,9 @@ class Nuisances:
             membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane,
                                        poisson=isotropic.poisson, shear=self.shear * isotropic.mu)
         curvature = (self.curl_warp, self.curl_weft, 0.0)
-        if self.friction:
-            return Laws(BendingFriction(self.friction, curvature=curvature), membrane)
-        return Laws(NaturallyCurved(curvature) if any(curvature) else Laws().bending, membrane)
+        if self.hysteresis or any(curvature):
+            return Laws(Hysteresis(self.hysteresis, curvature=curvature), membrane)
+        return Laws(membrane=membrane)
 
     def rig(self, nominal: Rig) -> Rig:
         """The ``nominal`` rig with the deviations in size, plate and cut of this specimen."""
@@ -71,7 +72,7 @@ NAMES = tuple(field.name for field in fields(Nuisances))
 """Components of :attr:`Nuisances.vector`."""
 LOGARITHMIC = ("membrane", "shear")
 """Parameters of which the logarithm is distributed and differentiated."""
-PROPORTIONAL = ("membrane", "friction")
+PROPORTIONAL = ("membrane",)
 """Parameters that, like the moduli, are proportional to the density at equal drape."""
 
 
@@ -82,6 +83,11 @@ def at_density(values: Mapping[str, float], old: float, new: float) -> dict[str,
             for name, value in values.items()}
 
 
+def hysteresis_share(ratio: np.ndarray | float) -> np.ndarray | float:
+    """Share of the loading torque at KES's curvature of readings HB/B, 1/m, of any shape."""
+    return ratio / (KES_CURVATURE + ratio)
+
+
 @dataclass(frozen=True)
 class NuisanceConfig:
     """Distributions of the nuisance parameters.
@@ -89,8 +95,10 @@ class NuisanceConfig:
     Attributes:
         membrane: 2.5th and 97.5th percentile of a log-normal distribution, N/m.
         shear: limits of a log-uniform distribution.
-        friction: upper limit of a uniform distribution from 0, N·m per metre.
-        curl: standard deviation along warp and weft each, 1/m.
+        hysteresis: limits of a log-uniform distribution of KES's HB/B, 1/m; both 0: none.
+        curl: scale of the fabric's natural curvature along warp and weft each, 1/m, a Laplace
+            distribution: most fabrics have little, a fifth has much.
+        curl_specimen: standard deviation between specimens of a fabric, 1/m.
         size, plate: standard deviations, m. cut: standard deviation, rad.
 
     Raises:
@@ -99,8 +107,9 @@ class NuisanceConfig:
 
     membrane: tuple[float, float] = (Corotational().stiffness,) * 2
     shear: tuple[float, float] = (1.0, 1.0)
-    friction: float = 0.0
+    hysteresis: tuple[float, float] = (0.0, 0.0)
     curl: float = 0.0
+    curl_specimen: float = 0.0
     size: float = 0.0
     plate: float = 0.0
     cut: float = 0.0
@@ -112,7 +121,12 @@ class NuisanceConfig:
             if len(limits) != 2 or not 0 < limits[0] <= limits[1] < math.inf:
                 raise InputError(f"nuisances.{name}: give two numbers above 0, the smaller one "
                                  "first")
-        for name in ("friction", "curl", "size", "plate", "cut"):
+        object.__setattr__(self, "hysteresis", tuple(self.hysteresis))
+        least, most = self.hysteresis
+        if not (0 < least <= most <= KES_CURVATURE or (least, most) == (0.0, 0.0)):
+            raise InputError(f"nuisances.hysteresis={list(self.hysteresis)}: give two numbers above "
+                             f"0 and up to {KES_CURVATURE:g} 1/m, the smaller one first, or twice 0")
+        for name in ("curl", "curl_specimen", "size", "plate", "cut"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise InputError(f"nuisances: {name}={getattr(self, name):g} must not be negative")
         if not (max(self.size, self.plate) <= 0.005 and self.cut <= math.radians(10)):
@@ -120,17 +134,27 @@ class NuisanceConfig:
                              f"{1e3 * self.plate:g} cut_deg={math.degrees(self.cut):g}: at most 5, "
                              "5 and 10 are allowed")
 
-    def sample(self, cloth: np.random.Generator, specimen: np.random.Generator) -> Nuisances:
-        """Draw the parameters of a cloth and of one specimen, each from a separate generator."""
+    def sample(
+        self, cloth: np.random.Generator, specimen: np.random.Generator, *, face: int = 1
+    ) -> Nuisances:
+        """Draw the parameters of a cloth and of one specimen, each from a separate generator.
+
+        Args:
+            face: 1 if the fabric's marked face is up, -1 if it is down.
+        """
         def between(limits: tuple[float, float], share: float) -> float:
             return float(limits[0] * (limits[1] / limits[0]) ** share)
 
+        membrane, shear, ratio = cloth.standard_normal(), cloth.random(), cloth.random()
+        curls = self.curl * cloth.laplace(size=2)
         normal = specimen.standard_normal(5)
+        curls = face * (curls + self.curl_specimen * normal[:2])
         return Nuisances(
-            membrane=between(self.membrane, 0.5 + cloth.standard_normal() / (2 * _PERCENTILE)),
-            shear=between(self.shear, cloth.random()),
-            friction=self.friction * cloth.random(),
-            curl_warp=self.curl * normal[0], curl_weft=self.curl * normal[1],
+            membrane=between(self.membrane, 0.5 + membrane / (2 * _PERCENTILE)),
+            shear=between(self.shear, shear),
+            hysteresis=hysteresis_share(between(self.hysteresis, ratio) if any(self.hysteresis)
+                                        else 0.0),
+            curl_warp=curls[0], curl_weft=curls[1],
             size=self.size * normal[2], plate=self.plate * normal[3], cut=self.cut * normal[4],
         )
 
@@ -138,15 +162,24 @@ class NuisanceConfig:
     def means(self) -> dict[str, float]:
         """Means by :data:`NAMES`; of the logarithms for :data:`LOGARITHMIC`."""
         middle = {"membrane": math.log(math.prod(self.membrane)) / 2,
-                  "shear": math.log(math.prod(self.shear)) / 2, "friction": self.friction / 2}
+                  "shear": math.log(math.prod(self.shear)) / 2,
+                  "hysteresis": float(self._shares.mean())}
         return dict.fromkeys(NAMES, 0.0) | middle
 
     @property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations, likewise, also of the uniform distributions."""
+        """Standard deviations, likewise, also of the uniform and the Laplace distributions."""
         (softest, stiffest), (least, most) = self.membrane, self.shear
+        curl = math.hypot(math.sqrt(2) * self.curl, self.curl_specimen)
         return {"membrane": math.log(stiffest / softest) / (2 * _PERCENTILE),
                 "shear": math.log(most / least) / math.sqrt(12),
-                "friction": self.friction / math.sqrt(12),
-                "curl_warp": self.curl, "curl_weft": self.curl,
+                "hysteresis": float(self._shares.std()),
+                "curl_warp": curl, "curl_weft": curl,
                 "size": self.size, "plate": self.plate, "cut": self.cut}
+
+    @property
+    def _shares(self) -> np.ndarray:
+        """Equally probable shares of hysteresis."""
+        if not any(self.hysteresis):
+            return np.zeros(1)
+        return hysteresis_share(np.geomspace(*self.hysteresis, 201))

@@ -8,7 +8,6 @@ from data.nuisances import NuisanceConfig
 from data.prior import load_prior
 from data.records import DatasetConfig
 from data.sampling import SamplingConfig
-from sim.scene import Rig
 
 
 @dataclass
@@ -17,6 +16,10 @@ class DatasetOptions:
 
     starts_per_fabric: int
     starts: list[str]
+    testers: list[str]
+    random_testers: float
+    testers_per_fabric: int
+    both_faces: bool
     drift_mm: float
     soft_share: float
     drapes_per_shard: int
@@ -35,8 +38,9 @@ class NuisanceOptions:
 
     membrane_n_per_m: list[float]
     shear: list[float]
-    friction_un: float
+    hysteresis_per_m: list[float]
     curl_per_m: float
+    curl_specimen_per_m: float
     size_mm: float
     plate_mm: float
     cut_deg: float
@@ -52,7 +56,6 @@ class Options:
     part: int
     parts: int
     seed: int
-    rig: str
     edge_mm: float
     dataset: DatasetOptions
     prior: PriorOptions
@@ -70,6 +73,5 @@ def config_from_options(options: Options) -> DatasetConfig:
         sampling=SamplingConfig(seed=options.seed, **dataset,
                                 nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
         prior=load_prior(options.prior.file),
-        rig=Rig.from_name(options.rig),
         edge=options.edge_mm * 1e-3,
     )

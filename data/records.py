@@ -11,9 +11,9 @@ from common.provenance import release
 from data.fabrics import fabric_from_theta
 from data.prior import Prior, prior_content
 from data.sampling import BORROWED, DrapePlan, SamplingConfig, choose_lender, plan_drape
-from data.shards import FACES, LENGTH_UNIT, fields, to_counts
+from data.shards import FACES, LENGTH_UNIT, ORIGIN, ORIGIN_UNIT, fields, to_counts
 from sim.mesh.specimens import EDGE_RANGE, default_edge
-from sim.scene import RIGS, Rig
+from sim.scene import Rig
 
 Solver = Callable[..., object]
 """A function such as :func:`sim.drape.drape`."""
@@ -30,9 +30,8 @@ class DatasetConfig:
 
     Attributes:
         drapes: number of drapes.
-        sampling: fabrics, specimens, starts, seed.
+        sampling: fabrics, testers, specimens, starts, seed.
         prior: distribution of the fabrics.
-        rig: specimen and plate.
         edge: edge length of the meshes at the plate's rim, m; 0: chosen for each fabric, see
             :func:`sim.mesh.specimens.default_edge`.
         drapes_per_shard: drapes per file.
@@ -41,7 +40,6 @@ class DatasetConfig:
     drapes: int
     sampling: SamplingConfig
     prior: Prior
-    rig: Rig
     edge: float = 0.0
     drapes_per_shard: int = 64
 
@@ -52,10 +50,6 @@ class DatasetConfig:
         if self.edge and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
             raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
                              f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
-        if not self.rig.has_plate:
-            known = ", ".join(name for name, rig in RIGS.items() if rig.has_plate)
-            raise InputError(f"rig={self.rig.name}: datasets are made of specimens on a plate; "
-                             f"choose one of {known}")
 
     def as_dict(self) -> dict:
         """Settings that determine each drape and its record, in JSON types; without their number.
@@ -63,7 +57,6 @@ class DatasetConfig:
         settings = {
             "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
-            "rig": self.rig.as_dict(),
             "solver": {"edge_mm": round(1e3 * self.edge, 6)},
             "storage": {"drapes_per_shard": self.drapes_per_shard},
             "code_version": release(),
@@ -110,12 +103,12 @@ def simulate(
         # Rounded as stored, so that the drape can be repeated from the shard alone.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
-    edge = config.edge or default_edge(fabric, config.rig)
+    edge = config.edge or default_edge(fabric, plan.rig)
     record = _planned(plan, lender) | {"density": fabric.density, "edge": edge}
     try:
         result = solver(
             fabric,
-            rig=plan.nuisances.rig(config.rig),
+            rig=plan.nuisances.rig(plan.rig),
             edge=edge,
             seed=plan.seed,
             offset=tuple(plan.offset),
@@ -132,6 +125,7 @@ def simulate(
             "rest": to_counts(result.rest),
             "vertices": len(result.rest),
             FACES: result.faces,
+            ORIGIN: _origins(result),
         }
     except OverflowError as error:
         if result.converged:
@@ -140,15 +134,30 @@ def simulate(
     return record, result if result.converged else None
 
 
+def _origins(result: object) -> np.ndarray:
+    """Curvatures without friction (F, 3) in counts of :data:`ORIGIN_UNIT`, of all triangles."""
+    origins = np.zeros(result.faces.shape)
+    origin = getattr(result.laws.bending, "origin", None)
+    if origin is not None:
+        origins[result.scene.active] = origin
+    limit = np.iinfo(np.int16).max
+    return np.clip(np.rint(origins / ORIGIN_UNIT), -limit, limit).astype(np.int16)
+
+
 def _planned(plan: DrapePlan, lender: Record | None) -> dict:
     """The record of a drape before its simulation."""
-    return {name: np.zeros(field.shape, field.dtype) for name, field in fields(0).items()} | {
+    return {name: np.zeros(field.shape, field.dtype) for name, field in fields(0, 0).items()} | {
         FACES: np.zeros((0, 3), np.int32),
+        ORIGIN: np.zeros((0, 3), np.int16),
         "index": plan.index,
         "fabric": plan.fabric,
         "theta": plan.theta,
         "rejected": plan.rejected,
         "weight": plan.weight,
+        "specimen": plan.rig.specimen.encode(),
+        "specimen_size": plan.rig.specimen_size,
+        "plate_diameter": plan.rig.plate_diameter,
+        "face": plan.face,
         "nuisances": plan.nuisances.vector,
         "start": (plan.fallback if lender is None else BORROWED).encode(),
         "planned": plan.start.encode(),
@@ -198,7 +207,7 @@ def make_record(
     if result is None:
         return record
     try:
-        return record | _measures(result, plan.nuisances.rig(config.rig))
+        return record | _measures(result, plan.nuisances.rig(plan.rig))
     except NUMERICAL_ERRORS as error:
         return record | _numerical_failure(error)
 

@@ -16,9 +16,13 @@ import numpy as np
 from common.errors import InputError
 from data.nuisances import NuisanceConfig, Nuisances
 from data.prior import Prior, prior_content, prior_from_content, sample_admissible
+from data.testers import MIN_OVERHANG, PLATES, SIZES, named_tester
+from sim.initial import LOWERED
+from sim.initial import STARTS as SHAPES
 from sim.material import MICRO
+from sim.scene import SQUARE_RIG, Rig
 
-STARTS = ("sine", "fold", "ring")
+STARTS = (LOWERED, *SHAPES)
 """Initial states that need no other drape."""
 BORROWED = "borrowed"
 """The initial state is an earlier drape of another fabric in the same shard."""
@@ -37,17 +41,24 @@ class Stream(IntEnum):
     LENDER = 3
     CLOTH = 4
     SPECIMEN = 5
+    TESTERS = 6
+    FACES = 7
 
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """Settings that determine the drapes of a dataset, besides prior, solver and rig.
+    """Settings that determine the drapes of a dataset, besides prior and solver.
 
     Attributes:
         seed: seed of the dataset.
         starts_per_fabric: drapes of each fabric.
         starts: initial states, used in turn (Feng et al. 2022, section 5.2.1), from
             :data:`STARTS` and :data:`BORROWED`.
+        testers: names of testers, drawn with equal probability.
+        random_testers: share of testers that are drawn from the ranges of :mod:`data.testers`.
+        testers_per_fabric: number of testers drawn for each fabric; its drapes use each in turn.
+        both_faces: whether the fabric's face up is drawn for each drape, both faces at least once;
+            else its marked face is up.
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
         soft_share: share of fabrics that are drawn from the soft ones of the prior (:data:`SOFT`);
@@ -57,13 +68,29 @@ class SamplingConfig:
 
     seed: int = 0
     starts_per_fabric: int = 2
-    starts: tuple[str, ...] = ("sine", "fold")
+    starts: tuple[str, ...] = (LOWERED,)
+    testers: tuple[str, ...] = (SQUARE_RIG.name,)
+    random_testers: float = 0.0
+    testers_per_fabric: int = 1
+    both_faces: bool = False
     drift: float = 0.003
     soft_share: float = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "starts", tuple(self.starts))
+        for name in ("starts", "testers"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in self.testers:
+            named_tester(name)
+        if not 0 <= self.random_testers <= 1 or not (self.testers or self.random_testers == 1):
+            raise InputError(f"random_testers={self.random_testers:g} must lie between 0 and 1, and "
+                             "be 1 without testers")
+        if not 1 <= self.testers_per_fabric <= self.starts_per_fabric:
+            raise InputError(f"testers_per_fabric={self.testers_per_fabric} must lie between 1 and "
+                             f"starts_per_fabric={self.starts_per_fabric}")
+        if BORROWED in self.starts and self.only_tester is None:
+            raise InputError(f"starts={list(self.starts)}: drapes of one tester only can be "
+                             f"{BORROWED}; give a single name in testers")
         if self.seed < 0:
             raise InputError(f"seed={self.seed} must not be negative")
         if self.starts_per_fabric < 1:
@@ -81,6 +108,14 @@ class SamplingConfig:
                              f"{_MAX_SOFT_SHARE:g}")
 
 
+    @property
+    def only_tester(self) -> Rig | None:
+        """The tester of all drapes; None if there are several."""
+        if self.random_testers or len(self.testers) != 1:
+            return None
+        return named_tester(self.testers[0])
+
+
 @dataclass(frozen=True)
 class DrapePlan:
     """The settings of one drape.
@@ -91,6 +126,8 @@ class DrapePlan:
         theta: (6,) parameters, see :mod:`data.fabrics`.
         rejected: number of inadmissible samples drawn before this fabric.
         weight: importance weight, density of the prior at theta over that of the drawn fabrics.
+        rig: tester with its nominal sizes.
+        face: 1 if the fabric's marked face is up, -1 if it is down.
         nuisances: of the specimen.
         start: initial state, one of :data:`STARTS` or :data:`BORROWED`.
         fallback: one of :data:`STARTS`, for a borrowed start without a lender; else ``start``.
@@ -103,6 +140,8 @@ class DrapePlan:
     theta: np.ndarray
     rejected: int
     weight: float
+    rig: Rig
+    face: int
     nuisances: Nuisances
     start: str
     fallback: str
@@ -120,8 +159,10 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
     theta, rejected, weight = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
                                           soft_share=config.soft_share)
+    rig = draw_testers(config, fabric)[start_of_fabric % config.testers_per_fabric]
+    face = draw_faces(config, fabric)[start_of_fabric]
     nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),
-                                        stream(config.seed, Stream.SPECIMEN, index))
+                                        stream(config.seed, Stream.SPECIMEN, index), face=face)
     rng = stream(config.seed, Stream.START, index)
     # With one drape per fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
@@ -129,8 +170,32 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fallback = others[(fabric + start_of_fabric) % len(others)] if start == BORROWED else start
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
-    return DrapePlan(index, fabric, theta, rejected, weight, nuisances, start, fallback, seed,
-                     offset)
+    return DrapePlan(index, fabric, theta, rejected, weight, rig, face, nuisances, start, fallback,
+                     seed, offset)
+
+
+def draw_testers(config: SamplingConfig, fabric: int) -> list[Rig]:
+    """The testers of a fabric, with sizes in whole millimetres."""
+    rng, drawn = stream(config.seed, Stream.TESTERS, fabric), []
+    for _ in range(config.testers_per_fabric):
+        if rng.random() >= config.random_testers:
+            drawn.append(named_tester(config.testers[rng.integers(len(config.testers))]))
+            continue
+        specimen, size = ("square", "disc")[rng.integers(2)], round(rng.uniform(*SIZES))
+        plate = round(rng.uniform(PLATES[0], min(PLATES[1], size - 2 * MIN_OVERHANG)))
+        drawn.append(Rig(size / 1e3, plate / 1e3, specimen))
+    return drawn
+
+
+def draw_faces(config: SamplingConfig, fabric: int) -> list[int]:
+    """:attr:`DrapePlan.face` of each drape of a fabric."""
+    count = config.starts_per_fabric
+    if not config.both_faces:
+        return [1] * count
+    faces = stream(config.seed, Stream.FACES, fabric).choice([1, -1], size=count).tolist()
+    if count > 1 and abs(sum(faces)) == count:
+        faces[-1] *= -1
+    return faces
 
 
 def draw_fabric(

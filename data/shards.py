@@ -19,9 +19,11 @@ from common.errors import InputError, one_line
 from common.files import replace_file
 from data.manifest import SCHEMA_VERSION
 from data.nuisances import NAMES
+from sim.scene import Rig
 
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
+ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
 COMPRESSION = 4  # gzip level
 MAX_SHARD_BYTES = 4 << 30  # bytes, of a file and of each of its arrays
 MAX_EXTENT = 1 << 20  # of an array along an axis
@@ -40,15 +42,17 @@ class Field:
 
 COORDINATES = ("positions", "rest")
 """Arrays with a row per vertex of a drape's mesh; in a file they are padded with zeros."""
+ORIGIN = "origin"
+"""The array with a row per triangle of a drape's mesh, padded with zeros."""
 FACES = "faces"
 """The array of a shard's distinct triangulations, padded with zeros."""
 
 
-def fields(vertices: int) -> dict[str, Field]:
+def fields(vertices: int, triangles: int) -> dict[str, Field]:
     """The arrays of a shard with one row per drape.
 
     Args:
-        vertices: V, of the drape's mesh or, for a shard, of its finest mesh.
+        vertices, triangles: V and F, of the drape's mesh or, for a shard, the largest ones.
     """
     return {
         "index": Field("i8", (), "", "index of the drape in the dataset"),
@@ -56,9 +60,13 @@ def fields(vertices: int) -> dict[str, Field]:
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics"),
         "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
         "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
+        "specimen": Field("S8", (), "", "square or disc"),
+        "specimen_size": Field("f8", (), "m", "nominal side of the square, diameter of the disc"),
+        "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),
+        "face": Field("i1", (), "", "1: the fabric's marked face is up; -1: down"),
         "nuisances": Field("f8", (len(NAMES),), "SI", "see data.nuisances"),
         "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
-        "start": Field("S8", (), "", "initial state: sine, fold or borrowed"),
+        "start": Field("S8", (), "", "initial state: lowered, sine, fold, ring or borrowed"),
         "planned": Field("S8", (), "", "planned initial state; borrowing needs an earlier drape"),
         "lender": Field("i8", (), "", "borrowed drape; -1 for another start"),
         "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
@@ -74,6 +82,7 @@ def fields(vertices: int) -> dict[str, Field]:
         "mesh": Field("i4", (), "", "index of the drape's triangulation in the shard"),
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
+        ORIGIN: Field("i2", (triangles, 3), "0.1 1/m", "curvature without friction, Sxx, Syy, Sxy"),
     }
 
 
@@ -123,8 +132,9 @@ def write_shard(
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
         places, meshes = _distinct([record[FACES] for record in records])
         rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
-        layouts = [fields(int(record["vertices"])) for record in rows]
-        for name, field in fields(max(int(record["vertices"]) for record in rows)).items():
+        sizes = [(int(record["vertices"]), len(record[FACES])) for record in rows]
+        layouts = [fields(*size) for size in sizes]
+        for name, field in fields(*map(max, zip(*sizes, strict=True))).items():
             for record, expected in zip(rows, layouts, strict=True):
                 if np.shape(record[name]) != expected[name].shape:
                     raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
@@ -153,7 +163,7 @@ def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.nda
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
-        data[(i, slice(len(row))) if name in (*COORDINATES, FACES) else i] = row
+        data[(i, slice(len(row))) if name in (*COORDINATES, ORIGIN, FACES) else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
@@ -177,7 +187,7 @@ def _wrong_array(file: h5py.File) -> str:
         return "index, positions or faces"
     (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
     expected = {name: (field.dtype, (rows, *field.shape))
-                for name, field in fields(vertices).items()}
+                for name, field in fields(vertices, triangles).items()}
     for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
         array = found.get(name)
         if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
@@ -215,7 +225,7 @@ class Shard:
                 if not wrong:
                     self.attributes = {name: value.decode() if isinstance(value, bytes) else value
                                        for name, value in file.attrs.items()}
-                    self._arrays = {name: file[name][:] for name in (*fields(0), FACES)}
+                    self._arrays = {name: file[name][:] for name in (*fields(0, 0), FACES)}
                     self.storage = {name: rows.id.get_storage_size()
                                     for name, rows in file.items()}
         except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
@@ -228,12 +238,14 @@ class Shard:
 
     def require_valid(self) -> None:
         """InputError for values out of range."""
-        column = {name: self.column(name) for name, field in fields(0).items()
-                  if name not in COORDINATES}
+        column = {name: self.column(name) for name, field in fields(0, 0).items()
+                  if name not in (*COORDINATES, ORIGIN)}
         done = column["status"] == "converged"
         vertices, faces = column["vertices"], self._arrays[FACES]
         valid = {
             "theta": np.isfinite(column["theta"]).all(),
+            "specimen_size": (column["specimen_size"] > 0).all(),
+            "plate_diameter": (column["plate_diameter"] > 0).all(),
             "nuisances": np.isfinite(column["nuisances"]).all(),
             "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
             "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MAX_FOLDS)).all(),
@@ -264,3 +276,14 @@ class Shard:
         positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
+
+    def origin(self, row: int) -> np.ndarray:
+        """Curvatures without friction (F, 3), 1/m, of a drape's triangles; see
+        :mod:`sim.energies.hysteresis`."""
+        faces = self._arrays[FACES][self._arrays["mesh"][row]]
+        return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
+
+    def rig(self, row: int) -> Rig:
+        """Nominal tester of a drape."""
+        return Rig(float(self._arrays["specimen_size"][row]),
+                   float(self._arrays["plate_diameter"][row]), self.column("specimen")[row])

@@ -86,7 +86,6 @@ class InferConfig:
     drapes: int
     edge_mm: float
     membrane_n_per_m: Annotated[float, Field(ge=0)]
-    friction_un: float
     density_g_m2: float
     held: float
     strict: bool

@@ -4,7 +4,7 @@
 
 Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes,
 renders captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time:
-mesh, sensor, pose, views, membrane, friction, softness. Drapes and maps are cached in ``out``, so
+mesh, sensor, pose, views, membrane, hysteresis, softness. Drapes and maps are cached in ``out``, so
 that an interrupted evaluation can be resumed. Errors are root mean squares, over drapes and
 directions, of the posterior's mean in units of the training fabrics' standard deviation; their
 intervals are from a bootstrap over fabrics.
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 REDUCTION = 5  # divides the number of drapes for all conditions but "as trained"
 _BATCH_SIZE = 64  # captures
 _FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
-_HIGH_FRICTION = 1.5e-4  # N·m per metre
+_HIGH_HYSTERESIS = 0.25  # share of the loading torque
 
 Rows = Callable[["Maps"], np.ndarray]
 """(N,) bool: the captures that a cell uses."""
@@ -57,7 +57,7 @@ class Cell:
     Attributes:
         drapes: dataset, a key of :func:`datasets`.
         setups: replacements for entries of the set-ups trained on.
-        known: whether membrane and friction are given to the network.
+        known: whether the membrane is given to the network.
         rows: selects captures; None: all.
     """
 
@@ -87,8 +87,8 @@ CELLS: dict[str, Cell] = {
     **{f"distance {metres} m": Cell(setups=_fixed("distance", metres)) for metres in (0.4, 0.7)},
     "membrane x 3": Cell("membrane x 3"),
     "membrane / 3": Cell("membrane / 3"),
-    "friction above 150 µN": Cell(
-        rows=lambda maps: maps.nuisance("friction") > _HIGH_FRICTION),
+    "hysteresis above 25 %": Cell(
+        rows=lambda maps: maps.nuisance("hysteresis") > _HIGH_HYSTERESIS),
     "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
 }
 
@@ -200,11 +200,9 @@ def main(config: EvaluateConfig) -> None:
 
 def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
     """Configuration of new drapes, generated as the training set of a checkpoint was."""
-    training = header.dataset.generation
-    words = [f"drapes={drapes}", f"seed={seed}", f"rig={header.rig.name}",
+    words = [f"drapes={drapes}", f"seed={seed}", f"dataset.testers=[{header.rig.name}]",
              "dataset=specimens", "nuisances=real",
-              f"dataset.starts=[{','.join(training['sampling']['starts'])}]",
-              f"edge_mm={training['solver']['edge_mm']}"]
+             f"edge_mm={header.dataset.generation['solver']['edge_mm']}"]
     return config_from_options(compose_config("generate", words, schema=Options))
 
 

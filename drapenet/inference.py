@@ -51,22 +51,19 @@ class Inferred:
 
 
 def infer_capture(
-    capture: Capture, header: Header, *, membrane: float | None = None,
-    friction: float | None = None,
+    capture: Capture, header: Header, *, membrane: float | None = None
 ) -> Inferred:
     """Estimate a capture with the network.
 
     Args:
         header: of a checkpoint for the capture's rig.
-        membrane: N/m along the yarns, friction: N·m per metre, of the fabric at its own density;
-            None if unknown.
+        membrane: N/m along the yarns, of the fabric at its own density; None if unknown.
     """
     rig = capture.rig
     camera = locate_camera(capture.views, capture.intrinsics, rig)
     found = drape_map(capture.views, camera, rig, turns=capture.turns)
-    given = {"membrane": membrane, "friction": friction}
-    known = at_density({name: value for name, value in given.items() if value is not None},
-                       capture.density, REFERENCE_DENSITY)
+    known = {} if membrane is None else at_density({"membrane": membrane}, capture.density,
+                                                   REFERENCE_DENSITY)
     draws, = predict(network_of(header), header, [found], **known)
     return Inferred(make_estimate(draws, capture=capture, header=header), camera, found)
 

@@ -132,7 +132,7 @@ def maps_of_shard(
     for row in chosen:
         own = {name: column[row] for name, column in table.items()}
         positions, _, faces = drapes.mesh(row)
-        derivatives = moves(own, positions, rig) if neighbours else None
+        derivatives = moves(own, positions, drapes.origin(row), rig) if neighbours else None
         for number in range(captures):
             rng = np.random.default_rng([seed, int(own["index"]), number])
             step, shown = np.zeros(PARAMETERS), positions

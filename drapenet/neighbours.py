@@ -6,6 +6,7 @@ captures of several fabrics.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,13 +28,16 @@ _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as
 _EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
 
 
-def moves(row: Mapping[str, np.ndarray], positions: np.ndarray, rig: Rig) -> np.ndarray | None:
+def moves(
+    row: Mapping[str, np.ndarray], positions: np.ndarray, origin: np.ndarray, rig: Rig
+) -> np.ndarray | None:
     """(7, V, 3) derivatives of a stored drape's positions, m, by theta and the logarithm of the
     membrane stiffness; None if they do not exist.
 
     Args:
         row: theta, nuisances, edge, seed and offset of the drape, as stored in a shard.
         positions: (V, 3) m.
+        origin: (F, 3) 1/m, curvatures without friction.
         rig: the dataset's.
     """
     nuisances = Nuisances(*row["nuisances"])
@@ -43,8 +47,11 @@ def moves(row: Mapping[str, np.ndarray], positions: np.ndarray, rig: Rig) -> np.
     positions = positions.copy()
     positions[specimen.held] = rig.place(specimen.mesh.rest[specimen.held])
     scene = scene_on(specimen, rig)
+    laws = nuisances.laws
+    if nuisances.hysteresis:
+        laws = replace(laws, bending=replace(laws.bending, origin=origin[scene.active]))
     found = find_equilibrium(scene, fabric.at_density(REFERENCE_DENSITY), scene.state(positions),
-                             laws=nuisances.laws, options=FINE_OPTIONS, self_contact=True)
+                             laws=laws, options=FINE_OPTIONS, self_contact=True)
     if np.abs(found.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
         return None
     derivatives = tangent_sensitivities(Tangent(found), fabric, ("log_alpha", "ratio", "membrane"))

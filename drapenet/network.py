@@ -17,25 +17,25 @@ CHANNELS = 4
 KNOWN = 5
 """Number of scalar inputs, see :func:`known_of`."""
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
-_MEMBRANE, _FRICTION = 316.0, 1e-4  # N/m, N·m per metre: units of the inputs
+_MEMBRANE = 316.0  # N/m, unit of the input
+_NO_FRICTION = (1.0, -1.0)
+"""Two inputs of the bundled networks, trained with friction beside the moduli: there is none, as
+the moduli are those of the loading curve."""
 
 
 def known_of(
-    views: torch.Tensor, membrane: torch.Tensor, friction: torch.Tensor
+    views: torch.Tensor, membrane: torch.Tensor
 ) -> torch.Tensor:
     """(N, KNOWN) float32 scalar inputs of the network.
 
     Args:
         views: (N,) number of views of the map.
         membrane: (N,) N/m along the yarns, NaN if unknown.
-        friction: (N,) bending friction, N·m per metre, NaN if unknown.
     """
-    def flagged(value: torch.Tensor) -> list[torch.Tensor]:
-        given = torch.isfinite(value)
-        return [given.float(), torch.where(given, value, 0.0).float()]
-
-    return torch.stack([views.float() / 4 - 1, *flagged(torch.log(membrane / _MEMBRANE)),
-                        *flagged(friction / _FRICTION - 1)], dim=1)
+    given, value = torch.isfinite(membrane), torch.log(membrane / _MEMBRANE)
+    constants = [torch.full(views.shape, number) for number in _NO_FRICTION]
+    return torch.stack([views.float() / 4 - 1, given.float(),
+                        torch.where(given, value, 0.0).float(), *constants], dim=1)
 
 
 @dataclass(frozen=True)

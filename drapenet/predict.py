@@ -65,16 +65,15 @@ def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
 
 def predict(
     network: MapNet, header: Header, maps: Sequence[DrapeMap], *,
-    membrane: float | None = None, friction: float | None = None,
+    membrane: float | None = None,
 ) -> list[Draws]:
     """Posterior samples of each capture.
 
     Args:
         network: of ``header``, in evaluation mode.
-        membrane: N/m along the yarns, friction: N·m per metre, of cloth of 300 g/m²; None if
-            unknown.
+        membrane: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
     """
-    given = np.tile(np.array([membrane, friction], np.float32), (len(maps), 1))  # None is NaN
+    given = np.full(len(maps), membrane, np.float32)  # None is NaN
     batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)
     samples = sample_targets(network, header, batch)
     return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]

@@ -15,8 +15,7 @@ import torch
 
 from common.errors import InputError
 from common.provenance import release
-from data.manifest import finished_manifest
-from data.nuisances import NAMES
+from data.manifest import finished_manifest, only_tester
 from data.setups import Setups
 from data.splits import split_by_fabric
 from drapenet.calibration import inside, ranks
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 _VALIDATION_BATCH = 128
-_GIVEN = [NAMES.index(name) for name in ("membrane", "friction")]
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 
 
@@ -89,22 +87,22 @@ class CaptureSet:
 
         Args:
             rows: (N,) int.
-            revealed: (N, 2) bool, whether membrane and friction are given to the network.
+            revealed: (N,) bool, whether the membrane is given to the network.
             symmetry: rotations and reflections to apply.
         """
         maps, targets = self.maps, self.targets[rows]
         if symmetry is not None:
             targets = symmetry.of_targets(targets, disc=self.disc)
-        given = np.where(revealed, maps.nuisances[rows][:, _GIVEN], np.nan)
+        given = np.where(revealed, maps.nuisance("membrane")[rows], np.nan)
         batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], given, targets)
         return batch if symmetry is None else batch.turned(symmetry)
 
     def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
         """Rows and captures in order, without symmetries, in batches of at most ``size``;
-        ``known``: whether membrane and friction are given.
+        ``known``: whether the membrane is given.
         """
         for rows in np.array_split(np.arange(len(self)), -(-len(self) // size)):
-            yield rows, self.batch(rows, revealed=np.full((len(rows), 2), known))
+            yield rows, self.batch(rows, revealed=np.full(len(rows), known))
 
     def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
         """All captures in random order with random symmetries, in batches of ``size``; a function
@@ -113,7 +111,7 @@ class CaptureSet:
         rng = np.random.default_rng([seed, epoch])
         order = rng.permutation(len(self))
         for start in range(0, len(self) - size + 1, size):
-            revealed = rng.integers(2, size=(size, 2)) > 0
+            revealed = rng.integers(2, size=size) > 0
             symmetry = Symmetry.draw(size, disc=self.disc, rng=rng)
             yield self.batch(order[start : start + size], revealed=revealed, symmetry=symmetry)
 
@@ -126,7 +124,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
         InputError: no finished dataset, too few drapes, or invalid set-ups.
     """
     manifest = finished_manifest(config.data)
-    rig = Rig.from_name(manifest["config"]["rig"]["name"])
+    rig = only_tester(config.data, manifest)
     disc = rig.specimen == "disc"
     maps = make_maps(config.data, Path(config.maps), rig=rig,
                      setups=Setups.from_config(config.setup), captures=config.captures,
@@ -200,7 +198,7 @@ def describe(
     theta = training.maps.theta
     low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     return {
-        "rig": manifest["config"]["rig"]["name"],
+        "rig": only_tester(config.data, manifest).name,
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": training.network(config.model),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},

@@ -87,7 +87,18 @@ class Motion:
         """
         before = self.state.positions
         inertia.aim(before + step * self.velocities, step)
-        result = minimise(potential, self.state.q, options, solver=solver)
+        result = minimise(potential, self._guess(potential, step), options, solver=solver)
         state = State.of(result.q, len(before))
         velocities = (state.positions - before) / step
         return Motion(state, velocities, self.time + step), result
+
+    def _guess(self, potential: Potential, step: float) -> np.ndarray:
+        """The state after a ``step``, s, at constant velocities if it has the lower energy; else
+        the present one."""
+        q = self.state.q
+        move = np.zeros(potential.unknowns)
+        move[: self.velocities.size] = step * self.velocities.ravel()
+        ahead = potential.moved(q, potential.free_unknowns(move))
+        with np.errstate(all="ignore"):
+            better = potential.value(ahead) < potential.value(q)
+        return ahead if better and potential.allows(q, ahead) else q

@@ -25,12 +25,14 @@ from sim.scene import GRAVITY, Rig, Scene
 
 EDGE = 10e-3
 """Edge length at the rim, m, of the mesh on which cloth is lowered."""
-SPEEDS = (0.05, 0.30)
-"""Range of the ring's speed, m/s, log-uniform: an overhang of 60 mm in 0.2 to 1.2 s."""
-STEP = 0.05
-"""Time step, s. Its damping is that of a bending viscosity with a relaxation time of half of it."""
-SETTLING = 0.2
-"""Time, s, from the ring's last contact to the search for the equilibrium."""
+SPEEDS = (0.13, 0.39)
+"""Range of the ring's speed, log-uniform, in units of sqrt(g o) with the overhang o: 0.1 to 0.3 m/s
+for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""
+STEP = 0.64
+"""Time step in units of sqrt(o/g): 50 ms for 60 mm. Its damping is that of a bending viscosity with
+a relaxation time of half of it. Halving it changes the number of folds by 0.2 (docs/physics.md)."""
+SETTLING = 2.5
+"""Time from the ring's last contact to the search for the equilibrium, in the same units."""
 _WAVINESS = 3e-4  # m
 _GAP = 1e-3  # m, of the ring below the cloth at the start
 _PRESSURE = 50.0  # of the ring on cloth 1 mm inside it, as a multiple of the cloth's weight
@@ -76,15 +78,18 @@ def lowered(
     Args:
         scene: the specimen on its plate.
         seed: of the waviness and of the speed.
-        speed: of the ring, m/s; None: drawn from :data:`SPEEDS`.
-        step: time step, s.
+        speed: of the ring, in the unit of :data:`SPEEDS`; None: drawn from that range.
+        step: time step, in the unit of :data:`STEP`.
 
     Returns:
         The cloth in motion, with its energies; status NOT_FINITE if a time step fails, else
         MAX_ITERATIONS.
     """
     rng = np.random.default_rng([seed, 1])
-    speed = speed or float(np.exp(rng.uniform(*np.log(SPEEDS))))
+    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    time = np.sqrt(overhang / GRAVITY)
+    speed = (speed or np.exp(rng.uniform(*np.log(SPEEDS)))) * overhang / time
+    step *= time
     rest, held = scene.mesh.rest, scene.held
     flat = np.column_stack([rest, np.zeros(len(rest))])
     flat[~held] += waves(rest, rig, rng, amplitude=_WAVINESS)[~held]
@@ -102,7 +107,7 @@ def lowered(
         if isinstance(cloth.bending, HystereticBending):
             cloth.bending.origin = cloth.bending.origin_at(motion.state.q)
         free = 0.0 if ring.depths(motion.state.q).any() else free + step
-        if free >= SETTLING:
+        if free >= SETTLING * time:
             break
     return found.ended(Status.MAX_ITERATIONS, "in motion")
 

@@ -35,7 +35,7 @@ def skirt(fabric, *, rig, edge, start, seed, offset, laws):
 def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: object) -> Path:
     """Drapes of one fabric each, in shards of 16."""
     config = DatasetConfig(
-        drapes=drapes, prior=load_prior("gaussian"), rig=Rig(),
+        drapes=drapes, prior=load_prior("gaussian"),
         sampling=SamplingConfig(starts_per_fabric=1, **sampling), edge=edge, drapes_per_shard=16,
     )
     root.mkdir(parents=True)

@@ -37,22 +37,22 @@ class Shot:
 
 def take_shots(root: Path, manifest: dict, drapes: Drapes, *, count: int) -> list[Shot]:
     """Render ``count`` converged drapes, sorted by drape coefficient, and up to a row of failed
-    ones, with the rig's nominal camera and the warp to the right.
+    ones, with the nominal cameras of their testers and the warp to the right.
     """
-    camera = CameraRig.load(Rig.from_name(manifest["config"]["rig"]["name"])).nominal()
     converged = np.flatnonzero(drapes.converged)
     by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
                                           kind="stable")]
     failed = np.flatnonzero(~drapes.converged)
-    shots = [_shoot(root, camera, drapes, int(drape)) for drape
+    shots = [_shoot(root, drapes, int(drape)) for drape
              in [*spread(by_coefficient, count), *spread(failed, ACROSS)]]
     return [shot for shot in shots if shot is not None]
 
 
-def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | None:
+def _shoot(root: Path, drapes: Drapes, drape: int) -> Shot | None:
     """Render one drape; None for a failed drape without stored coordinates."""
     name, row = drapes.places[drape]
-    positions, rest, faces = Shard(root / name).mesh(row)
+    shard = Shard(root / name)
+    positions, rest, faces = shard.mesh(row)
     if not rest.any():
         return None
     columns = {key: values[drape] for key, values in drapes.columns.items()}
@@ -60,7 +60,7 @@ def _shoot(root: Path, camera: Camera, drapes: Drapes, drape: int) -> Shot | Non
     caption = columns["status"] if failed else (
         f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
     return Shot(f"{columns['index']}: {caption}", failed,
-                DepthRenderer(positions, faces).view(camera))
+                DepthRenderer(positions, faces).view(CameraRig.load(shard.rig(row)).nominal()))
 
 
 def contact_sheet(shots: list[Shot]) -> bytes:

@@ -22,24 +22,24 @@ from sim.sensitivity import Sensitivities, Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
 
-LAWS = ("membrane", "shear", "friction", "curl_warp", "curl_weft")
+LAWS = ("membrane", "shear", "curl_warp", "curl_weft")
 """Entries of :data:`data.nuisances.NAMES` that the cloth's energies depend on."""
 OFFSET = ("offset_warp", "offset_weft")
 """m, of the specimen's centre from the plate's axis."""
 UNKNOWNS = (*THETA_NAMES, *LAWS, *OFFSET, "warp")
-"""All parameters: theta, logarithm of membrane (N/m) and shear, friction, N, curl, 1/m, offset, m,
+"""All parameters: theta, logarithm of membrane (N/m) and shear, curl, 1/m, offset, m,
 and direction of the warp in the axes of the rest points, rad."""
-SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 50 * MICRO, 3.0, 3.0, 4e-3, 4e-3, 0.3])
+SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 3.0, 3.0, 4e-3, 4e-3, 0.3])
 """(U,) unit of each parameter."""
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
 RATIO_RANGE = (-10e-3, 2e-3)  # m; contains 99 % of the prior's fabrics
 BOUNDS = np.array(
     [np.log(ALPHA_RANGE)] * 3 + [RATIO_RANGE] * 3
-    + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)), (0.0, 400 * MICRO),
+    + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)),
        (-15.0, 15.0), (-15.0, 15.0), (-0.02, 0.02), (-0.02, 0.02), (-math.inf, math.inf)])
 """(U, 2) limits of each."""
 DRIFT = 4e-3  # m, standard deviation of the offset along warp and weft
-_STEPS = {"membrane": 1e-3, "shear": 1e-3, "friction": 1e-5, "curl_warp": 0.1, "curl_weft": 0.1}
+_STEPS = {"membrane": 1e-3, "shear": 1e-3, "curl_warp": 0.1, "curl_weft": 0.1}
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def law_moves(
 ) -> dict[str, np.ndarray]:
     """(V, 3) derivatives of a drape by nuisances of its cloth's energies, by name.
 
-    Per unit of log membrane and log shear, N of friction, 1/m of curl. Forces are linear in the
+    Per unit of log membrane and log shear, 1/m of curl. Forces are linear in the
     parameters, so that finite differences at one state are exact.
     """
     cloth, size = tangent.cloth, tangent.cloth.potential.unknowns
@@ -175,7 +175,7 @@ def law_moves(
     moves = {}
     for name in names:
         step, value = _STEPS[name], getattr(nuisances, name)
-        # Not at a shear of exactly 1, which is another law; friction must not be negative.
+        # Not at a shear of exactly 1, which is another law.
         low, high = ((value * (1 - step), value * (1 + step)) if name in LOGARITHMIC
                      else (value, value + step))
         push = (forces_with(name, high) - forces_with(name, low)) / (high - low)

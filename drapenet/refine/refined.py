@@ -39,7 +39,7 @@ MAX_REDUCED_CHI2 = 10.0
 MAX_DISPLACEMENT_MM = 8.0  # mean displacement of the estimate's drape from the scan
 _DRAWS = 4000  # samples of the refined moduli
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
-            "friction": ("friction_un", 1 / MICRO), "curl_warp": ("curl_warp_per_m", 1.0),
+            "curl_warp": ("curl_warp_per_m", 1.0),
             "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
             "offset_weft": ("offset_weft_mm", 1e3)}
 
