@@ -121,6 +121,12 @@ BAD = {
     "all background": (spoil_view(save((90, 120))), "background"),
     "truncated PNG": (spoil_view(truncate), "view_2.png"),
     "text called png": (spoil_view(lambda f: f.write_text("not a picture")), "view_2.png"),
+    "no tester": (spoil_yaml(tester=None), "states no tester; "),
+    "a large specimen": (spoil_yaml(tester={"specimen": "disc", "size_mm": 500, "plate_mm": 180}),
+                         "a specimen of 500 mm; give 200 to 400 mm"),
+    "another tester than the network's": (
+        spoil_yaml(tester="disc254_support127"),
+        "the tester disc254_support127 but the checkpoint of square300_cylinder100"),
     "density NaN": (spoil_yaml(density_g_m2=math.nan), "density"),
     "density negative": (spoil_yaml(density_g_m2=-150), "density"),
     "density too small": (spoil_yaml(density_g_m2=9.9), "10-1000"),
@@ -154,6 +160,18 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
     assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
     assert message in printed.err
     assert sorted(capture.parent.rglob("*")) == before
+
+
+def test_a_tester_without_a_network_is_refused_with_those_that_have_one(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    spoil_yaml(tester="disc240_support180")(capture, tmp_path)
+    monkeypatch.setattr(sys, "argv", ["infer.py", f"capture={capture}", f"out={tmp_path / 'out'}"])
+    with pytest.raises(SystemExit) as ending:
+        run_command(infer.main)
+    error = capsys.readouterr().err
+    assert ending.value.code == 2 and error.count("\n") == 1
+    assert "know disc300_support180 and square300_cylinder100: give checkpoint=FILE" in error
 
 
 @pytest.mark.parametrize(("word", "message"), [

@@ -107,6 +107,13 @@ def test_errors_stand_where_they_arise(page):
     assert "Weigh the specimen" in page.inner_text("#error-density")
     assert page.get_attribute("#density", "aria-invalid") == "true"
     page.fill("#density", "210")
+    page.click("#submit")
+    assert "Choose the tester" in page.inner_text("#error-tester")
+    page.select_option("#tester", "square_cylinder")
+    page.click("#submit")
+    assert "the diameter of the plate" in page.inner_text("#error-tester")
+    page.fill("#size", "300")
+    page.fill("#plate", "100")
     for name, value in (("fx", 305), ("fy", 305), ("cx", 119.5), ("cy", 89.5)):
         page.fill(f"[name={name}]", str(value))
     page.fill("[name=depth_unit_m]", "1")

@@ -105,7 +105,7 @@ def test_exports_can_be_fetched(client, finished):
 
 def test_bad_capture_fails_with_its_sentence(client):
     begun = post(client, [PICTURES[0]], density_g_m2="200", fx="305", fy="305", cx="119.5",
-                 cy="89.5", depth_unit_m="1")
+                 cy="89.5", depth_unit_m="1", tester="square300_cylinder100")
     found = ended(client, begun.json()["id"])
     assert found["state"] == "failed" and found["estimate"] is None
     assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]

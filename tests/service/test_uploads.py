@@ -114,6 +114,7 @@ def test_names_are_never_paths(settings, tmp_path):
         assert [path.name for path in (tmp_path / str(k)).iterdir()] == ["inside"]
 
 
+CAMERA = {"density_g_m2": "90", "fx": "305", "fy": "305", "cx": "119.5", "cy": "89.5"}
 BOMB = zipped([("view_0.png", b"\0" * 20_000_000)])
 REFUSED = {
     "nothing": ([], {}, 422, "no files"),
@@ -138,6 +139,9 @@ REFUSED = {
     "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "such as 0, 90, 180"),
     "endless turn": (VIEWS, {"turns_deg": "0, inf"}, 422, "is not a finite number"),
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
+    "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
+    "large plate": (VIEWS, CAMERA | {"tester": "disc400_support210"}, 422, "a plate of 210 mm"),
+    "another face": (VIEWS, CAMERA | {"face": "left"}, 422, "must be 'up' or 'down'"),
     "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
     "long field": (VIEWS, {"name": "x" * 1000}, 422, "longer than 200"),
     "refine": (VIEWS, {"refine": "perhaps"}, 422, "must be 'no' or 'yes'"),
@@ -175,7 +179,8 @@ def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings,
             damaged[rng.randrange(len(damaged))] = rng.randrange(256)
         damaged = damaged[: rng.randrange(1, len(damaged) + 1) if trial % 3 == 0 else None]
         try:
-            write_upload(checked_upload([(name, bytes(damaged))], {"density_g_m2": "100"},
+            write_upload(checked_upload([(name, bytes(damaged))],
+                                        {"density_g_m2": "100", "tester": "disc300_support180"},
                                         settings), tmp_path / str(trial))
             outcomes["taken"] += 1
         except RequestError:
