@@ -88,7 +88,6 @@ class InferConfig:
     membrane_n_per_m: Annotated[float, Field(ge=0)]
     friction_un: float
     density_g_m2: float
-    held: float
     strict: bool
 
 

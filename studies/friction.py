@@ -1,6 +1,5 @@
-"""Effect of friction on estimates, and its identification from repeats (002, section 7.7)."""
+"""Effect of friction on estimates, and its identification from two drapes (002, section 7.7)."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.fabrics import fabric_from_theta
 from data.sampling import STARTS
-from data.scans import read_scan
 from drapenet.checkpoint import bundled, read_header
 from drapenet.convention import LINEAR
 from sim.cantilever.fabric import estimate
@@ -25,9 +23,9 @@ from sim.energies.midedge import MidEdgeBending
 from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, Fabric
 from sim.measures import drape_coefficient
-from sim.scene import DISC_RIG, Rig
+from sim.scene import Rig
 from sim.sensitivity import follow
-from studies.captured import fabric_and_sample, ideal_setups, rms, run_scans
+from studies.captured import ideal_setups, rms
 from studies.study import Report, Study, run_fabrics
 
 _STRIPS = (1.5, 2.5)  # lengths of the tester's strips, in bending lengths
@@ -100,23 +98,13 @@ def tester_log_alpha(fabric: Fabric, laws: Laws) -> float | None:
     return float(np.mean([np.log(one.alpha) for one in found.values()]))
 
 
-def scan_case(*, path: str, seed: int) -> dict[str, float]:
-    """Measures of one scan."""
-    scan = read_scan(Path(path), DISC_RIG)
-    return measure_drape(scan.positions, scan.faces, DISC_RIG.name,
-                    seed=[seed, *map(ord, scan.name)])
-
-
 def run(config: dict[str, Any]) -> Report:
-    """Run all rigs, and the scans if their folder is given."""
+    """Run all rigs."""
     settings = {key: value for key, value in config.items() if key != "rigs"}
-    report: Report = {"rigs": {
+    return {"rigs": {
         rig: run_fabrics(case, settings | {"rig": rig, "fabrics": count},
                           sources=ESTIMATOR_SOURCES, subfolder=rig)
         for rig, count in config["rigs"].items()}}
-    if config["scans"]:
-        report["scans"] = run_scans(scan_case, config)
-    return report
 
 
 def _values(report: Report, rig: str, history: str, measure: str) -> np.ndarray:
@@ -165,17 +153,6 @@ def precision(report: Report, rig: str, measure: str) -> float:
     return _finite_rms(found["start"]) / float(slope)
 
 
-def scan_differences(report: Report, measure: str) -> dict[str, np.ndarray]:
-    """Differences of a measure between captures of a sample and between samples of a fabric."""
-    samples: dict[tuple[int, int], list[float]] = {}
-    for name, one in report["scans"].items():
-        samples.setdefault(fabric_and_sample(name), []).append(one[measure])
-    own = [np.diff(values)[0] for values in samples.values() if len(values) == 2]
-    other = [np.mean(samples[a]) - np.mean(samples[b])
-             for a in samples for b in samples if a < b and a[0] == b[0]]
-    return {"captures": np.array(own), "samples": np.array(other)}
-
-
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     rig, torque = next(iter(report["rigs"])), report["settings"]["friction"]
@@ -183,34 +160,18 @@ def summarise(report: Report) -> str:
     ratio = {name: np.exp(np.nanmedian(values[:, last]))
              for name, values in _log_ratios(report, rig).items()}
     by = {name: precision(report, rig, name) for name in MEASURES}
-    sentences = [
+    return (
         f"{torque[last]:g} µN·m per metre change the network's α of a drape lowered from flat by "
         f"{ratio['above, log_alpha'] - 1:+.0%}, of one raised from below by "
         f"{ratio['below, log_alpha'] - 1:+.0%} (with known friction "
         f"{ratio['above, given'] - 1:+.0%} and {ratio['below, given'] - 1:+.0%}), and that of a "
         f"cantilever tester by {ratio['tester'] - 1:+.0%}. One drape of each kind identifies "
         f"friction to ± {by['log_alpha']:.0f} µN·m per metre with the network's α and to ± "
-        f"{by['coefficient']:.0f} with the drape coefficient, which other folds change as much."]
-    if "scans" in report and DISC_RIG.name in report["rigs"]:
-        scans = {name: rms(scan_differences(report, name)["captures"]) for name in MEASURES}
-        both = {name: _differences(report, DISC_RIG.name, name)["both"] for name in MEASURES}
-        sizes = {name: [_finite_rms(column) for column in values.T]
-                 for name, values in both.items()}
-        simulated = [f"{sizes['coefficient'][k]:.1f} points and a factor of "
-                     f"{np.exp(sizes['log_alpha'][k]):.2f} with {torque[k]:g} µN·m per metre"
-                     for k in (0, last)]
-        enough = [f"{np.interp(scans[name], sizes[name], torque):.0f}" for name in MEASURES]
-        sentences.append(
-            f"Two captures of a scanned sample differ by {scans['coefficient']:.1f} points of "
-            f"drape coefficient and a factor of {np.exp(scans['log_alpha']):.2f} in α (root mean "
-            "square); a simulated disc from above and one from below, in other folds, differ by "
-            f"{' and '.join(simulated)}. If the captures had such different histories, friction of "
-            f"{' and '.join(enough)} µN·m per metre would explain their variation.")
-    return " ".join(sentences)
+        f"{by['coefficient']:.0f} with the drape coefficient, which other folds change as much.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table by rig and torque, and of the scans."""
+    """Table by rig and torque."""
     head = ["specimen", "friction, µN·m per metre", "α from above, times (friction known)",
             "α from below (friction known)", "α by cantilever", "above and below: mm", "points",
             "α, times", "other start: points", "α, times"]
@@ -229,9 +190,6 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
                 times["tester"], f"{np.nanmedian(displacement[:, k]):.2f}",
                 *_cells(*(np.nanmedian(one["history"][:, k]) for one in differences.values())),
                 *_cells(*(_finite_rms(one["start"][:, k]) for one in differences.values()))])
-    for name in ("captures", "samples") if "scans" in report else ():
-        found = (rms(scan_differences(report, measure)[name]) for measure in MEASURES)
-        lines.append([f"scans, {name}", *["–"] * 7, *_cells(*found)])
     return head, lines
 
 
@@ -262,10 +220,6 @@ def draw(report: Report) -> Figure:
         axes.plot(places.ravel(), found["start"].ravel(), "x", ms=4, color="C1",
                   label="both from above, another start")
         axes.set(ylabel="α from above / from below", title=f"histories, {rig.partition('_')[0]}")
-        if rig == DISC_RIG.name and "scans" in report:
-            pairs = np.exp(scan_differences(report, "log_alpha")["captures"])
-            axes.plot(np.full(len(pairs), -10.0), pairs, "+", ms=5, color="C3",
-                      label="captures of a scanned sample")
     for axes in (first, *others):
         axes.set(yscale="log", xlabel="friction [µN·m/m]")
         label_log_axes(axes.yaxis)
@@ -276,15 +230,13 @@ def draw(report: Report) -> Figure:
 STUDY = Study(
     "friction", "Friction", "002, section 7.7 (hysteresis as a main source of errors)",
     "How does bending friction change an estimate, and can it be identified from a lowered and a "
-    "raised drape, or from repeated captures of real drapes?",
+    "raised drape?",
     run, summarise, rows, draw,
     "names hysteresis as a main source of errors, without a figure; not comparable.",
     "Friction is one step of Coulomb friction "
     "([physics](physics.md#natural-curvature-and-friction)), from the flat specimen for a drape "
     "from above and from the shape under twice its weight for one from below, which may add "
     "folds. A real specimen swings and may stop elsewhere. Friction on the support and in shear "
-    "is not modelled. The precision is that of the median fabric. How the scans' specimens were "
-    "placed is not documented: if alike each time, their captures share a history, and their "
-    "difference does not measure friction. The network's α is the mean over directions; it was "
-    "trained with 0 to 200 µN·m per metre from flat and assumes the mean where friction is "
-    "unknown. Six denims of α = 14 to 22 µN·m have 500 to 1 000 µN·m per metre.")
+    "is not modelled. The precision is that of the median fabric. The network's α is the mean over "
+    "directions; it was trained with 0 to 200 µN·m per metre from flat and assumes the mean where "
+    "friction is unknown. Six denims of α = 14 to 22 µN·m have 500 to 1 000 µN·m per metre.")
