@@ -12,8 +12,8 @@ from sim.scene import Rig
 
 MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
 MAX_RIM_STEEPNESS = 0.85
-"""Of :func:`rim_steepness`. Scans of 216 simulated drapes with all nuisances have at most 0.76 (median
-0.36); straight lines from rim to hem have 0.94 or more."""
+"""Of :func:`rim_steepness`. Scans of 216 simulated drapes with all nuisances have at most 0.76, the
+median is 0.36; straight lines from rim to hem have 0.94 or more."""
 _NEAR = (1e-3, 5e-3)  # m, from the rim
 _SECTORS, _MIN_SECTORS = 36, 12  # of azimuth, all and at least measured
 _PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
