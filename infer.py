@@ -121,7 +121,7 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     with deferred():
         from drapenet.refine.scans import read_scan_capture
 
-    return [read_scan_capture(path, density=density, held=config.held) for path in paths]
+    return [read_scan_capture(path, density=density) for path in paths]
 
 
 if __name__ == "__main__":

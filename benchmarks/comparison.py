@@ -163,15 +163,3 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
     return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
-
-
-def best_turn(outline: np.ndarray, other: np.ndarray) -> float:
-    """Angle, radians, by which ``other`` must be rotated to match ``outline``, both (720, 2) m.
-
-    The material rotates with the drape, so that this applies to discs of isotropic fabrics. Least
-    squares over steps of half a degree.
-    """
-    spin = np.exp(-2j * np.pi * np.arange(len(outline)) / len(outline))
-    one, two = ((o[:, 0] + 1j * o[:, 1]) * spin for o in (outline, other))
-    match = np.fft.ifft(np.fft.fft(one) * np.fft.fft(two).conj()).real
-    return float(match.argmax() * 2 * np.pi / len(outline))

@@ -11,5 +11,5 @@
 - ``arrays``, ``reading``, ``recordings``, ``frames``: reading depth from files;
 - ``board``, ``plate``, ``cutout``: turns of the table, and segmentation of the cloth;
 - ``captures``, ``capture``: reading, checking and writing captures; the segmentation command;
-- ``scans``: scanned drapes of real fabrics.
+- ``scans``: scanned drapes.
 """

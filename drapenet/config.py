@@ -87,7 +87,6 @@ class InferConfig:
     edge_mm: float
     membrane_n_per_m: Annotated[float, Field(ge=0)]
     density_g_m2: float
-    held: float
     strict: bool
 
 

@@ -1,18 +1,14 @@
 """Simulated drapes and captures of known fabrics, with estimates by the bundled network."""
 
 import json
-import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks import known
-from benchmarks.common import ESTIMATOR_SOURCES, REPORTS, run_cases
-from common.errors import InputError
+from benchmarks.common import REPORTS
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.nuisances import Nuisances
@@ -131,32 +127,6 @@ def along_warp(estimate: Estimate, orientation: float) -> np.ndarray:
     """Samples (S, 6) of theta in the frame of the true warp at angle ``orientation``, rad."""
     along = np.cos(2 * (estimate.axis - orientation)) >= 0
     return estimate.samples if along else estimate.samples[:, SWAPPED]
-
-
-def run_scans(case: Callable[..., dict], config: dict[str, Any]) -> dict[str, dict]:
-    """Run ``case(path=..., seed=...)`` for every scan in the folder ``config["scans"]``.
-
-    Returns:
-        Results by file name without suffix, ``fabric_F_sample_S`` or
-        ``fabric_F_sample_S_capture_C``.
-
-    Raises:
-        InputError: the folder has no scans.
-    """
-    files = sorted(Path(config["scans"]).glob("*.npz"))
-    if not files:
-        raise InputError(f"no scans (*.npz) in {config['scans']}; name their folder with scans=, "
-                         "or leave it empty")
-    return run_cases(
-        case, {file.stem: {"path": str(file), "seed": config["seed"]} for file in files},
-        folder=Path(config["cases"]) / "scans", workers=config["workers"],
-        sources=ESTIMATOR_SOURCES)
-
-
-def fabric_and_sample(name: str) -> tuple[int, int]:
-    """Numbers of fabric and sample in the name of a scan."""
-    fabric, sample = re.match(r"fabric_(\d+)_sample_(\d+)", name).groups()
-    return int(fabric), int(sample)
 
 
 def rms(values: np.ndarray) -> float:

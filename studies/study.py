@@ -31,7 +31,7 @@ material point in two drapes, averaged over the specimen including its part on t
 
 Report = dict[str, Any]
 
-_EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "scans", "learned")
+_EXECUTION_KEYS = ("fabrics", "workers", "cases", "out", "learned")
 
 
 def run_fabrics(

@@ -1,28 +1,23 @@
 """Comparison of estimation methods by simulated drapes of their estimates (002, Table 3)."""
 
-import sys
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes, run_cases
-from benchmarks.comparison import Draped, compare
-from benchmarks.estimation.real_captures import Specimen
+from benchmarks.common import ESTIMATOR_SOURCES, label_log_axes
+from benchmarks.comparison import compare
 from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
 from data.setups import SyntheticCapture
-from drapenet.checkpoint import Header, bundled, read_header
 from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
-from sim.scene import DISC_RIG, HUNG_SQUARE
+from sim.scene import HUNG_SQUARE
 from sim.sensitivity import follow
 from studies.captured import (
     along_warp,
@@ -46,7 +41,6 @@ METHODS = ("strips, regression", TABLE, NETWORK, KNOWN_FRICTION, REFINED, REFINE
 GROUPS = ("without", "with")
 """Groups of fabrics without and with friction, at even and odd numbers."""
 SHAPES = {"drape": "cylinder", "hung": "hung"}
-SCANS = {"other": "scan of another sample", "own": "the same scan"}
 Difference = list[float] | None
 """Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
 
@@ -74,7 +68,7 @@ def estimate_strips(
 
 def case(
     *, number: int, friction_un: float, edge_mm: float, hung_mm: float, noise_mm: float,
-    cells: int, refine: bool, seed: int
+    cells: int, refined: bool, seed: int
 ) -> dict[str, Any]:
     """Errors of log alpha and differences of drapes of one fabric by method; fabrics of odd numbers
     have friction. "failed" has the reason if the drape did not converge.
@@ -90,12 +84,12 @@ def case(
     strips = estimate_strips(fabric, laws=cloth.laws, noise=1e-3 * noise_mm, cells=cells,
                        seed=seed + number)
     found = {name: (one, 0.0) for name, one in strips.items()} | _estimate_from_views(
-        captured, friction=friction, refine=refine)
+        captured, friction=friction, refine=refined)
     found[PRIOR] = fabric_from_theta(header().scale.mean[:6]), 0.0
     if friction:
         found[TRUE_MODULI] = fabric, 0.0
     result: dict[str, Any] = {"group": GROUPS[number % 2], "ways": {}}
-    if refine:
+    if refined:
         result["friction_un"] = found[REFINED_FRICTION][1] / MICRO
     # Start and folds differ from those of the captured drape.
     start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}
@@ -141,112 +135,15 @@ def _friction(content: dict[str, Any]) -> float:
 
 
 def _difference(reference: DrapeResult, other: DrapeResult, *, align: str = "none") -> Difference:
-    converged = reference.converged and other.converged
-    return _compare(reference, other, align=align) if converged else None
-
-
-def _compare(reference: Draped, other: Draped, *, align: str = "none") -> list[float]:
+    if not (reference.converged and other.converged):
+        return None
     found = compare(reference, other, align=align)
     return [1e3 * found.displacement, 100 * found.curvature]
 
 
-def estimate_scan(*, path: str, refine: bool) -> dict[str, Any]:
-    """Estimates from one scan by method, as by ``infer.py scan=FILE``: theta, friction, N·m per
-    metre, and warp direction in the axes of the rest points, rad; empty if registration fails.
-    """
-    from drapenet.inference import estimate_capture, infer_capture
-    from drapenet.refine.scans import flat_turn, read_shape, scan_capture
-    from drapenet.refine.search import CapturedScan
-
-    try:
-        shape = read_shape(Path(path), DISC_RIG).shape
-    except InputError as error:
-        print(f"left out: {error}", file=sys.stderr)
-        return {}
-    capture = scan_capture(Path(path), shape, REFERENCE_DENSITY)
-    network = infer_capture(capture, _disc()).estimate
-    found = {NETWORK: (network, 0.0)}
-    if refine:
-        refined = estimate_capture(capture, _disc(), seen=CapturedScan(shape), refine=True,
-                                   drapes=0)
-        found[REFINED] = refined.estimate, 0.0
-        found[REFINED_FRICTION] = refined.estimate, _friction(refined.content)
-    return {name: {"theta": one.samples.mean(axis=0).tolist(), "friction": friction,
-                   "warp": one.axis - flat_turn(shape)}
-            for name, (one, friction) in found.items()}
-
-
-def _disc() -> Header:
-    """Header of the bundled network for the rig of the scans."""
-    return read_header(bundled(DISC_RIG))
-
-
-def release_at_scan(
-    *, path: str, cloths: dict[str, dict[str, Any]], other: str
-) -> dict[str, Difference]:
-    """Differences from a scan of each of ``cloths`` after release at it, and of the scan ``other``.
-    """
-    from drapenet.refine.cloth import Cloth
-    from drapenet.refine.scans import read_shape
-    from drapenet.refine.search import RELEASE
-
-    shape = read_shape(Path(path), DISC_RIG).shape
-    result: dict[str, Difference] = {
-        OTHER_DRAPE: _compare(shape, read_shape(Path(other), DISC_RIG).shape, align="turn")}
-    for name, one in cloths.items():
-        cloth = Cloth.of(np.array(one["theta"]), Nuisances(friction=one["friction"]),
-                         warp=one["warp"])
-        start = replace(shape, rest=cloth.rest(shape.rest, DISC_RIG)).as_drape(cloth.fabric)
-        rest = follow(start, cloth.fabric, laws=cloth.laws, options=RELEASE)
-        result[name] = (_compare(shape, replace(shape, positions=rest.positions))
-                        if rest.converged else None)
-    return result
-
-
-def _release_at_scans(config: dict[str, Any]) -> dict[str, dict[str, dict[str, Difference]]]:
-    """Release cloth at each scan with estimates of another sample and of the same scan."""
-    chosen: dict[int, dict[int, Path]] = {}
-    for path in sorted(Path(config["scans"]).glob("*.npz")) if config["scans"] else ():
-        one = Specimen.from_scan_name(path.stem)
-        samples = chosen.setdefault(one.fabric, {})
-        if one.capture == 1 and len(samples) < config["samples"]:
-            samples[one.sample] = path
-    pairs = [(paths[k], paths[k - 1]) for fabric in sorted(chosen)[: config["scanned"]]
-             if len(paths := list(chosen[fabric].values())) > 1 for k in range(len(paths))]
-    if not pairs:
-        print(f"no scans of two samples of a fabric in '{config['scans']}': the columns of real "
-              "fabrics are left out", file=sys.stderr)
-        return {}
-    work = {"workers": config["workers"], "sources": ESTIMATOR_SOURCES}
-    folder = Path(config["cases"])
-    estimates = run_cases(estimate_scan, {
-        path.stem: {"path": str(path), "refine": config["refined"]} for path, _ in pairs},
-        folder=folder / "estimated", **work)
-    prior = {"theta": _disc().scale.mean[:6].tolist(), "friction": 0.0}
-    cases = {}
-    for path, other in pairs:
-        own = estimates[path.stem]
-        if not (own and estimates[other.stem]):
-            continue
-        # Scans do not show the yarns: their direction is estimated from the same scan.
-        cloths = {f"other {method}": one | {"warp": own[method]["warp"]}
-                  for method, one in estimates[other.stem].items()}
-        cloths |= {f"own {method}": one for method, one in own.items()}
-        cloths[f"other {PRIOR}"] = prior | {"warp": own[NETWORK]["warp"]}
-        cases[path.stem] = {"path": str(path), "cloths": cloths, "other": str(other)}
-    found = run_cases(release_at_scan, cases, folder=folder / "released", **work)
-    return {name: {at: {method: one[OTHER_DRAPE] if (at, method) == ("other", OTHER_DRAPE)
-                        else one.get(f"{at} {method}") for method in METHODS}
-                   for at in SCANS} for name, one in found.items()}
-
-
 def run(config: dict[str, Any]) -> Report:
-    """Run all fabrics, and the scans if their folder is given."""
-    simulated = {{"refined": "refine"}.get(key, key): value for key, value in config.items()
-                 if key not in ("scanned", "samples")}
-    return {"fabrics": run_fabrics(case, simulated, sources=ESTIMATOR_SOURCES,
-                                   subfolder="simulated"),
-            "scans": _release_at_scans(config)}
+    """Run all fabrics."""
+    return {"fabrics": run_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
 
 
 def _simulated(report: Report, group: str, method: str) -> list[dict[str, Any]]:
@@ -259,13 +156,10 @@ def _distances(report: Report, where: str, method: str) -> np.ndarray:
     """Displacements, mm, and differences of curvature, %, (N, 2) of a method.
 
     Args:
-        where: group and shape, such as "without drape", or one of :data:`SCANS`.
+        where: group and shape, such as "without drape".
     """
-    if where in SCANS:
-        found = [one[where][method] for one in report["scans"].values()]
-    else:
-        group, shape = where.split()
-        found = [one[shape] for one in _simulated(report, group, method)]
+    group, shape = where.split()
+    found = [one[shape] for one in _simulated(report, group, method)]
     return np.array([one for one in found if one is not None]).reshape(-1, 2)
 
 
@@ -295,14 +189,6 @@ def summarise(report: Report) -> str:
         parts.append(f"There, the true moduli without friction give {by[TRUE_MODULI]}, the refined "
                      f"estimate with its estimated friction {by[REFINED_FRICTION]} (median "
                      f"{found[1]:.0f} µN·m per metre; {found[0]:.0f} where there is none).")
-    if report["scans"]:
-        at = {f"{where} {method}": _median(report, where, method)
-              for where in SCANS for method in METHODS}
-        parts.append(f"Cloth released at the shapes of {len(report['scans'])} scans of real "
-                     f"fabrics moves by {at[f'other {NETWORK}']} with the network's estimate of "
-                     f"another sample, {at[f'other {REFINED}']} with the refined one, "
-                     f"{at[f'own {REFINED}']} with the refined one of the same scan and "
-                     f"{at[f'other {PRIOR}']} with the mean of the prior.")
     return " ".join(parts)
 
 
@@ -314,7 +200,6 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     for name in groups.values():
         head += [f"{name}: fabrics, error of log α",
                  *(f"{shape}, mm (%)" for shape in SHAPES.values())]
-    head += [f"{name}, mm (%)" for name in SCANS.values()] if report["scans"] else []
     lines = []
     for method in METHODS:
         line: list[object] = [method]
@@ -324,7 +209,6 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
             known = f", {rms(error):.2f}" if error.any() else ""
             line += [f"{len(found)}{known}" if found else "–",
                      *(_cell(report, f"{group} {shape}", method) for shape in SHAPES)]
-        line += [_cell(report, place, method) for place in SCANS] if report["scans"] else []
         if set(line[1:]) != {"–"}:
             lines.append(line)
     return head, lines
@@ -345,7 +229,6 @@ def draw(report: Report) -> Figure:
     panels = {f"{group} {shape}": f"{title}, {name}"
               for group, name in (("without", "no friction"), ("with", friction))
               for shape, title in SHAPES.items()}
-    panels |= {at: f"released at {name}" for at, name in SCANS.items()} if report["scans"] else {}
     figure = Figure(figsize=(10, 1.0 + 1.3 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels) // 2, 2, sharey=True, sharex=True, squeeze=False)
     for panel, (where, title) in zip(axes.flat, panels.items(), strict=True):
@@ -369,20 +252,15 @@ STUDY = Study(
     "Which estimate of the moduli gives simulated drapes closest to those of the true fabric?",
     run, summarise, rows, draw,
     "finds 1.36 mm and 4.0 % over ten real fabrics with VAE and non-linear law, 2.1 mm and 8.5 % "
-    "with the cantilever. The columns of scans follow its procedure with other fabrics, support "
-    "and scanner; only the last has estimate and shape from one specimen, as in Table 3. The "
-    "simulated columns are not comparable.",
+    "with the cantilever; not comparable, because here all specimens are simulated.",
     "Percentages are mean differences of the mean curvature, relative to the true drape's mean "
     "|H| (`benchmarks/comparison.py`); flat cloth has 100 %. The paper does not define its "
-    "percentage. On scans it does not distinguish the estimates, because folds shift by some "
-    "millimetres and scanned surfaces are rough. Simulated specimens vary in moduli and friction "
+    "percentage. Simulated specimens vary in moduli and friction "
     "only; the groups with and without friction have different fabrics. On the cylinder a small "
     "change of the moduli may change the folds, which causes the displacements of several "
     "millimetres; hung cloth starts from the true shape, so that its folds are the same. In the "
-    "last row both drapes have different starts; its scan is that of the other sample.",
+    "last row both drapes have different starts.",
     "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and evaluated without the "
     "simulated correction. Network and refinement use four depth views without faults. The "
-    "density is known; for scans it is set to 300 g/m², and the yarn direction is that estimated "
-    "from the scan. "
-    "Membrane, shear, curl and friction are unknown except where a row says so, and estimates are "
-    "simulated without friction except in those rows.")
+    "density is known. Membrane, shear, curl and friction are unknown except where a row says "
+    "so, and estimates are simulated without friction except in those rows.")

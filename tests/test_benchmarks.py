@@ -1,35 +1,30 @@
-"""What the benchmarks share: resumed work, and the search for a scan's modulus."""
+"""What the benchmarks share: resumed work, tables, comparisons."""
 
 import json
 import subprocess
 import sys
 from importlib import import_module
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import perturbed
 import pytest
 import torch
-from cloths import skirt
 
 from benchmarks import common
 from benchmarks.__main__ import FILES, FOLDERS, main, usage
 from benchmarks.common import ROOT, load_arrays, run_cases, table
 from benchmarks.comparison import compare
-from benchmarks.estimation import information, real_captures, refine_views
+from benchmarks.estimation import information, refine_views
 from benchmarks.physics import default_mesh, meshes
-from benchmarks.physics.scans import Search, rounded
 from common.configs import group_options, read_config
 from common.errors import InputError
-from drapenet.checkpoint import save_checkpoint
-from drapenet.network import MapNet
 from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
 from sim.newton import NewtonOptions
-from sim.scene import DISC_RIG, Rig
+from sim.scene import Rig
 
 
 def count_calls(log: str, value: float) -> dict:
@@ -114,37 +109,6 @@ def test_table_is_aligned():
     lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
     assert lines[2] == "| long name | 1.23 |"
     assert len({len(line) for line in lines}) == 1
-
-
-def fake_search(coefficients: dict[float, float]) -> Search:
-    search = Search({"edge_mm": 3.5, "start": "sine", "seed": 0, "cases": "", "workers": 1})
-    search.drapes = {a: {"alpha_uN_m": a, "coefficient": c, "status": "converged"}
-                     for a, c in coefficients.items()}
-    return search
-
-
-def test_search_halves_the_interval_that_encloses_the_scan():
-    search = fake_search({1.0: 10.0, 4.0: 30.0, 16.0: 60.0})
-    assert search.next_modulus(40.0) == pytest.approx(8.0)
-    assert search.next_modulus(20.0) == pytest.approx(2.0)
-    assert search.next_modulus(70.0) is None
-    assert search.nearest(40.0)["alpha_uN_m"] == 4.0
-    search.drapes[8.0] = {"alpha_uN_m": 8.0, "coefficient": 90.0, "status": "line_search"}
-    assert search.nearest(90.0)["alpha_uN_m"] == 16.0  # not a drape that failed
-    assert search.next_modulus(40.0) is None  # nor tried again
-
-
-def test_search_closes_in_on_any_coefficient():
-    def coefficient(alpha: float) -> float:
-        return 100 * alpha / (alpha + 10) + 3 * np.sin(9 * np.log(alpha))
-
-    search = fake_search({a: coefficient(a) for a in (1.0, 10.0, 100.0)})
-    for _ in range(8):
-        alpha = search.next_modulus(55.0)
-        search.drapes[alpha] = {"alpha_uN_m": alpha, "coefficient": coefficient(alpha),
-                                "status": "converged"}
-    assert search.nearest(55.0)["coefficient"] == pytest.approx(55.0, abs=0.5)
-    assert all(alpha == rounded(alpha) for alpha in search.drapes)
 
 
 @pytest.mark.slow
@@ -262,106 +226,3 @@ def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_
     assert perturbed.compare(plain, runs) == {
         "b": {"unperturbed": "passed", "perturbed": {"passed": 1, "failed": 2}},
         "c": {"unperturbed": "failed", "perturbed": {"failed": 2, "passed": 1}}}
-
-
-def seen(scan: str) -> real_captures.Specimen:
-    return real_captures.Specimen.from_scan_name(scan)
-
-
-def test_scans_are_known_by_their_names():
-    assert seen("fabric_12_sample_3_capture_2") == real_captures.Specimen(12, 3, 2)
-    assert seen("fabric_21_sample_4") == real_captures.Specimen(21, 4, 1)
-    for wrong in ("fabric_1", "fabric_a_sample_1", "fabric_1_sample_1_capture_1b"):
-        with pytest.raises(InputError, match="must be named"):
-            seen(wrong)
-
-
-def test_alphas_of_captures_samples_and_fabrics_are_compared():
-    steps = np.log([1.0, 1.1, 2.0, 2.0, 8.0])
-    names = ("1_sample_1_capture_1", "1_sample_1_capture_2", "1_sample_2_capture_1",
-             "1_sample_2_capture_2", "2_sample_1")
-    log_alpha = {seen(f"fabric_{name}"): step + np.arange(3)
-                 for name, step in zip(names, steps, strict=True)}
-    found = real_captures.agreement(log_alpha)
-    assert found["captures"] == pytest.approx(
-        {"median": 1.05, "largest": 1.1, "pairs": 2})
-    first = np.sqrt(1.1)  # the first sample's mean
-    assert found["samples"] == pytest.approx(
-        {"median": 2 / first, "largest": 2 / first, "pairs": 1})
-    assert found["fabrics"]["median"] == pytest.approx(8 / np.sqrt(2 * first))
-    # Two captures of each sample: 2 and 2/1.1, twice each. No mean is taken before.
-    assert found["single"] == pytest.approx(
-        {"median": (2 + 2 / 1.1) / 2, "largest": 2, "pairs": 4})
-    # Ratios of single directions that cancel are not agreement.
-    assert real_captures.ratio(np.zeros(3), np.log([2.0, 0.5, 1.0])) == pytest.approx(2 ** (2 / 3))
-
-
-def test_a_fabric_is_recognised_by_its_nearest_estimate():
-    places = {"1_sample_1_capture_1": 0.0, "1_sample_1_capture_2": 0.1, "1_sample_2": 2.0,
-              "2_sample_1": 1.2, "2_sample_2": 3.0, "3_sample_1_capture_1": 9.0,
-              "3_sample_1_capture_2": 9.1}
-    found = real_captures.recognition({seen(f"fabric_{name}"): np.array([place])
-                                       for name, place in places.items()})
-    assert found["any"]["right"] == 4 and found["any"]["of"] == 7
-    # Fabric 3 has one sample only: there is nothing to find.
-    assert found["other_sample"]["right"] == 0 and found["other_sample"]["of"] == 5
-    assert found["any"]["chance"] == pytest.approx((3 * 2 + 2 + 2) / 6)
-
-
-def test_drapes_of_an_estimate_are_compared_with_other_samples():
-    def figures(coefficient: float, folds: float) -> dict:
-        return {"coefficient": coefficient, "folds": folds, "amplitude_mm": 5.0}
-
-    scanned = {seen("fabric_1_sample_1_capture_1"): figures(50.0, 7),
-               seen("fabric_1_sample_1_capture_2"): figures(52.0, 7),
-               seen("fabric_1_sample_2"): figures(54.0, 8),
-               seen("fabric_2_sample_1"): figures(9.0, 9)}
-    drapes = {"1_1": [{"status": "converged", **figures(59.0, 6)}, {"status": "line_search"}],
-              "1_2": [{"status": "converged", **figures(47.0, 7)},
-                      {"status": "converged", **figures(49.0, 8)}], "2_1": []}
-    found = real_captures.prediction(scanned, drapes)
-    assert found["coefficient"] == pytest.approx(
-        {"off": 4.0, "mean_off": 4.0, "bias": 1.0, "scans": 3.0, "deviation": 0.5})
-    assert found["folds"]["off"] == pytest.approx((2 + 0.5) / 2)
-    assert found["count"] == {"pairs": 2, "drapes": 4, "converged": 3}
-    with pytest.raises(InputError, match="no prediction"):
-        real_captures.prediction(scanned, {"1_1": [], "1_2": [], "2_1": []})
-
-
-@pytest.fixture(scope="module")
-def disc_checkpoint(untrained_checkpoint, tmp_path_factory):
-    content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
-    model = content["model"] | {"targets": 8}
-    targets = {"mean": content["targets"]["mean"] + [0.0, 0.0],
-               "std": content["targets"]["std"] + [0.5, 0.5]}
-    path = tmp_path_factory.mktemp("disc") / "untrained.safetensors"
-    torch.manual_seed(0)
-    save_checkpoint(path, model=MapNet(**model), half=False, description=content | {
-        "rig": DISC_RIG.name, "model": model, "targets": targets})
-    return path
-
-
-def test_scans_are_estimated_and_their_estimates_draped(
-    tmp_path, untrained_checkpoint, disc_checkpoint, capsys
-):
-    (tmp_path / "scans").mkdir()
-    for fabric, sample in product((1, 2), (1, 2)):
-        cloth = Fabric(np.full(3, fabric * 20e-6))
-        scan = skirt(cloth, rig=DISC_RIG, edge=8e-3, start="", seed=sample, offset=(0.0, 0.0),
-                     laws=None)
-        np.savez(tmp_path / "scans" / f"fabric_{fabric}_sample_{sample}.npz",
-                 vertices=scan.positions, rest=scan.rest, faces=scan.faces)
-    out = tmp_path / "real.json"
-    words = ["real_captures", f"scans={tmp_path / 'scans'}", f"cases={tmp_path / 'cases'}",
-             f"out={out}", "captures=2", "drapes=1", "edge_mm=10", "variation=real"]
-    with pytest.raises(InputError, match="was trained on square"):
-        main([*words, f"checkpoint={untrained_checkpoint}"])
-    main([*words, f"checkpoint={disc_checkpoint}"])
-    text, found = capsys.readouterr().out, json.loads(out.read_text())
-    for line in ("median ratio of alpha between samples of a fabric: ", "nearest neighbour right: ",
-                 "median error of the drape coefficient: ", "median error of the number of folds:"):
-        assert f"\n{line}" in text
-    assert "between captures of a sample" not in text  # of which there is one each
-    assert len(found["scans"]) == 4
-    assert found["prediction"]["count"] == {"pairs": 4, "drapes": 4, "converged": 4}
-    assert out.with_suffix(".png").stat().st_size > 10_000

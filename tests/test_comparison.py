@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.comparison import best_turn, compare, mean_curvature, same_folds
+from benchmarks.comparison import compare, mean_curvature, same_folds
 from common.errors import InputError
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
@@ -161,18 +161,6 @@ def test_fold_configurations(folds, phase, same):
 def test_flat_outlines_have_the_same_folds():
     circle = outline(bell(specimen(31), depth=0.0))
     assert same_folds(circle, circle)
-
-
-def test_best_turn_finds_how_far_a_specimen_was_turned():
-    def shape(turn: float) -> np.ndarray:
-        """A fold pattern without symmetry, turned with its cloth."""
-        angle = 2 * np.pi * np.arange(720) / 720
-        radius = 0.08 + 0.01 * np.cos(5 * (angle - turn)) + 0.004 * np.sin(2 * (angle - turn))
-        return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-    turn = np.radians(40.0)
-    assert best_turn(shape(turn), shape(0.0)) == pytest.approx(turn)
-    assert best_turn(shape(0.0), shape(turn)) == pytest.approx(2 * np.pi - turn)
 
 
 def test_other_specimens_and_words_are_refused():

@@ -19,7 +19,7 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.captures import Capture
 from data.render import QUARTERS, DepthRenderer
-from data.scans import MAX_SCAN_SIZE, read_scan
+from data.scans import MAX_SCAN_SIZE, check_rim, read_scan
 from drapenet.refine.attraction import captured_shape, pulled
 from drapenet.refine.search import CapturedScan
 from drapenet.refine.surface import CapturedShape, Cloud, distances
@@ -28,16 +28,15 @@ from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.scene import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
-"""As soft as the softest real fabrics, so that folds are preserved."""
+"""As soft as the softest fabrics of the prior, so that folds are preserved."""
 LAST_PULL = 30.0
-"""Force of the last pull at 1 mm over the cloth's weight. Nine real scans are matched to 0.6 mm
-with a strain of 0.6 %, as in drapes; a force of 100 gives 0.4 mm at 1.1 %."""
+"""Force of the last pull at 1 mm over the cloth's weight. Simulated scans with noise of 0.3 mm are
+matched to 0.09 to 0.17 mm (``python -m benchmarks refine_scans``)."""
 MAX_STRAIN = 0.05
 """Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond,
 the scan's vertices have slid along the cloth."""
 RAW = (".ply", ".obj")
 MAX_CLOUD_BYTES = 256 << 20  # bytes
-MIN_HELD = 0.5  # of the support's radius
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
 _PLATE_TOLERANCE = 0.02  # m, maximum distance of a raw scan's plate from the plane z = 0
 _MAX_DISTANCE = 5e-3  # m, mean distance of the specimen from the scan
@@ -59,26 +58,23 @@ class Registered:
     distance: float
 
 
-def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -> Registered:
+def read_shape(path: Path, rig: Rig, *, edge: float = EDGE) -> Registered:
     """The captured shape of a scan: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or
     a raw PLY or OBJ in metres, z up, the plate's centre the origin.
 
     Raw scans are registered, and scans whose vertices have slid along the cloth.
 
     Args:
-        held: see :class:`.surface.CapturedShape`.
         edge: m, at the rim of the mesh that a scan is registered to.
 
     Raises:
-        InputError: no such scan, a surface that does not fit the specimen, or ``held`` out of
-            range.
+        InputError: no such scan, a surface that no cloth can take, or that does not fit the
+            specimen.
     """
-    if not MIN_HELD <= held <= 1.0:
-        raise InputError(f"held={held:g} must lie between {MIN_HELD} and 1 (share of the "
-                         "support's radius)")
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
-        found = register(cloud, rig, edge=edge, held=held)
+        check_rim(cloud.points, path, rig)
+        found = register(cloud, rig, edge=edge)
         laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
@@ -86,12 +82,13 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
                              f"{rig.name}; cut away all that is not cloth, such as the table")
     else:
         scan = read_scan(path, rig)
-        own = CapturedShape(scan.positions, scan.rest, scan.faces, rig, held)
+        surface = Cloud.of_mesh(scan.positions, scan.faces)
+        check_rim(surface.points, path, rig)
+        own = CapturedShape(scan.positions, scan.rest, scan.faces, rig)
         if own.strain < MAX_STRAIN:
             return Registered(own, 0.0)
         found = register(
-            Cloud.of_mesh(own.positions, own.faces), rig, edge=edge, turn=flat_turn(own),
-            held=held)
+            surface, rig, edge=edge, turn=flat_turn(own))
     if found.distance > _MAX_DISTANCE:
         raise InputError(f"{path}: the specimen of {rig.name} lies {1e3 * found.distance:.0f} mm "
                          "from this surface on average and does not fit it; give all of the cloth "
@@ -100,17 +97,17 @@ def read_shape(path: Path, rig: Rig, *, held: float = 1.0, edge: float = EDGE) -
 
 
 def read_scan_capture(
-    path: Path, *, density: float, held: float = 1.0
+    path: Path, *, density: float
 ) -> tuple[Capture, CapturedScan]:
     """A scan of a drape on the disc rig as a capture, and as the input of the search.
 
     Args:
-        density: kg/m². held: see :class:`.surface.CapturedShape`.
+        density: kg/m².
 
     Raises:
         InputError: no such scan, or not of a drape.
     """
-    shape = read_shape(path, DISC_RIG, held=held).shape
+    shape = read_shape(path, DISC_RIG).shape
     return scan_capture(path, shape, density), CapturedScan(shape)
 
 
@@ -134,14 +131,13 @@ def flat_turn(shape: CapturedShape) -> float:
 
 
 def register(
-    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0, held: float = 1.0
+    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0
 ) -> Registered:
     """Register a mesh of the specimen to the scan ``cloud``; z up, the plate's centre the origin.
 
     Args:
         edge: length of the mesh's edges at the plate's rim, m.
         turn: rad, direction of the mesh's first rest axis on the plate, unknown from a scan.
-        held: see :class:`.surface.CapturedShape`.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes
@@ -150,7 +146,7 @@ def register(
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
     found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
-    shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig, held)
+    shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig)
     apart = distances(cloud, shape.positions)[shape.hanging].mean()
     return Registered(shape, float(apart))
 

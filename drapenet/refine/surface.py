@@ -33,25 +33,22 @@ class CapturedShape:
         rest: (V, 2) m, in any material axes.
         faces: (F, 3), counter-clockwise at rest.
         rig: with a plate.
-        held_share: of the plate's radius, within which the plate holds the cloth; beyond, the cloth
-            may lift, slide and bend over the rim freely.
     """
 
     positions: np.ndarray
     rest: np.ndarray
     faces: np.ndarray
     rig: Rig
-    held_share: float = 1.0
 
     @property
     def held(self) -> np.ndarray:
         """(V,) bool, vertices that the plate holds."""
-        return self._within(self.held_share)
+        return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * self.rig.plate_radius
 
     @property
     def hanging(self) -> np.ndarray:
         """(V,) bool, vertices beyond the plate."""
-        return ~self._within(1.0)
+        return ~self.held
 
     @property
     def strain(self) -> float:
@@ -61,9 +58,6 @@ class CapturedShape:
         length, rest = (np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1)
                         for p in (self.positions, self.rest))
         return float(np.sqrt(np.mean((length / rest - 1) ** 2)))
-
-    def _within(self, share: float) -> np.ndarray:
-        return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * share * self.rig.plate_radius
 
     def as_drape(self, fabric: Fabric) -> DrapeResult:
         """The shape as a drape of ``fabric``, not in equilibrium."""

@@ -1,4 +1,4 @@
-"""Reading scanned drapes: a made-up scan, broken ones, and the real ones where they are."""
+"""Reading scanned drapes: a made-up scan, broken ones, and surfaces that no cloth can take."""
 
 import io
 import zipfile
@@ -6,16 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from apps.drape_file import read_borrowed
 from common.errors import InputError
-from data.scans import read_scan, read_scans
+from data.scans import check_rim, read_scan, rim_steepness
+from drapenet.refine.scans import read_shape
+from sim.drape import DrapeResult, drape
+from sim.material import MICRO, Fabric
 from sim.measures import projected_area
 from sim.mesh import grid_faces
-from sim.scene import Rig
+from sim.scene import DISC_RIG, Rig
 
-SCANS = Path(__file__).parents[2] / ".." / "shared" / "scans"
-needs_scans = pytest.mark.skipif(not SCANS.exists(), reason="the scans are not here")
+RULED = Path(__file__).parents[2] / ".." / "shared" / "scans"
+"""Straight lines from the plate's rim to outlines of real drapes."""
 RIG = Rig(specimen_size=0.300, plate_diameter=0.180)
 
 
@@ -37,7 +41,7 @@ def scan_arrays() -> dict[str, np.ndarray]:
 def test_scan_comes_back_as_it_was_written(tmp_path):
     arrays = scan_arrays()
     np.savez(tmp_path / "cone.npz", **arrays)
-    (scan,) = read_scans(tmp_path, RIG)
+    scan = read_scan(tmp_path / "cone.npz", RIG)
     assert scan.name == "cone"
     assert scan.positions.dtype == np.float64 and scan.faces.dtype == np.int64
     np.testing.assert_array_equal(scan.positions, arrays["vertices"])
@@ -121,18 +125,67 @@ def test_a_bare_array_is_refused(tmp_path):
 def test_absent_scans_are_named(tmp_path):
     with pytest.raises(InputError, match=r"none\.npz cannot be read \(No such file"):
         read_scan(tmp_path / "none.npz", RIG)
-    with pytest.raises(InputError, match="name their folder with scans=FOLDER"):
-        read_scans(tmp_path / "nowhere", RIG)
 
 
-@needs_scans
-def test_the_real_scans_are_read():
-    scans = read_scans(SCANS, RIG)
-    assert len(scans) >= 9
-    assert len({scan.name.split("_sample")[0] for scan in scans}) == 9
-    for scan in scans:
-        held = np.linalg.norm(scan.rest, axis=1) < 0.089
-        np.testing.assert_allclose(scan.positions[held, :2], scan.rest[held], atol=1e-4)
+@pytest.fixture(scope="module")
+def soft_drape() -> DrapeResult:
+    """A drape of soft cloth on the disc rig."""
+    return drape(Fabric(np.full(3, 5 * MICRO)), rig=DISC_RIG, edge=4e-3)
+
+
+def from_rim_to_hem(result: DrapeResult) -> np.ndarray:
+    """Vertices (V, 3), m, of a drape moved to straight lines from the plate's rim to its hem."""
+    radius, rim = np.linalg.norm(result.rest, axis=1), RIG.plate_radius
+    azimuth = np.arctan2(result.rest[:, 1], result.rest[:, 0])
+    hem = radius > 0.999 * radius.max()
+    ends = np.column_stack([np.interp(azimuth, azimuth[hem], column, period=2 * np.pi)
+                            for column in result.positions[hem].T])
+    feet = rim * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+    share = np.clip((radius - rim) / (radius.max() - rim), 0, 1)[:, None]
+    return np.where(share > 0, feet + (ends - feet) * share, result.positions)
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.3])
+def test_cloth_leaves_the_rim_without_a_kink_and_straight_lines_do_not(soft_drape, noise_mm):
+    noise = np.random.default_rng(0).normal(0, 1e-3 * noise_mm, soft_drape.positions.shape)
+    assert 0.2 < rim_steepness(soft_drape.positions + noise, RIG) < 0.6
+    check_rim(soft_drape.positions + noise, Path("cloth.ply"), RIG)
+    lines = from_rim_to_hem(soft_drape) + noise
+    assert rim_steepness(lines, RIG) == pytest.approx(1.0, abs=0.05)
+    with pytest.raises(InputError, match=r"lines\.ply: 1 to 5 mm .* at most 0\.85 is") as caught:
+        check_rim(lines, Path("lines.ply"), RIG)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_tilted_plate_and_a_missing_part_do_not_change_the_steepness(soft_drape):
+    points, expected = soft_drape.positions, rim_steepness(soft_drape.positions, RIG)
+    tilted = points + np.column_stack([0 * points[:, :2], 0.02 * points[:, 0] + 3e-3])
+    assert rim_steepness(tilted, RIG) == pytest.approx(expected, abs=0.03)
+    assert rim_steepness(points[points[:, 0] < 0.05], RIG) == pytest.approx(expected, abs=0.05)
+    # A plate without cloth around it, and a narrow strip, decide nothing.
+    for few in (points[np.hypot(*points[:, :2].T) < 0.085], points[np.abs(points[:, 0]) < 0.02]):
+        assert np.isnan(rim_steepness(few, RIG))
+        check_rim(few, Path("few.ply"), RIG)
+
+
+@pytest.mark.parametrize("kind", ["npz", "ply"])
+def test_a_file_with_a_kink_at_the_rim_is_refused(tmp_path, soft_drape, kind):
+    file, points, faces = tmp_path / f"lines.{kind}", from_rim_to_hem(soft_drape), soft_drape.faces
+    if kind == "npz":
+        np.savez(file, vertices=points, rest=soft_drape.rest, faces=faces)
+    else:
+        trimesh.Trimesh(points, faces, process=False).export(file)
+    with pytest.raises(InputError, match="it has a kink there"):
+        read_shape(file, RIG)
+
+
+@pytest.mark.skipif(not RULED.is_dir(), reason="no surfaces computed from outlines here")
+def test_surfaces_computed_from_outlines_are_refused():
+    files = sorted(RULED.glob("*.npz"))
+    assert len(files) == 60
+    for file in files:
+        with pytest.raises(InputError, match="it has a kink there"):
+            read_shape(file, RIG)
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_has_is_refused(tmp_path):

@@ -1,19 +1,13 @@
 """Several captures of one fabric."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from data.prior import load_prior
 from drapenet import joint
-from drapenet.checkpoint import header_for
 from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
 from drapenet.estimate import Estimate
-from drapenet.inference import infer_capture
-from drapenet.refine.scans import read_scan_capture
-
-SCANS = Path(__file__).parents[3] / "shared" / "scans"
 
 
 def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, str]) -> Estimate:
@@ -85,21 +79,6 @@ def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
             found[count] += bool(joint.contradictions(estimates, "ABCD"[:count]))
     for alarms in found.values():
         assert 2 <= alarms <= 25  # 10 expected, with some correlation of the four
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not SCANS.is_dir(), reason="the scans of real drapes are not here")
-def test_repeats_of_real_fabrics_do_not_contradict_each_other_and_fabrics_do() -> None:
-    def estimate(name: str) -> Estimate:
-        capture, _ = read_scan_capture(SCANS / f"{name}.npz", density=0.3, held=0.95)
-        return infer_capture(capture, header_for([capture])).estimate
-
-    def contradicted(*names: str) -> list[str]:
-        return joint.contradictions([estimate(name) for name in names], names)
-
-    assert not contradicted("fabric_1_sample_1_capture_1", "fabric_1_sample_1_capture_2",
-                            "fabric_1_sample_2_capture_1")
-    assert contradicted("fabric_1_sample_1_capture_1", "fabric_5_sample_1_capture_1")
 
 
 def test_the_prior_of_nameless_yarns_is_that_of_either_order() -> None:

@@ -13,7 +13,7 @@ from sim.scene import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from studies import hung
 from studies.curves import KINDS, true_torque
-from studies.friction import precision, raise_drape, scan_differences
+from studies.friction import precision, raise_drape
 
 THETA = np.array([*np.log([60e-6, 40e-6, 50e-6]), -2e-3, -2e-3, -2e-3])
 EXACT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=100)
@@ -76,11 +76,3 @@ def test_precision_is_the_deviation_between_starts_over_the_slope():
     found = report_of(0.02, 1.0)
     found["rigs"]["disc"]["b"]["drapes"][1][0] = None  # one that did not converge
     assert precision(found, "disc", "coefficient") == pytest.approx(50.0)
-
-
-def test_scans_are_paired_within_a_sample_and_within_a_fabric():
-    scans = {"fabric_1_sample_1_capture_1": 10.0, "fabric_1_sample_1_capture_2": 12.0,
-             "fabric_1_sample_2": 20.0, "fabric_2_sample_1": 50.0}
-    report = {"scans": {name: {"coefficient": value} for name, value in scans.items()}}
-    found = scan_differences(report, "coefficient")
-    assert found["captures"].tolist() == [2.0] and found["samples"].tolist() == [-9.0]

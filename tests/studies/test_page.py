@@ -58,15 +58,13 @@ def test_estimates_are_along_the_true_warp_for_all_orientations():
         assert found.theta[0] > found.theta[2] + 0.5
 
 
-def test_identification_uses_the_nearest_drape_of_another_sample():
-    fabric, sample = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 2, 3, 4])
-    values = [0.0, 0.1, 5.0, 9.0, 8.9]
-    found = [{name: [value] for name in DESCRIPTORS}
-             for value in values]
-    result = identification_rates(found, fabric, sample)
-    assert result["drapes"] == 4  # the third fabric has no other sample
-    assert result["shares"]["rings"] == pytest.approx(2 / 4)  # the second fabric's fail
-    assert result["chance"] == pytest.approx(1 / 4)
+def test_identification_uses_the_nearest_drape():
+    values = [0.0, 0.1, 5.0, 9.0, 8.9, 8.7]
+    found = [{name: [value] for name in DESCRIPTORS} for value in values]
+    result = identification_rates(found, np.array([0, 0, 1, 1, 2, 2]))
+    assert result["drapes"] == 6 and result["fabrics"] == 3
+    assert result["shares"]["rings"] == pytest.approx(3 / 6)  # 8.9 is nearer to 9.0 than to 8.7
+    assert result["chance"] == pytest.approx(1 / 5)
 
 
 @pytest.mark.slow
