@@ -37,7 +37,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     from drapenet.refine.scans import EDGE, register
     from drapenet.refine.surface import Cloud
 
-    plan, shape = known_drape(number, rig=DISC_RIG.name, nuisances="real", edge_mm=_TRUTH_MM,
+    plan, shape = known_drape(number, rig=DISC_RIG, nuisances="real", edge_mm=_TRUTH_MM,
                                seed=seed)
     noise = np.random.default_rng([seed, number]).normal(0, 1e-3 * noise_mm, shape.positions.shape)
     cloud = Cloud.of_mesh(shape.positions + noise, shape.faces)
@@ -57,7 +57,7 @@ def refine_scan(scan: "Registered") -> dict:
     from drapenet.refine.scans import scan_capture
     from drapenet.refine.search import CapturedScan
 
-    header, shape = read_header(bundled(DISC_RIG.name)), scan.shape
+    header, shape = read_header(bundled(DISC_RIG)), scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
     inferred = infer_capture(capture, header)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found

@@ -117,10 +117,10 @@ def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
     Args:
         density: kg/m², of the fabric.
     """
-    camera = CameraRig.load(shape.rig.name).nominal()
+    camera = CameraRig.load(shape.rig).nominal()
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
     return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, None,
-                   shape.rig.name, path, ())
+                   shape.rig, path, ())
 
 
 def flat_turn(shape: CapturedShape) -> float:

@@ -69,7 +69,7 @@ def test_a_scan_is_seen_as_a_capture(captured: CapturedShape) -> None:
     turned = flat_turn(captured)
     assert turned == pytest.approx(-0.3, abs=1e-3)
     seen = scan_capture(Path("scan.npz"), captured, 0.2)
-    assert seen.views.shape[0] == 4 and seen.density == 0.2 and seen.rig == DISC_RIG.name
+    assert seen.views.shape[0] == 4 and seen.density == 0.2 and seen.rig == DISC_RIG
     assert (seen.views > 0).mean() > 0.05
 
 
