@@ -96,8 +96,8 @@ def only_tester(root: str | Path, manifest: dict) -> Rig:
     """The tester of all drapes of a dataset; InputError if it has several."""
     sampling = manifest["config"]["sampling"]
     if sampling["random_testers"] or len(sampling["testers"]) != 1:
-        raise InputError(f"{root} has drapes of several testers; a network is trained on the drapes "
-                         "of a single tester: generate them with dataset.testers=[NAME]")
+        raise InputError(f"{root} has drapes of several testers; a network is trained on those of "
+                         "a single tester: generate them with dataset.testers=[NAME]")
     return Rig.from_name(sampling["testers"][0])
 
 

@@ -124,8 +124,9 @@ class NuisanceConfig:
         object.__setattr__(self, "hysteresis", tuple(self.hysteresis))
         least, most = self.hysteresis
         if not (0 < least <= most <= KES_CURVATURE or (least, most) == (0.0, 0.0)):
-            raise InputError(f"nuisances.hysteresis={list(self.hysteresis)}: give two numbers above "
-                             f"0 and up to {KES_CURVATURE:g} 1/m, the smaller one first, or twice 0")
+            raise InputError(f"nuisances.hysteresis={list(self.hysteresis)}: give two numbers "
+                             f"above 0 and up to {KES_CURVATURE:g} 1/m, the smaller one first, or "
+                             "twice 0")
         for name in ("curl", "curl_specimen", "size", "plate", "cut"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise InputError(f"nuisances: {name}={getattr(self, name):g} must not be negative")

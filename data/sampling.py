@@ -83,8 +83,8 @@ class SamplingConfig:
         for name in self.testers:
             named_tester(name)
         if not 0 <= self.random_testers <= 1 or not (self.testers or self.random_testers == 1):
-            raise InputError(f"random_testers={self.random_testers:g} must lie between 0 and 1, and "
-                             "be 1 without testers")
+            raise InputError(f"random_testers={self.random_testers:g} must lie between 0 and 1, "
+                             "and be 1 without testers")
         if not 1 <= self.testers_per_fabric <= self.starts_per_fabric:
             raise InputError(f"testers_per_fabric={self.testers_per_fabric} must lie between 1 and "
                              f"starts_per_fabric={self.starts_per_fabric}")

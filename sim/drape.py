@@ -9,13 +9,19 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.initial import LOWERED, borrowed_positions, check_start, initial_positions, interpolate_positions
+from sim.initial import (
+    LOWERED,
+    borrowed_positions,
+    check_start,
+    initial_positions,
+    interpolate_positions,
+)
 from sim.laws import Laws
-from sim.lowering import EDGE as LOWERING_EDGE
-from sim.lowering import lowered, with_origins
+from sim.lowering import LOWERING_MESHES, lowered, with_origins
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.mesh.specimens import (
+    GRADING,
     MAX_BORROWED_EDGE,
     MAX_COARSE_EDGE,
     TOPOLOGIES,
@@ -162,32 +168,63 @@ def drape(
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
-    longest, topology = longest_edge(rig, offset), seed % TOPOLOGIES
-    found, statuses = None, []
+    run = _Run(simulated, rig, seed, offset, options or FINE_OPTIONS)
     if start == LOWERED and borrowed is None:
-        coarse = make_specimen(rig, edge=min(max(LOWERING_EDGE, edge), longest), topology=topology,
-                               offset=offset)
-        found = lowered(scene_on(coarse, rig, soft=True), simulated, rig,
-                        laws=laws.softened(COARSE_MEMBRANE), seed=seed)
-        statuses, levels = [found.status], [edge]
+        found, statuses, laws = run.lowered(edge, laws)
     else:
-        levels = coarse_to_fine(edge, min(longest, MAX_BORROWED_EDGE if borrowed is not None
-                                          else MAX_COARSE_EDGE))
-    for level in levels:
-        last = level == edge
-        specimen = make_specimen(rig, edge=level, topology=topology, offset=offset)
-        positions = start_positions(specimen, rig, coarse=found, borrowed=borrowed, start=start,
-                                    seed=seed)
-        scene = scene_on(specimen, rig, soft=not last)
-        if found is not None:
-            laws = with_origins(laws, found, scene)
-        found = find_equilibrium(
-            scene, simulated, scene.state(positions), self_contact=last,
-            laws=laws if last else laws.softened(COARSE_MEMBRANE),
-            options=(options or FINE_OPTIONS) if last else COARSE_OPTIONS).after(found)
-        statuses.append(found.status)
+        found, statuses = run.started(edge, laws, start, borrowed)
     return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began,
-                        coarse=tuple(statuses[:-1]))
+                        coarse=tuple(statuses))
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Arguments of :func:`drape`; the fabric is that of the reference density."""
+
+    fabric: Fabric
+    rig: Rig
+    seed: int
+    offset: tuple[float, float]
+    options: NewtonOptions
+
+    def scene(self, edge: float, grading: float = GRADING, *, soft: bool = False) -> Scene:
+        """The specimen, meshed, on its rig."""
+        return scene_on(make_specimen(self.rig, edge=edge, topology=self.seed % TOPOLOGIES,
+                                      offset=self.offset, grading=grading), self.rig, soft=soft)
+
+    def lowered(self, edge: float, laws: Laws) -> tuple[Equilibrium, list[Status], Laws]:
+        """The equilibrium of lowered cloth, the status of the lowering, and the laws of cloth that
+        remembers it. Limp cloth without an equilibrium is lowered again on a finer mesh."""
+        scene = self.scene(edge)
+        for coarse, grading in LOWERING_MESHES:
+            coarse = min(max(coarse, edge), longest_edge(self.rig, self.offset))
+            before = lowered(self.scene(coarse, grading, soft=True), self.fabric, self.rig,
+                             laws=laws.softened(COARSE_MEMBRANE), seed=self.seed)
+            remembering = with_origins(laws, before, scene)
+            start = start_positions(scene, self.rig, coarse=before)
+            found = find_equilibrium(scene, self.fabric, scene.state(start), laws=remembering,
+                                     options=self.options, self_contact=True).after(before)
+            if found.converged:
+                break
+        return found, [before.status], remembering
+
+    def started(
+        self, edge: float, laws: Laws, start: str, borrowed: tuple[np.ndarray, np.ndarray] | None
+    ) -> tuple[Equilibrium, list[Status]]:
+        """The equilibrium from an initial shape, and the statuses on the coarser meshes."""
+        coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
+        found, statuses = None, []
+        for level in coarse_to_fine(edge, min(coarsest, longest_edge(self.rig, self.offset))):
+            last = level == edge
+            scene = self.scene(level, soft=not last)
+            positions = start_positions(scene, self.rig, coarse=found, borrowed=borrowed,
+                                        start=start, seed=self.seed)
+            found = find_equilibrium(
+                scene, self.fabric, scene.state(positions), self_contact=last,
+                laws=laws if last else laws.softened(COARSE_MEMBRANE),
+                options=self.options if last else COARSE_OPTIONS).after(found)
+            statuses.append(found.status)
+        return found, statuses[:-1]
 
 
 def check_arguments(
@@ -211,12 +248,12 @@ def check_arguments(
 
 
 def start_positions(
-    specimen: Specimen, rig: Rig, *, coarse: Equilibrium | None,
-    borrowed: tuple[np.ndarray, np.ndarray] | None, start: str, seed: int
+    scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None,
+    borrowed: tuple[np.ndarray, np.ndarray] | None = None, start: str = "sine", seed: int = 0
 ) -> np.ndarray:
     """Initial positions (V, 3), m, on one mesh: interpolated from the ``coarse`` drape; on the
     first mesh, from ``borrowed`` or ``start``."""
-    rest, held = specimen.mesh.rest, specimen.held
+    rest, held = scene.mesh.rest, scene.held
     if coarse is not None:
         positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.state.positions,
                                           rest)

@@ -20,11 +20,13 @@ from sim.initial import waves
 from sim.laws import Laws
 from sim.linear import make_solver
 from sim.material import Fabric
+from sim.mesh.specimens import GRADING
 from sim.newton import Status
 from sim.scene import GRAVITY, Rig, Scene
 
-EDGE = 10e-3
-"""Edge length at the rim, m, of the mesh on which cloth is lowered."""
+LOWERING_MESHES = ((10e-3, GRADING), (7e-3, 2.0))
+"""Edge length at the rim, m, and grading of the mesh on which cloth is lowered; the second where
+the first is too coarse for limp cloth."""
 SPEEDS = (0.13, 0.39)
 """Range of the ring's speed, log-uniform, in units of sqrt(g o) with the overhang o: 0.1 to 0.3 m/s
 for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""

@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from data.cameras import Camera, CameraRig
+from data.cameras import CameraRig
 from data.inspect.figures import PARAMETERS, UNITS, Drapes, draped_fabrics, in_display_units, spread
 from data.render import DepthRenderer
 from data.shards import Shard
-from sim.scene import Rig
 
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption

@@ -9,7 +9,7 @@ needs them. The stress of the plate law psi (:mod:`sim.energies.midedge`) become
 
 with F the stress of a friction that is saturated, at HB, beyond a change of curvature Y/HB:
 
-    F(C) = f(|C|/Y) P C/|C|,   |C|² = C : P : C,   f(y) = (3 y - y³)/2 for y < 1, else 1.
+    F(C) = f(|C|/Y) P C/|C|,   |C|² = C : P : C,   f(y) = (5 y - y⁵)/4 for y < 1, else 1.
 
 P is the plate form (:func:`sim.material.plate_constants`) of HB², so that a cylinder along warp,
 bias or weft has the friction of that direction. S0 is the curvature at which the friction is zero.
@@ -43,7 +43,7 @@ KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
 BUILD_UP = 0.03
 """Smallest change of curvature, relative to :data:`KES_CURVATURE`, that saturates the friction."""
-_MAX_SHARE_OF_STIFFNESS = 0.9  # of the friction in the stiffness of flat cloth
+_MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Hysteresis:
 
     Attributes:
         share: HB over the torque of the loading curve at the curvature ``at``, one number or
-            (warp, bias, weft).
+            (warp, bias, weft). Friction builds up over a change of curvature in proportion to 1/HB.
         added: whether the moduli are those of the elastic part alone, as KES's B, so that the
             friction adds to them: HB is the same share of their sum.
         curvature: natural curvature, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
@@ -135,7 +135,7 @@ class HystereticBending(CurvedBending):
         if not law.added:
             # The elastic part of flat cloth keeps a positive stiffness.
             stiffness = float((friction**2 / fabric.alpha).max())
-            self._limit = max(self._limit, 1.5 * stiffness / _MAX_SHARE_OF_STIFFNESS)
+            self._limit = max(self._limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
 
     def origin_at(self, q: np.ndarray) -> np.ndarray:
         """S0 (N, 3), 1/m, after the cloth has reached the state ``q``."""
@@ -169,15 +169,15 @@ class HystereticBending(CurvedBending):
         """Friction potential (N,), J/m², whose derivative is F."""
         y = np.sqrt(_quadratic(change, self._form)) / self._limit
         inside = np.minimum(y, 1.0)
-        return self._limit * (0.75 * inside**2 - 0.125 * inside**4 + y - inside)
+        return self._limit * (0.625 * inside**2 - inside**6 / 24 + y - inside)
 
     def _resistance(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """F (N, 3), N, and its derivatives (N, 3, 3), N·m, at changes of curvature (N, 3)."""
         y = np.sqrt(_quadratic(change, self._form)) / self._limit
         inside = y < 1.0
         pull = change @ self._form / self._limit
-        over = np.where(inside, 1.5 - 0.5 * y**2, 1 / np.maximum(y, 1.0))  # f(y)/y
-        bend = np.where(inside, -1.0, -1 / np.maximum(y, 1.0) ** 3)  # (f'(y) - f(y)/y)/y²
+        over = np.where(inside, 1.25 - 0.25 * y**4, 1 / np.maximum(y, 1.0))  # f(y)/y
+        bend = np.where(inside, -y**2, -1 / np.maximum(y, 1.0) ** 3)  # (f'(y) - f(y)/y)/y²
         dyad = pull[:, :, None] * pull[:, None, :]
         tangent = over[:, None, None] * self._form + bend[:, None, None] * dyad
         return over[:, None] * pull, tangent / self._limit

@@ -19,7 +19,7 @@ ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(VERTICES).items():
+    for name, field in fields(VERTICES, 3).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
@@ -38,7 +38,7 @@ def shard(tmp_path):
 
 def test_every_field_comes_back(shard):
     assert len(shard) == 2
-    for name in fields(VERTICES):
+    for name in fields(VERTICES, 3):
         rows = shard.column(name)
         for row, seed in enumerate((0, 1)):
             expected = random_record(seed)[name]
@@ -173,4 +173,4 @@ def test_manifest(tmp_path):
 def test_the_documentation_lists_every_field():
     text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
     documented = re.findall(r"^\| `(\w+)` \| (?:int|float|text)", text, flags=re.MULTILINE)
-    assert documented == list(fields(VERTICES))
+    assert documented == list(fields(VERTICES, 3))

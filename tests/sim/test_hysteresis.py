@@ -11,24 +11,24 @@ from sim.material import Fabric, torque
 
 TWILL = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
 ANGLES = {0: 0.0, 1: np.pi / 4, 2: np.pi / 2}
-UP = np.arange(1.0, 151.0)
-DOWN = np.arange(149.0, -1.0, -1.0)
+UP = np.arange(1.0, 251.0)  # KES-FB2 bends to 2.5 cm⁻¹
+DOWN = np.arange(249.0, -1.0, -1.0)
 
 
 def cycle(fabric: Fabric, law: Hysteresis, direction: int) -> tuple[np.ndarray, np.ndarray]:
-    """Torques, N, at 1 to 150 1/m, and at 149 to 0 1/m on the way back."""
+    """Torques, N, at 1 to 250 1/m, and at 249 to 0 1/m on the way back."""
     torques = pure_bending(fabric, law, [*UP, *DOWN], angle=ANGLES[direction])
     return torques[: len(UP)], torques[len(UP):]
 
 
 @pytest.mark.parametrize("direction", ANGLES)
-@pytest.mark.parametrize("share", [0.08, 0.2, (0.3, 0.2, 0.15)])
-def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share, direction: int) -> None:
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.37])
+def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share: float, direction: int) -> None:
     law = Hysteresis(share)
     loading, unloading = cycle(TWILL, law, direction)
     stated = torque(UP, TWILL.alpha[direction], TWILL.beta[direction])
     assert np.allclose(loading, stated, rtol=1e-2)
-    friction = np.broadcast_to(share, 3)[direction] * stated[UP == KES_CURVATURE][0]
+    friction = share * stated[UP == KES_CURVATURE][0]
     assert law.friction(TWILL)[direction] == pytest.approx(friction, rel=1e-2)
     # Beyond the build-up of the way back, the difference is 2HB; it is read at 1 cm⁻¹.
     saturated = np.searchsorted(-DOWN, -KES_CURVATURE)
@@ -49,7 +49,7 @@ def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction: int) -> N
     gap = loading[UP == KES_CURVATURE][0] - unloading[at]
     assert gap == pytest.approx(two_hb[direction], rel=1e-2)
     # B kappa - HB = 0
-    residual = brentq(lambda k: np.interp(k, DOWN[::-1], unloading[::-1]), 1.0, 140.0)
+    residual = brentq(lambda k: np.interp(k, DOWN[::-1], unloading[::-1]), 1.0, 200.0)
     assert residual == pytest.approx(two_hb[direction] / 2 / b[direction], rel=1e-2)
 
 
@@ -58,7 +58,7 @@ def test_a_closed_cycle_loses_energy_and_a_reversal_inside_the_build_up_does_not
     path = np.concatenate([UP, DOWN, UP])
     torques = pure_bending(TWILL, law, path)
     loop = slice(len(UP) - 1, None)
-    assert np.trapezoid(torques[loop], path[loop]) > 0.5 * 150 * law.friction(TWILL)[0]
+    assert np.trapezoid(torques[loop], path[loop]) > 0.5 * 250 * law.friction(TWILL)[0]
     small = 0.1 * BUILD_UP * KES_CURVATURE
     first, _, again = pure_bending(TWILL, law, [80.0, 80.0 - small, 80.0])
     assert again == pytest.approx(first, rel=1e-6)
