@@ -50,6 +50,21 @@ def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarra
     return LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
 
 
+def shadow_radius(
+    positions: np.ndarray, mesh: Mesh, *, height: float = np.inf, points: int = 360
+) -> np.ndarray:
+    """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
+    the plane of the plate, at equally spaced azimuths from the warp axis.
+
+    Args:
+        positions: (V, 3) m, of ``mesh``.
+        height: of a camera on the axis above the plate, m; infinite: parallel light.
+    """
+    hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
+    seen = positions[:, :2] / (1 - positions[:, 2:] / height)
+    return _farthest(seen[hem], points)
+
+
 def fold_angles(outline: np.ndarray) -> np.ndarray:
     """Angles (n,) of the folds on the material circle, radians, ascending. A fold is a peak of the
     distance from the axis along ``outline`` (:func:`fold_outline`), at least 3 mm high."""
@@ -128,6 +143,24 @@ def _largest(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.nda
         left, right = np.where(up, right, new), np.where(up, new, left)
         at_left, at_right = np.where(up, at_right, at_new), np.where(up, at_new, at_left)
     return np.maximum(best, np.maximum(at_left, at_right))
+
+
+@numba.njit(cache=True)
+def _farthest(segments, points):
+    """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
+    radius, step = np.zeros(points), 2 * np.pi / points
+    for t in range(len(segments)):
+        (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
+        turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+        begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
+        first = int(np.ceil(begin / step))
+        for k in range(first, int(np.floor((begin + abs(turn)) / step)) + 1):
+            c, s = np.cos(k * step), np.sin(k * step)
+            across = c * (by - ay) - s * (bx - ax)
+            if across != 0.0:
+                distance = (ax * (by - ay) - ay * (bx - ax)) / across
+                radius[k % points] = max(radius[k % points], distance)
+    return radius
 
 
 @numba.njit(cache=True)
