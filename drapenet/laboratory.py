@@ -5,7 +5,7 @@ has a reading below its alpha. Both tests are therefore simulated with the law o
 sample, which gives intervals of the readings.
 
 Units: bending length mm; flexural rigidity G = rho g c³ in µN·m (FAST-2) and mg·cm (older
-editions of ASTM D1388); KES-FB2's B in gf·cm²/cm. Constants of the standards' editions:
+editions of ASTM D1388); KES-FB2's B in gf·cm²/cm and 2HB in gf·cm/cm. Constants of the standards' editions:
 ``docs/notation.md``.
 """
 
@@ -25,6 +25,7 @@ KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 MG_CM = 1e-6 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 mg·cm
 GF_CM = 1e-3 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 gf·cm²/cm
+GF_CM_PER_CM = 1e-3 * STANDARD_GRAVITY  # N, of 1 gf·cm/cm
 MAX_OUTSIDE_SHARE = 0.5  # of samples; beyond, B is not given
 _SOFTENING = np.sinh(np.linspace(np.arcsinh(-4.0), np.arcsinh(10.0), 240))
 _STEPS, _POINTS = 100, 11  # of the strips' integration: error below 1e-6
@@ -55,6 +56,13 @@ def kes_bending(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     return (high - low) / (KES_CURVATURES[1] - KES_CURVATURES[0])
 
 
+def kes_hysteresis(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """2HB of KES-FB2, N: twice the torque at zero curvature of the secant of :func:`kes_bending`,
+    because KES's loading curve is B kappa + HB. Arguments as there."""
+    low = torque(np.asarray(KES_CURVATURES[0]), alpha, beta)
+    return 2 * (low - KES_CURVATURES[0] * kes_bending(alpha, beta))
+
+
 def outside_law(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Whether the torque alpha kappa + beta kappa² has its peak within KES's range, beyond which
     the moduli do not determine the reading. ``alpha``, N·m, and ``beta``, N·m², of the same shape.
@@ -66,14 +74,15 @@ def laboratory(estimate: Estimate) -> dict[str, dict[str, Any]]:
     """Medians and intervals of the testers' readings for an estimate, by direction."""
     alpha, beta = estimate.moduli(estimate.density)
     length = bending_length(alpha, beta, estimate.density)
-    rigidity, kes = flexural_rigidity(length, estimate.density), kes_bending(alpha, beta)
+    rigidity = flexural_rigidity(length, estimate.density)
+    kes, two_hb = kes_bending(alpha, beta) / GF_CM, kes_hysteresis(alpha, beta) / GF_CM_PER_CM
     outside = outside_law(alpha, beta).mean(axis=0)
     return {name: {
         "bending_length_mm": summary(1e3 * length[:, k]),
         "flexural_rigidity_uN_m": summary(rigidity[:, k] / MICRO),
         "flexural_rigidity_mg_cm": summary(rigidity[:, k] / MG_CM),
-        "kes_b_gf_cm2_per_cm": (None if outside[k] > MAX_OUTSIDE_SHARE
-                                else summary(kes[:, k] / GF_CM)),
+        **{key: None if outside[k] > MAX_OUTSIDE_SHARE else summary(reading[:, k])
+           for key, reading in (("kes_b_gf_cm2_per_cm", kes), ("kes_2hb_gf_cm_per_cm", two_hb))},
         "kes_b_outside_law_probability": round(float(outside[k]), 3),
     } for k, name in enumerate(estimate.names)}
 

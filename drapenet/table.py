@@ -78,14 +78,16 @@ def format_table(content: dict[str, Any]) -> str:
         lines.append(f"misfit {'-' if first is None else format(first, '.0f')} before, "
                      f"{refined['misfit']:.0f} after {refined['simulations']} simulations "
                      f"({refined['status']})")
-    lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}")
+    lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
     for name, readings in content["laboratory"].items():
-        length, rigidity, kes = (readings[key] for key in (
-            "bending_length_mm", "flexural_rigidity_uN_m", "kes_b_gf_cm2_per_cm"))
+        length, rigidity, kes, two_hb = (readings[key] for key in (
+            "bending_length_mm", "flexural_rigidity_uN_m", "kes_b_gf_cm2_per_cm",
+            "kes_2hb_gf_cm_per_cm"))
         lines.append(f"{name:8}{with_interval(length)[0] + ' mm':>14}"
                      f"{with_interval(rigidity)[0] + ' µN·m':>14}"
                      + ("  outside the law" if kes is None else
-                        f"{with_interval(kes)[0] + ' gf·cm²/cm':>18}"))
+                        f"{with_interval(kes)[0] + ' gf·cm²/cm':>18}"
+                        f"{with_interval(two_hb)[0] + ' gf·cm/cm':>18}"))
     name, axis = next((key[:-5], value) for key, value in content.items() if key.endswith("_axis"))
     lines.append(f"{name} axis {axis['direction_deg']:.0f}° in the first view (probability "
                  f"{axis['probability']:.2f})")

@@ -11,6 +11,7 @@ from drapenet.laboratory import (
     bending_length,
     flexural_rigidity,
     kes_bending,
+    kes_hysteresis,
     outside_law,
 )
 from sim.cantilever import hang
@@ -74,3 +75,5 @@ def test_kes_is_the_secant_and_knows_where_the_law_ends():
     # alpha + 200/m beta by hand: 100, 80 µN·m; at beta/alpha = -5 mm the torque peaks at 100/m.
     assert found[:2] / MICRO == pytest.approx([100.0, 80.0], rel=1e-9)
     assert outside_law(alpha, beta).tolist() == [False, False, True]
+    # Secants of the parabola alpha kappa + beta kappa² through 50 and 150 1/m: -beta 50 150 at 0
+    assert kes_hysteresis(alpha, beta)[:2] == pytest.approx([0.0, 2 * 100e-9 * 7500], abs=1e-12)
