@@ -5,8 +5,8 @@ has a reading below its alpha. Both tests are therefore simulated with the law o
 sample, which gives intervals of the readings.
 
 Units: bending length mm; flexural rigidity G = rho g c³ in µN·m (FAST-2) and mg·cm (older
-editions of ASTM D1388); KES-FB2's B in gf·cm²/cm and 2HB in gf·cm/cm. Constants of the standards' editions:
-``docs/notation.md``.
+editions of ASTM D1388); KES-FB2's B in gf·cm²/cm and 2HB in gf·cm/cm. Constants of the standards'
+editions: ``docs/notation.md``.
 """
 
 from functools import cache
