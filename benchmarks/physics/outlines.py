@@ -1,8 +1,10 @@
 """Outlines of real Cusick drapes, seen from above, against simulated ones.
 
 For each real fabric and face, the isotropic fabric is found whose lowered drapes have the same mean
-drape coefficient, without natural curvature, and with that which the two faces tell. Compared are
-the number of folds, the standard deviation of the outline's radius, and its spectrum. How the
+drape coefficient, without natural curvature, and with that which the two faces tell. Such cloth, exactly
+centred, has regular outlines. The same is therefore done with *specimens* of isotropic fabrics,
+off-centre and with the nuisances of datasets, and with those of *fabrics* of the prior, scaled to a
+mean alpha. Compared are the number of folds, the standard deviation of the outline's radius, and its spectrum. How the
 pictures were taken is not documented: both parallel light and a camera above the plate are tried.
 """
 
@@ -16,9 +18,13 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from benchmarks.common import Config, Result, load_arrays, run_cases, table
+from common.command import compose_config
 from common.errors import InputError
 from data.arrays import read_arrays
-from sim.drape import drape
+from data.fabrics import fabric_from_theta
+from data.options import Options, config_from_options
+from data.sampling import plan_drape
+from sim.drape import DrapeResult, drape
 from sim.energies.hysteresis import Hysteresis
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
@@ -33,18 +39,25 @@ MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 CALIBRATION = (1, 4, 6, 11, 21)
 """Fabrics with which the speeds of lowering were chosen; the other four test them."""
 READINGS = ("parallel", "camera")
+SPECIMENS = "specimens"
+VARIED = (SPECIMENS, "fabrics")
 
 
 def drape_case(
     *, alpha: float, curl: float, ratio_mm: float, hysteresis: float, edge_mm: float, seeds: int,
     start: str, camera_mm: float
 ) -> dict[str, Any]:
-    """Outlines (seeds, POINTS), m, of drapes of a fabric in both readings of the pictures."""
-    alphas = np.full(3, alpha * MICRO)
+    """Outlines (seeds, POINTS), m, of drapes of a fabric in both readings of the pictures;
+    ``start`` in :data:`VARIED`: lowered, of specimens with nuisances."""
+    alphas, edge = np.full(3, alpha * MICRO), 1e-3 * edge_mm
     fabric = Fabric(alphas, 1e-3 * ratio_mm * alphas)
-    laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
-    shapes = [drape(fabric, rig=DISC_RIG, edge=1e-3 * edge_mm, start=start, seed=seed, laws=laws)
-              for seed in range(seeds)]
+    if start in VARIED:
+        known = fabric if start == SPECIMENS else None
+        shapes = [_specimen(alpha * MICRO, known, seed, edge) for seed in range(seeds)]
+    else:
+        laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
+        shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
+                  for seed in range(seeds)]
     shapes = [shape for shape in shapes if shape.converged]
     heights = dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True))
     radii = {name: [shadow_radius(shape.positions, Mesh(shape.rest, shape.faces), height=height,
@@ -52,6 +65,18 @@ def drape_case(
              for name, height in heights.items()}
     return {"failed": seeds - len(shapes),
             "arrays": {name: np.reshape(each, (-1, POINTS)) for name, each in radii.items()}}
+
+
+def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> DrapeResult:
+    """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
+    ``alpha``, N·m."""
+    words = [f"dataset.testers=[{DISC_RIG.name}]", "dataset.soft_share=0"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    plan = plan_drape(seed, config=config.sampling, prior=config.prior)
+    theta = plan.theta.copy()
+    theta[:3] += np.log(alpha) - theta[:3].mean()
+    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge, seed=seed,
+                 offset=tuple(plan.offset), laws=plan.nuisances.laws)
 
 
 def features(radii: np.ndarray) -> np.ndarray:
@@ -156,8 +181,12 @@ def run(config: Config) -> Result:
     alphas, curls = config["alphas"], config["curls"]
     cases = {f"{start}_{alpha:g}_{curl:g}": settings | {"alpha": alpha, "curl": curl,
                                                         "start": start}
-             for start, each in (("lowered", curls), ("ring", [0.0]))
+             for start, each in (("lowered", curls), ("ring", [0.0]),
+                                *((name, [0.0]) for name in VARIED))
              for alpha in alphas for curl in each}
+    for name in cases:
+        if cases[name]["start"] in VARIED:
+            cases[name] |= {"seeds": config["specimens"]}
     folder = Path(config["cases"])
     results = run_cases(drape_case, cases, folder=folder, workers=config["workers"])
     means = {(name, reading): features(load_arrays(folder, name)[reading]).mean(axis=0)
@@ -166,12 +195,14 @@ def run(config: Config) -> Result:
     for reading in READINGS:
         lowered = Simulated(alphas, curls, np.array(
             [[means[f"lowered_{a:g}_{c:g}", reading] for c in curls] for a in alphas]))
-        ring = Simulated(alphas, [-1e3, 1e3], np.array(
-            [[means[f"ring_{a:g}_0", reading]] * 2 for a in alphas]))
+        others = {start: Simulated(alphas, [-1e3, 1e3], np.array(
+            [[means[f"{start}_{a:g}_0", reading]] * 2 for a in alphas]))
+            for start in ("ring", *VARIED)}
         report[reading] = {name: compare(fabrics, up, real, by, curled=curled)
                            for name, by, curled in (("flat", lowered, False),
                                                     ("curled", lowered, True),
-                                                    ("ring", ring, False))}
+                                                    *((start, by, False)
+                                                      for start, by in others.items()))}
     report["summary"] = summary = {
         reading: {name: {part: summarise([row for row in rows if part == "all"
                                           or (row["fabric"] in CALIBRATION)
@@ -191,10 +222,13 @@ def _print(summary: dict[str, Any]) -> None:
         for reading, starts in summary.items() for name, parts in starts.items()
         for part, one in parts.items()]))
     best = min(READINGS, key=lambda reading: summary[reading]["flat"]["all"]["spectrum"])
-    lowered, ring = (summary[best][name]["all"] for name in ("flat", "ring"))
+    lowered, ring, varied, fabrics = (summary[best][name]["all"]
+                                      for name in ("flat", "ring", *VARIED))
     print(f"folds at equal drape coefficient: real {lowered['folds_real']:.2f}, simulated "
           f"{lowered['folds']:.2f}, ring start {ring['folds']:.2f}; outline spectra differ by "
-          f"{lowered['spectrum']:.2f} standard deviations ({best})")
+          f"{lowered['spectrum']:.2f} standard deviations ({best})\nthe same with specimens' "
+          f"nuisances: {varied['folds']:.2f}, {varied['spectrum']:.2f}; with fabrics of the prior: "
+          f"{fabrics['folds']:.2f}, {fabrics['spectrum']:.2f}")
 
 
 def _figure(
