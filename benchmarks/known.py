@@ -29,7 +29,8 @@ CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0,
 
 def plan_specimen(number: int, *, rig: Rig, nuisances: str, seed: int) -> DrapePlan:
     """Draw a fabric from the prior, without the extra soft fabrics of training, and a specimen."""
-    words = [f"nuisances={nuisances}", f"rig={rig.name}", f"seed={seed}", "dataset.soft_share=0"]
+    words = [f"nuisances={nuisances}", f"dataset.testers=[{rig.name}]", f"seed={seed}",
+             "dataset.soft_share=0"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     return plan_drape(number, config=config.sampling, prior=config.prior)
 
@@ -66,18 +67,15 @@ def known_drape(
     return plan, drape_plan(plan, rig=rig, edge=1e-3 * edge_mm)
 
 
-def estimate_views(
-    views: np.ndarray, intrinsics: Intrinsics, header: Header, *, friction: float | None = None
-) -> "Estimate":
+def estimate_views(views: np.ndarray, intrinsics: Intrinsics, header: Header) -> "Estimate":
     """Estimate of the network of ``header`` from a capture, as by ``infer.py``, at 300 g/m².
 
     Args:
         views: (K, H, W) z-depth, m, background 0; the table turns by 360°/K between views.
         intrinsics: of the views.
-        friction: N·m per metre, if known.
     """
     from drapenet.inference import infer_capture
 
     capture = Capture(views, intrinsics, whole_turns(len(views)), REFERENCE_DENSITY, None,
                       header.rig, Path(), ())
-    return infer_capture(capture, header, friction=friction).estimate
+    return infer_capture(capture, header).estimate

@@ -24,7 +24,6 @@ from drapenet.maps import Maps, make_maps
 from drapenet.network import Batch, MapNet
 from drapenet.targets import MODULI, Symmetry, TargetScale, targets_of
 from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter

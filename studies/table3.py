@@ -10,13 +10,12 @@ from benchmarks.comparison import compare
 from benchmarks.physics.testers import LENGTHS, add_noise
 from common.errors import InputError
 from data.fabrics import fabric_from_theta
-from data.nuisances import Nuisances
-from data.setups import SyntheticCapture
+from data.nuisances import Nuisances, hysteresis_share
 from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
-from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
 from sim.scene import HUNG_SQUARE
 from sim.sensitivity import follow
 from studies.captured import (
@@ -32,14 +31,12 @@ from studies.captured import (
 )
 from studies.study import Report, Study, run_fabrics
 
-TABLE, NETWORK, KNOWN_FRICTION = "strips, table", "network", "network, friction known"
-REFINED, REFINED_FRICTION = "refined", "refined, with its friction"
-PRIOR, TRUE_MODULI = "mean of the prior", "true moduli, no friction"
+TABLE, NETWORK, REFINED = "strips, table", "network", "refined"
+PRIOR, TRUE_MODULI = "mean of the prior", "true moduli, no hysteresis"
 OTHER_DRAPE = "another drape of the fabric"
-METHODS = ("strips, regression", TABLE, NETWORK, KNOWN_FRICTION, REFINED, REFINED_FRICTION, PRIOR,
-           TRUE_MODULI, OTHER_DRAPE)
+METHODS = ("strips, regression", TABLE, NETWORK, REFINED, PRIOR, TRUE_MODULI, OTHER_DRAPE)
 GROUPS = ("without", "with")
-"""Groups of fabrics without and with friction, at even and odd numbers."""
+"""Groups of fabrics without and with hysteresis, at even and odd numbers."""
 SHAPES = {"drape": "cylinder", "hung": "hung"}
 Difference = list[float] | None
 """Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
@@ -67,14 +64,16 @@ def estimate_strips(
 
 
 def case(
-    *, number: int, friction_un: float, edge_mm: float, hung_mm: float, noise_mm: float,
+    *, number: int, hysteresis_per_m: float, edge_mm: float, hung_mm: float, noise_mm: float,
     cells: int, refined: bool, seed: int
 ) -> dict[str, Any]:
     """Errors of log alpha and differences of drapes of one fabric by method; fabrics of odd numbers
-    have friction. "failed" has the reason if the drape did not converge.
+    have hysteresis. "failed" has the reason if the drape did not converge.
     """
-    edge, friction = 1e-3 * edge_mm, MICRO * friction_un * (number % 2)
-    plan, cloth = specimen(number, seed=seed), Nuisances(friction=friction)
+    from drapenet.inference import estimate_capture
+
+    edge, share = 1e-3 * edge_mm, hysteresis_share(hysteresis_per_m * (number % 2))
+    plan, cloth = specimen(number, seed=seed), Nuisances(hysteresis=share)
     fabric = fabric_from_theta(plan.theta)
     try:  # finer than the drapes of the estimates
         shape = drape_specimen(plan, edge=0.5 * edge, nuisances=cloth)
@@ -83,55 +82,29 @@ def case(
     captured = capture_drape(shape, ideal_setups(), np.random.default_rng([seed, number]))
     strips = estimate_strips(fabric, laws=cloth.laws, noise=1e-3 * noise_mm, cells=cells,
                        seed=seed + number)
-    found = {name: (one, 0.0) for name, one in strips.items()} | _estimate_from_views(
-        captured, friction=friction, refine=refined)
-    found[PRIOR] = fabric_from_theta(header().scale.mean[:6]), 0.0
-    if friction:
-        found[TRUE_MODULI] = fabric, 0.0
-    result: dict[str, Any] = {"group": GROUPS[number % 2], "ways": {}}
+    reading = infer(captured)
+    found = strips | {NETWORK: fabric_from_theta(reading.theta),
+                      PRIOR: fabric_from_theta(header().scale.mean[:6])}
     if refined:
-        result["friction_un"] = found[REFINED_FRICTION][1] / MICRO
+        one = estimate_capture(reading.capture, header(), refine=True, drapes=0).estimate
+        found[REFINED] = fabric_from_theta(along_warp(one, captured.orientation).mean(axis=0))
+    if share:
+        found[TRUE_MODULI] = fabric
+    result: dict[str, Any] = {"group": GROUPS[number % 2], "ways": {}}
     # Start and folds differ from those of the captured drape.
-    start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}
+    start = {"edge": edge, "seed": plan.seed + 1}
     true = drape(fabric, laws=cloth.laws, **start)
     hung = drape(fabric, laws=cloth.laws, rig=HUNG_SQUARE, edge=1e-3 * hung_mm)
-    for name, (one, assumed) in found.items():
-        laws = Nuisances(friction=assumed).laws
+    for name, one in found.items():
         error = np.log(one.at_density(REFERENCE_DENSITY).alpha / fabric.alpha) / spread()[:3]
         result["ways"][name] = {"error": error.tolist(),
-                                "drape": _difference(true, drape(one, laws=laws, **start)),
-                                "hung": _difference(hung, follow(hung, one, laws=laws))}
+                                "drape": _difference(true, drape(one, **start)),
+                                "hung": _difference(hung, follow(hung, one, laws=Laws()))}
     other_drape = drape(fabric, laws=cloth.laws, **start | {"seed": plan.seed + 2})
     other_hung = drape(fabric, laws=cloth.laws, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
     result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, align="turn"),
                              "hung": _difference(hung, other_hung)}
     return result
-
-
-def _estimate_from_views(
-    captured: SyntheticCapture, *, friction: float, refine: bool
-) -> dict[str, tuple[Fabric, float]]:
-    """Fabrics estimated from depth views by method, with the friction of their simulation.
-
-    The true ``friction``, N·m per metre, is an input of :data:`KNOWN_FRICTION` only.
-    """
-    reading, known = infer(captured), infer(captured, friction=friction)
-    found = {NETWORK: (fabric_from_theta(reading.theta), 0.0),
-             KNOWN_FRICTION: (fabric_from_theta(known.theta), friction)}
-    if refine:
-        from drapenet.inference import estimate_capture
-
-        refined = estimate_capture(reading.capture, header(), refine=True, drapes=0)
-        theta = along_warp(refined.estimate, captured.orientation).mean(axis=0)
-        found[REFINED] = fabric_from_theta(theta), 0.0
-        found[REFINED_FRICTION] = fabric_from_theta(theta), _friction(refined.content)
-    return found
-
-
-def _friction(content: dict[str, Any]) -> float:
-    """Friction, N·m per metre, estimated by refinement, from a content of ``estimate.json``."""
-    specimen = content.get("refined", {}).get("specimen", {})
-    return MICRO * max(specimen.get("friction_un", {}).get("median", 0.0), 0.0)
 
 
 def _difference(reference: DrapeResult, other: DrapeResult, *, align: str = "none") -> Difference:
@@ -176,26 +149,23 @@ def _median(report: Report, where: str, method: str) -> str:
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     parts = ["Displacements are medians with 95 % intervals."]
-    friction = f"{report['settings']['friction_un']:g} µN·m per metre"
-    for group, name in zip(GROUPS, ("Without bending friction", f"With {friction}"), strict=True):
+    names = ("Without hysteresis", f"With {_hysteresis(report)}")
+    for group, name in zip(GROUPS, names, strict=True):
         by = {method: _median(report, f"{group} drape", method) for method in METHODS}
         parts.append(f"{name}, on the cylinder: network {by[NETWORK]}, refined {by[REFINED]}, "
                      f"strips by table {by[TABLE]}, mean of the prior {by[PRIOR]}; another drape "
                      f"of the true fabric {by[OTHER_DRAPE]}.")
-    found = [np.median(values) for group in GROUPS
-             if (values := [one["friction_un"] for one in report["fabrics"].values()
-                            if one["group"] == group and "friction_un" in one])]
-    if len(found) == len(GROUPS):
-        parts.append(f"There, the true moduli without friction give {by[TRUE_MODULI]}, the refined "
-                     f"estimate with its estimated friction {by[REFINED_FRICTION]} (median "
-                     f"{found[1]:.0f} µN·m per metre; {found[0]:.0f} where there is none).")
+    parts.append(f"There, the true moduli without hysteresis give {by[TRUE_MODULI]}.")
     return " ".join(parts)
+
+
+def _hysteresis(report: Report) -> str:
+    return f"HB/B of {report['settings']['hysteresis_per_m']:g} 1/m"
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """Table of methods with median errors and displacements."""
-    friction = f"{report['settings']['friction_un']:g} µN·m/m"
-    groups = dict(zip(GROUPS, ("no friction", friction), strict=True))
+    groups = dict(zip(GROUPS, ("no hysteresis", _hysteresis(report)), strict=True))
     head = ["moduli from"]
     for name in groups.values():
         head += [f"{name}: fabrics, error of log α",
@@ -225,9 +195,8 @@ def _cell(report: Report, where: str, method: str) -> str:
 
 def draw(report: Report) -> Figure:
     """Plot displacements of all fabrics by method."""
-    friction = f"friction {report['settings']['friction_un']:g} µN·m/m"
     panels = {f"{group} {shape}": f"{title}, {name}"
-              for group, name in (("without", "no friction"), ("with", friction))
+              for group, name in zip(GROUPS, ("no hysteresis", _hysteresis(report)), strict=True)
               for shape, title in SHAPES.items()}
     figure = Figure(figsize=(10, 1.0 + 1.3 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels) // 2, 2, sharey=True, sharex=True, squeeze=False)
@@ -255,12 +224,13 @@ STUDY = Study(
     "with the cantilever; not comparable, because here all specimens are simulated.",
     "Percentages are mean differences of the mean curvature, relative to the true drape's mean "
     "|H| (`benchmarks/comparison.py`); flat cloth has 100 %. The paper does not define its "
-    "percentage. Simulated specimens vary in moduli and friction "
-    "only; the groups with and without friction have different fabrics. On the cylinder a small "
-    "change of the moduli may change the folds, which causes the displacements of several "
-    "millimetres; hung cloth starts from the true shape, so that its folds are the same. In the "
-    "last row both drapes have different starts.",
+    "percentage. Simulated specimens vary in moduli and hysteresis "
+    "only; the groups with and without hysteresis have different fabrics. On the cylinder all are "
+    "lowered alike; a small change of the moduli may change the folds, which causes the "
+    "displacements of several millimetres. Hung cloth starts from the true shape, so that its "
+    "folds are the same. Strips and hung cloth are not unloaded, so that hysteresis does not act. "
+    "In the last row both drapes have different starts.",
     "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and evaluated without the "
     "simulated correction. Network and refinement use four depth views without faults. The "
-    "density is known. Membrane, shear, curl and friction are unknown except where a row says "
-    "so, and estimates are simulated without friction except in those rows.")
+    "density is known. Membrane, shear, curl and hysteresis are unknown, and estimates are "
+    "simulated without hysteresis.")

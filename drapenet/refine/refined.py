@@ -32,7 +32,7 @@ from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, sea
 from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.resimulate import Resimulation, beside, turned
 from sim.drape import DrapeResult
-from sim.material import MICRO, REFERENCE_DENSITY
+from sim.material import REFERENCE_DENSITY
 
 MAX_REDUCED_CHI2 = 10.0
 """Beyond this, no simulated cloth fits the captured surface; correct captures have 0.8 to 2.5."""

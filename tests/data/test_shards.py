@@ -122,7 +122,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 6, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 7, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -138,9 +138,9 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
     content = (tmp_path / "new.h5").read_bytes()
-    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 6", b"schema 5", 1))
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 7", b"schema 6", 1))
     for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
-                            ("old.h5", "not a shard of schema version 6")):
+                            ("old.h5", "not a shard of schema version 7")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 
@@ -150,7 +150,8 @@ def test_manifest(tmp_path):
     begun = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
              "config": {"sampling": {}}}
     finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"},
-                        "config": {"rig": {"name": "disc"}, "prior": {}}}
+                        "config": {"sampling": {"testers": ["disc300_support180"],
+                                                "random_testers": 0.0}, "prior": {}}}
     for content in (begun, finished):
         write_manifest(tmp_path, content)
         assert read_manifest(tmp_path) == content
@@ -158,11 +159,11 @@ def test_manifest(tmp_path):
         ("drapes", "10"), ("config", []), ("identity", None), ("complete", 0))]
     damaged += [{"schema_version": SCHEMA_VERSION}, begun | {"complete": True},
                 finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]},
-                finished | {"config": {"rig": "disc", "prior": {}}},
-                finished | {"config": {"rig": {"name": "disc"}}}]
+                finished | {"config": {"sampling": {"testers": "disc"}, "prior": {}}},
+                finished | {"config": {"sampling": finished["config"]["sampling"]}}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (5, 7)}
+    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (6, 8)}
     for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError, match=complaint) as refusal:

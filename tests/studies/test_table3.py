@@ -5,12 +5,12 @@ from studies.table3 import NETWORK, OTHER_DRAPE
 
 
 def _report():
-    """Report of fabrics without and with friction, one drape and one case without convergence."""
+    """Report of fabrics without and with hysteresis, one drape and one case without convergence."""
     def ways(*drapes):
         return {NETWORK: {"error": [0.3, 0.0, 0.0], "drape": drapes[0], "hung": [1.0, 9.0]},
                 OTHER_DRAPE: {"drape": drapes[1], "hung": None}}
 
-    return {"settings": {"friction_un": 100.0}, "fabrics": {
+    return {"settings": {"hysteresis_per_m": 20.0}, "fabrics": {
         "fabric_00": {"group": "without", "ways": ways([1.0, 10.0], [4.0, 20.0])},
         "fabric_01": {"group": "with", "ways": ways([7.0, 70.0], [8.0, 80.0])},
         "fabric_02": {"group": "without", "ways": ways(None, [6.0, 40.0])},
