@@ -11,6 +11,7 @@ import pytest
 from common.errors import InputError
 from data.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from data.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
+from sim.scene import Rig
 
 VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
@@ -19,14 +20,15 @@ ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(VERTICES, 3).items():
+    triangles = 60 + 10 * seed
+    for name, field in fields(VERTICES, triangles).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
             record[name] = rng.normal(size=field.shape)
         else:
             record[name] = rng.integers(0, 100, field.shape)
-    faces = rng.integers(0, VERTICES, (60 + 10 * seed, 3))
+    faces = rng.integers(1, VERTICES, (triangles, 3))
     return record | {"vertices": VERTICES, "mesh": seed, "faces": faces}
 
 
@@ -44,6 +46,8 @@ def test_every_field_comes_back(shard):
             expected = random_record(seed)[name]
             if isinstance(expected, bytes):
                 assert rows[row] == expected.decode()
+            elif name == "origin":  # padded
+                np.testing.assert_array_equal(rows[row][: len(expected)], expected)
             else:
                 np.testing.assert_array_equal(rows[row], expected)
 
@@ -71,12 +75,26 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
     np.testing.assert_array_equal(back[2], record["faces"])
 
 
+def test_tester_and_origins_of_a_drape_come_back(tmp_path):
+    records = [random_record(0), random_record(1)]
+    for record, rig in zip(records, (Rig(0.254, 0.127, "disc"), Rig()), strict=True):
+        record |= {"specimen": rig.specimen.encode(), "specimen_size": rig.specimen_size,
+                   "plate_diameter": rig.plate_diameter, "face": -1}
+    write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
+    shard = Shard(tmp_path / "s.h5")
+    assert shard.rig(0).name == "disc254_support127" and shard.rig(1) == Rig()
+    assert shard.column("face").tolist() == [-1, -1]
+    for row, record in enumerate(records):  # of as many triangles as the drape has
+        np.testing.assert_allclose(shard.origin(row), 0.1 * record["origin"])
+
+
 def test_each_triangulation_is_stored_once(tmp_path):
     records = [random_record(seed) for seed in (0, 1, 0)]
     small = {"vertices": 7, "positions": records[0]["positions"][:7],
-             "rest": records[0]["rest"][:7], "faces": np.array([[0, 1, 2]])}
+             "rest": records[0]["rest"][:7], "faces": np.array([[0, 1, 2]]),
+             "origin": records[0]["origin"][:1]}
     lost = {"vertices": 0, "positions": np.zeros((0, 3)), "rest": np.zeros((0, 2)),
-            "faces": np.zeros((0, 3))}
+            "faces": np.zeros((0, 3)), "origin": np.zeros((0, 3))}
     records += [records[0] | small, records[0] | lost]
     write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
     shard = Shard(tmp_path / "s.h5")
