@@ -9,7 +9,7 @@ DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PACKAGES := apps benchmarks common configs data drapenet examples sim studies tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset train evaluate bench-sim bench bench-gpu docs studies example validate matrix clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset dataset-testers train evaluate bench-sim bench bench-gpu docs studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -73,7 +73,10 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
 	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
 	$(BIN)/python -m data.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
-	  rig=disc300_support180 'dataset.starts=[ring,sine,ring,fold]'
+	  'dataset.testers=[disc300_support180]'
+
+dataset-testers: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
+	$(BIN)/python -m data.generate dataset=testers drapes=20000 seed=39 edge_mm=4 out=$(DATASET)/testers
 
 train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET)/square300_cylinder100 out=outputs/train/square300_cylinder100 \

@@ -1,26 +1,14 @@
 """Fabrics with known moduli: drawn from the prior, draped, captured and estimated."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-
 from common.command import compose_config
 from common.errors import InputError
-from data.cameras import Intrinsics
-from data.captures import Capture, whole_turns
 from data.fabrics import fabric_from_theta
 from data.nuisances import Nuisances
 from data.options import Options, config_from_options
 from data.sampling import DrapePlan, plan_drape
-from drapenet.checkpoint import Header
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
-from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
-
-if TYPE_CHECKING:
-    from drapenet.estimate import Estimate
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
@@ -29,7 +17,8 @@ CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0,
 
 def plan_specimen(number: int, *, rig: Rig, nuisances: str, seed: int) -> DrapePlan:
     """Draw a fabric from the prior, without the extra soft fabrics of training, and a specimen."""
-    words = [f"nuisances={nuisances}", f"rig={rig.name}", f"seed={seed}", "dataset.soft_share=0"]
+    words = [f"nuisances={nuisances}", f"dataset.testers=[{rig.name}]", f"seed={seed}",
+             "dataset.soft_share=0"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     return plan_drape(number, config=config.sampling, prior=config.prior)
 
@@ -64,20 +53,3 @@ def known_drape(
     """Draw a fabric and a specimen from the prior, and simulate the drape."""
     plan = plan_specimen(number, rig=rig, nuisances=nuisances, seed=seed)
     return plan, drape_plan(plan, rig=rig, edge=1e-3 * edge_mm)
-
-
-def estimate_views(
-    views: np.ndarray, intrinsics: Intrinsics, header: Header, *, friction: float | None = None
-) -> "Estimate":
-    """Estimate of the network of ``header`` from a capture, as by ``infer.py``, at 300 g/m².
-
-    Args:
-        views: (K, H, W) z-depth, m, background 0; the table turns by 360°/K between views.
-        intrinsics: of the views.
-        friction: N·m per metre, if known.
-    """
-    from drapenet.inference import infer_capture
-
-    capture = Capture(views, intrinsics, whole_turns(len(views)), REFERENCE_DENSITY, None,
-                      header.rig, Path(), ())
-    return infer_capture(capture, header, friction=friction).estimate

@@ -116,7 +116,7 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
 
     Args:
         network: of ``header``, in evaluation mode.
-        known: whether the network is given membrane and friction.
+        known: whether the network is given the membrane.
     """
     with deferred():  # importing torch takes seconds; input errors come first
         from drapenet.predict import sample_targets

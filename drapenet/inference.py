@@ -99,8 +99,7 @@ def estimate_capture(
         refine: whether to refine with defaults, or the content of a file of ``configs/refine``.
         drapes: number simulated with the estimate; the report shows the best. 0: no report.
         edge: m, mesh edge of these simulations at the plate's rim; 0: the default.
-        known: ``membrane``, N/m, and ``friction``, N·m per metre, of the fabric at its own density,
-            if known.
+        known: ``membrane``, N/m, of the fabric at its own density, if known.
         strict: raise an error instead of giving warnings.
         first: called with the content of ``estimate.json`` by the network alone, before any
             simulation.

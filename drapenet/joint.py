@@ -1,8 +1,8 @@
 """Joint posterior of several captures of one fabric, with the prior counted once.
 
 In normal approximation a capture's likelihood is its posterior divided by the prior. Errors of
-captures of one fabric are correlated, because friction and membrane are properties of the cloth:
-each of n captures has the weight ``1 / (1 + (n - 1) SHARED)``.
+captures of one fabric are correlated, because membrane, hysteresis and natural curvature are
+properties of the cloth: each of n captures has the weight ``1 / (1 + (n - 1) SHARED)``.
 """
 
 from collections.abc import Sequence

@@ -23,9 +23,7 @@ _NO_FRICTION = (1.0, -1.0)
 the moduli are those of the loading curve."""
 
 
-def known_of(
-    views: torch.Tensor, membrane: torch.Tensor
-) -> torch.Tensor:
+def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
     """(N, KNOWN) float32 scalar inputs of the network.
 
     Args:
@@ -59,11 +57,10 @@ class Batch:
         """Batch of maps in the types of :class:`drapenet.maps.Maps`.
 
         Args:
-            given: (N, 2) membrane, N/m along the yarns, and friction, N·m per metre; NaN if
-                unknown.
+            given: (N,) membrane, N/m along the yarns; NaN if unknown.
         """
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
-                   known_of(torch.from_numpy(views), *torch.from_numpy(given).T), targets)
+                   known_of(torch.from_numpy(views), torch.from_numpy(given)), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its maps, not to its targets."""

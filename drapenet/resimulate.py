@@ -88,7 +88,7 @@ def resimulate(
         edge: m, at the rim of the specimen's mesh.
         turns: (K,) rad, how far the table had turned in each view.
         drapes: number to simulate, at most that of :data:`STARTS`.
-        laws: of cloth of 300 g/m²; None: without bending friction.
+        laws: of cloth of 300 g/m²; None: the defaults.
     """
     step = max(1, round(camera.width / FIT_WIDTH))
     captured = views[:, ::step, ::step] > 0

@@ -163,8 +163,8 @@ def drape(
         The drape; ``status`` gives the outcome. Only invalid parameters raise an InputError.
     """
     rig, laws = rig or Rig(), laws or Laws()
-    start = start or (LOWERED if rig.has_plate else "sine")
     check_arguments(rig, laws, start, seed, offset)
+    start = start or (LOWERED if rig.has_plate else "sine")
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
     simulated = fabric.at_density(REFERENCE_DENSITY)
@@ -228,7 +228,7 @@ class _Run:
 
 
 def check_arguments(
-    rig: object, laws: object, start: str, seed: int, offset: tuple[float, float]
+    rig: object, laws: object, start: str | None, seed: int, offset: tuple[float, float]
 ) -> None:
     """InputError for invalid arguments of :func:`drape`, such as the name of a rig."""
     if not isinstance(rig, Rig):
@@ -239,7 +239,7 @@ def check_arguments(
                          f"Laws(bending='{Laws().bending}')")
     if start == LOWERED and not rig.has_plate:
         raise InputError(f"start={LOWERED} needs a plate, which {rig.name} lacks")
-    if start != LOWERED:
+    if start not in (None, LOWERED):
         check_start(start)
     if np.shape(offset) != (2,) or not np.isfinite(offset).all():
         raise InputError(f"offset={offset}: give two finite numbers, in metres")

@@ -21,7 +21,8 @@ def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric
     bending = laws.bending
     if isinstance(bending, Hysteresis):
         curvature = tuple(value / factor for value in bending.curvature)
-        bending = replace(bending, curvature=curvature, at=bending.at / factor)
+        origin = None if bending.origin is None else bending.origin / factor
+        bending = replace(bending, curvature=curvature, origin=origin, at=bending.at / factor)
     larger = replace(rig, specimen_size=factor * rig.specimen_size,
                      plate_diameter=factor * rig.plate_diameter)
     return (Fabric(factor**3 * fabric.alpha, factor**4 * fabric.beta, fabric.density), larger,

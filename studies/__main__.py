@@ -23,7 +23,7 @@ from common.files import replace_file, require_file
 from studies.study import PAGE, Report, Study, page
 
 ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
-         "transfer", "recognition", "optimisers", "curves", "hung", "friction")
+         "transfer", "recognition", "optimisers", "curves", "hung")
 """Names of the studies in the order of the page."""
 
 

@@ -108,17 +108,15 @@ def capture_drape(shape: DrapeResult, setups: Setups, rng: np.random.Generator) 
                           nominal=CameraRig.load(RIG))
 
 
-def infer(synthetic: SyntheticCapture, *, density: float = REFERENCE_DENSITY,
-          friction: float | None = None) -> NetworkEstimate:
+def infer(synthetic: SyntheticCapture, *, density: float = REFERENCE_DENSITY) -> NetworkEstimate:
     """Estimate the moduli from a capture with the network.
 
     Args:
         density: kg/m², as stated by the user.
-        friction: N·m per metre, if known.
     """
     capture = Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, density, None, RIG,
                       Path(), ())
-    inferred = infer_capture(capture, header(), friction=friction)
+    inferred = infer_capture(capture, header())
     samples = along_warp(inferred.estimate, synthetic.orientation)
     return NetworkEstimate(samples.mean(axis=0), samples, inferred, capture)
 

@@ -112,6 +112,6 @@ STUDY = Study(
     "finds distances of spectra larger between fabrics than within one (000, Figure 7), and a "
     "network less accurate on boundary curves than on depth (002, Figure 20). Only qualitatively "
     "comparable.",
-    "Drapes of a fabric differ in their start only: simulated specimens have no friction and no "
-    "other nuisances, and captures have no faults. Drapes of real cloth, which vary more, were "
+    "Drapes of a fabric differ in their start only: simulated specimens have no "
+    "nuisances, and captures have no faults. Drapes of real cloth, which vary more, were "
     "not available.")

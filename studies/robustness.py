@@ -174,5 +174,6 @@ STUDY = Study(
     run, summarise, rows, draw,
     "reports reliable estimates in every orientation, without figures for other faults.",
     "Faults are tested one at a time with four views. The bias without faults arises because the "
-    "network attributes part of the stiffness to friction, which these specimens do not have. It "
-    "was trained on pitches of 25° to 50° and distances of 0.4 m to 0.7 m.")
+    "network was trained with a friction torque, which these specimens do not have and which it "
+    "did not know in these runs. It was trained on pitches of 25° to 50° and distances of 0.4 m to "
+    "0.7 m.")

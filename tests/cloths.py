@@ -13,6 +13,7 @@ from data.records import DatasetConfig, make_record
 from data.render import DepthRenderer
 from data.sampling import SamplingConfig
 from data.shards import Shard, shard_name, write_shard
+from sim.laws import Laws
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig
 
@@ -28,7 +29,7 @@ def skirt(fabric, *, rig, edge, start, seed, offset, laws):
     positions = np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach])
     return SimpleNamespace(
         status="converged", converged=True, message="", positions=positions, rest=mesh.rest,
-        faces=mesh.faces, residual=1e-5, iterations=1,
+        faces=mesh.faces, residual=1e-5, iterations=1, laws=laws or Laws(),
     )
 
 

@@ -35,12 +35,12 @@ FABRIC = Fabric([60e-6, 25e-6, 30e-6], [-150e-9, -50e-9, -80e-9])
 TURN = 0.4
 EDGE = 8e-3
 TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
-NUISANCES = Nuisances(membrane=300.0, shear=0.5, friction=1e-4, curl_warp=2.0, curl_weft=-1.0,
+NUISANCES = Nuisances(membrane=300.0, shear=0.5, hysteresis=0.2, curl_warp=2.0, curl_weft=-1.0,
                       size=1e-3, plate=3e-4, cut=0.02)
 RIG = NUISANCES.rig(Rig())
 OFFSET = (2e-3, -1e-3)
-SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), friction=2e-4, curl=3.0,
-                        size=1e-3, plate=3e-4, cut=0.02)
+SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), hysteresis=(5.0, 60.0),
+                        curl=3.0, size=1e-3, plate=3e-4, cut=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -88,14 +88,17 @@ def test_information_is_what_pictures_of_moved_drapes_show(draped, information):
 
 
 @pytest.mark.parametrize(("name", "step"), [
-    ("membrane", 0.02), ("shear", 0.02), ("friction", 2e-6), ("curl_warp", 0.04),
+    ("membrane", 0.02), ("shear", 0.02), ("hysteresis", 0.01), ("curl_warp", 0.04),
     ("curl_weft", 0.04)])
 def test_moves_with_the_energies_of_the_cloth(specimen, tangent, name, step):
     value = getattr(NUISANCES, name)
     ends = [value * np.exp(s) if name in LOGARITHMIC else value + s for s in (step, -step)]
-    drapes = [follow(specimen, FABRIC, laws=replace(NUISANCES, **{name: end}).laws, options=TIGHT)
-              for end in ends]
-    assert agree(law_moves(tangent, NUISANCES)[name], drapes, 2 * step)
+    laws = [replace(NUISANCES, **{name: end}).laws for end in ends]
+    origin = specimen.laws.bending.origin
+    drapes = [follow(specimen, FABRIC, options=TIGHT,
+                     laws=replace(one, bending=replace(one.bending, origin=origin)))
+              for one in laws]
+    assert agree(law_moves(tangent, NUISANCES, [name])[name], drapes, 2 * step)
 
 
 def test_moves_with_the_specimen_and_its_plate(specimen, tangent):
@@ -139,7 +142,7 @@ def test_what_is_unknown_costs(specimen):
     prior, own = load_prior("gaussian").covariance, SPREAD.deviations
     pose = dict.fromkeys((*SPECIMEN, *CAMERA), np.inf)
     less = [found.posterior(prior, unknown) for unknown in (
-        {}, pose, pose | {"friction": own["friction"]}, pose | own)]
+        {}, pose, pose | {"hysteresis": own["hysteresis"]}, pose | own)]
     more = [*less[1:], found.covariance((*pose, *own))]
     scale = np.sqrt(np.diag(prior))
     for a, b in zip(less, more, strict=True):

@@ -20,7 +20,7 @@ from data.cameras import Camera
 from data.fabrics import THETA_NAMES
 from data.nuisances import NAMES, Nuisances
 from data.render import QUARTERS, DepthRenderer
-from drapenet.refine.cloth import law_moves
+from drapenet.refine.cloth import LAWS, law_moves
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from sim.drape import DrapeResult
 from sim.scene import Rig
@@ -143,7 +143,7 @@ def depth_information(
     moves = dict(zip(THETA_NAMES, by_moduli, strict=True))
     moves |= zip(SPECIMEN[1:], moves_with_offset(tangent, result.rig), strict=True)
     moves |= zip(("size", "cut"), moves_with_size(tangent, result.rig), strict=True)
-    moves |= law_moves(tangent, nuisances or Nuisances())
+    moves |= law_moves(tangent, nuisances or Nuisances(), (*LAWS, "hysteresis"))
     moves["plate"] = moves_with_plate(tangent, result.rig)
     views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(

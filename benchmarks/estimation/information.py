@@ -35,8 +35,8 @@ MODULI = {"log_alpha": slice(0, 3), "beta_over_alpha": slice(3, 6)}
 NO_NUISANCES = "no nuisances"
 ALL_KNOWN, ALL_UNKNOWN = "all nuisances known", "all nuisances unknown"
 PLOTTED = (NO_NUISANCES, ALL_KNOWN, ALL_UNKNOWN)
-MEASURABLE = ("membrane", "friction")
-"""Nuisances that users can measure."""
+MEASURABLE = ("membrane", "hysteresis")
+"""Nuisances that laboratories measure by KES."""
 
 
 def sampling_config(seed: int) -> SamplingConfig:

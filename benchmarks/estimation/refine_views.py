@@ -61,10 +61,10 @@ def case(
     capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
                       Path(), ())
     header = read_header(bundled(tester))
-    known = {"membrane": 200.0, "friction": 0.0} if nuisances == "none" else {}
+    known = {"membrane": 200.0} if nuisances == "none" else {}
     inferred = infer_capture(capture, header, **known)
     estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    fixed = ({"membrane": 200.0, "shear": 1.0, "friction": 0.0, "curl_warp": 0.0, "curl_weft": 0.0}
+    fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
              if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
@@ -97,7 +97,7 @@ def along_warp(specimen: dict, along: bool) -> dict:
 
 
 def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
-    """Root mean square errors and estimated deviations of friction and curl, by name.
+    """Root mean square errors and estimated deviations of the natural curvatures, by name.
 
     In units of their spread over specimens.
     """
@@ -105,13 +105,13 @@ def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
 
     deviations = specimen_spread().deviations
     found = {}
-    for name, label, unit in (("friction", "friction_un", MICRO), ("curl_warp", "curl_warp_per_m",
-                              1.0), ("curl_weft", "curl_weft_per_m", 1.0)):
+    for name in ("curl_warp", "curl_weft"):
+        label = f"{name}_per_m"
         rows = [(r["specimen"][label], r["nuisances"][NAMES.index(name)]) for r in results
                 if label in r["specimen"]]
         if rows:
-            error = np.array([unit * one["median"] - truth for one, truth in rows])
-            size = np.array([np.diff(one["interval_68"])[0] * unit / 2 for one, _ in rows])
+            error = np.array([one["median"] - truth for one, truth in rows])
+            size = np.array([np.diff(one["interval_68"])[0] / 2 for one, _ in rows])
             found[name] = {kind: float(np.sqrt(np.square(values).mean()) / deviations[name])
                            for kind, values in (("error", error), ("estimated", size))}
     return found

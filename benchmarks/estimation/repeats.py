@@ -3,8 +3,9 @@
 Each fabric from the prior is draped several times, with another specimen, start and capture each
 time. The captures are estimated one by one, and the first 1, 2, ... of a fabric jointly
 (:mod:`drapenet.joint`). The errors of two captures of one fabric are correlated, because they
-share friction and membrane; ``drapenet.joint.SHARED`` is this correlation. The bound
-(:mod:`benchmarks.estimation.bound`) is computed for the same drapes, also for friction and curl.
+share membrane, hysteresis and natural curvature; ``drapenet.joint.SHARED`` is this correlation.
+The bound (:mod:`benchmarks.estimation.bound`) is computed for the same drapes, also for the
+curvature.
 """
 
 import math
@@ -32,8 +33,9 @@ from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 COUNTS = (1, 2, 5)
-CLOTH_NUISANCES = ("membrane", "shear", "friction")  # of the fabric; others are of the specimen
 CURL_NUISANCES = ("curl_warp", "curl_weft")
+CLOTH_NUISANCES = ("membrane", "shear", "hysteresis", *CURL_NUISANCES)
+"""Nuisances of the fabric; the others are of the specimen."""
 
 
 def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, seed: int) -> dict:
@@ -41,7 +43,7 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
     from benchmarks.estimation.bound import depth_information
     from drapenet.inference import estimate_capture
 
-    words = ["nuisances=real", f"rig={rig}", f"seed={seed}", "dataset.soft_share=0",
+    words = ["nuisances=real", f"dataset.testers=[{rig}]", f"seed={seed}", "dataset.soft_share=0",
              f"dataset.starts_per_fabric={drapes}"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     tester, setups = Rig.from_name(rig), Setups.load("real")
@@ -68,8 +70,9 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
             "arrays": arrays}
 
 
-def bound(names: list[str], fisher: list[np.ndarray], shared: tuple[str, ...]) -> np.ndarray:
-    """Smallest standard deviations (6 + S,) of theta and of S nuisances shared by the captures."""
+def bound(names: list[str], fisher: list[np.ndarray]) -> np.ndarray:
+    """Smallest standard deviations (6 + S,) of theta and of :data:`CLOTH_NUISANCES`, the latter in
+    units of their spread; curvatures without their small part of the specimen."""
     from drapenet.refine.cloth import DRIFT
     from drapenet.refine.refined import specimen_spread
 
@@ -80,9 +83,9 @@ def bound(names: list[str], fisher: list[np.ndarray], shared: tuple[str, ...]) -
     found = joint_covariance(
         [Information(tuple(names), one, 0, True, "") for one in fisher],
         np.linalg.inv(load_prior("gaussian").covariance),
-        separate={name: value for name, value in known.items() if name not in shared},
-        shared={name: deviations[name] for name in shared})
-    return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in shared)]
+        separate={name: value for name, value in known.items() if name not in CLOTH_NUISANCES},
+        shared={name: deviations[name] for name in CLOTH_NUISANCES})
+    return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in CLOTH_NUISANCES)]
 
 
 def correlation(errors: list[np.ndarray]) -> np.ndarray:
@@ -118,21 +121,18 @@ def run(config: Config) -> Result:
                     if count > 1 else samples[k][0] for k in chosen]
         summary[count] = posterior_errors(truth[chosen], together)
         names = results[f"fabric_{chosen[0]}"]["names"]
-        least = [[bound(names, fisher[k][:count], shared_nuisances)
-                  for shared_nuisances in (CLOTH_NUISANCES, CURL_NUISANCES)] for k in chosen]
-        cloth, curl = (np.sqrt(np.nanmean(np.square(part), axis=0))
-                       for part in zip(*least, strict=True))
+        least = [bound(names, fisher[k][:count]) for k in chosen]
+        least = np.sqrt(np.nanmean(np.square(least), axis=0))
         summary[count] |= {
-            "bound": float(np.sqrt(np.square(cloth[LINEAR]).mean())),
-            "friction": float(cloth[6 + CLOTH_NUISANCES.index("friction")]),
-            "curl": float(curl[6:].mean())}
+            "bound": float(np.sqrt(np.square(least[LINEAR]).mean())),
+            "curl": float(least[-len(CURL_NUISANCES):].mean())}
     print(table(
         ["captures", "fabrics", "log alpha", "relative to one", "bound", "relative to one",
-         "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "friction, bound", "curl, bound"],
+         "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "curvature, bound"],
         [[count, f["fabrics"], f["log_alpha"], f["log_alpha"] / summary[1]["log_alpha"],
           f["bound"], f["bound"] / summary[1]["bound"], f["beta_over_alpha_mm"],
-          *f["inside"].values(), f["friction"], f["curl"]] for count, f in summary.items()]))
-    print("bounds of friction and curl in units of their spread; correlation of the errors of two "
+          *f["inside"].values(), f["curl"]] for count, f in summary.items()]))
+    print("bound of the curvature in units of its spread; correlation of the errors of two "
           f"captures of a fabric: log alpha {shared[LINEAR].mean():.2f}, beta/alpha "
           f"{shared[3:].mean():.2f} (SHARED = {SHARED:g})")
     return Result({"correlation": shared.tolist(), "summary": summary})

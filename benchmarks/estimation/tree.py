@@ -38,7 +38,7 @@ def make_tree(root: Path, *, fabrics: int, edge_mm: float, sensor: str, seed: in
         folder = root / f"fabric_{number}" / "sample_1"
         if (folder / str(SCENES)).exists():
             continue
-        _, shape = known_drape(number, rig=DISC_RIG.name, nuisances="real", edge_mm=edge_mm,
+        _, shape = known_drape(number, rig=DISC_RIG, nuisances="real", edge_mm=edge_mm,
                                seed=seed)
         for capture in range(1, SCENES + 1):
             rng = np.random.default_rng([seed, number, capture])

@@ -303,7 +303,7 @@ def _read_estimate(folder: Path) -> None:
 def small_config(drapes: int = 8, per_shard: int = 4) -> DatasetConfig:
     """A dataset on coarse meshes."""
     return DatasetConfig(drapes=drapes, sampling=SamplingConfig(), prior=load_prior("gaussian"),
-                         rig=Rig(), edge=0.04, drapes_per_shard=per_shard)
+                         edge=0.04, drapes_per_shard=per_shard)
 
 
 def _dataset(folder: Path) -> None:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from sim.laws import Laws
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 
 FAIL_SEED_MODULUS = 5  # the fake solver fails where the seed is a multiple
@@ -24,7 +25,7 @@ def cone(fabric, *, rig, edge, start, seed, offset, laws=None):
         converged=not failed,
         message="the fake gave up" if failed else "",
         positions=positions, rest=mesh.rest, faces=mesh.faces,
-        residual=0.5 if failed else 1e-5, iterations=seed % 50,
+        residual=0.5 if failed else 1e-5, iterations=seed % 50, laws=laws or Laws(),
     )
 
 

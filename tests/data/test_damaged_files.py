@@ -21,7 +21,6 @@ from data.reading import read_picture
 from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig
 from data.shards import SEAL_SIZE, Shard, _seal
-from sim.scene import Rig
 
 
 def test_a_picture_without_pixels_is_refused(tmp_path: Path) -> None:
@@ -61,7 +60,7 @@ def test_a_torn_header_of_an_array_is_refused(tmp_path: Path, header: bytes) -> 
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of one shard."""
     config = DatasetConfig(drapes=4, sampling=SamplingConfig(), prior=load_prior("gaussian"),
-                           rig=Rig(), edge=0.04)
+                           edge=0.04)
     folder = DatasetFolder(tmp_path_factory.mktemp("shard") / "set", config)
     folder.claim()
     folder.write(0, [make_record(index, config, solver=fake_drapes.cone) for index in range(4)])

@@ -20,7 +20,6 @@ from data.records import DatasetConfig, make_record
 from data.sampling import SamplingConfig, plan_drape
 from data.shards import LENGTH_UNIT, Shard
 from sim.linear import SparsePattern, available_solvers, make_solver, pardiso
-from sim.scene import Rig
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,9 +27,8 @@ ROOT = Path(__file__).parents[2]
 def small_config(drapes=10, **sampling):
     return DatasetConfig(
         drapes=drapes,
-        sampling=SamplingConfig(**sampling),
+        sampling=SamplingConfig(**{"starts": ("sine", "fold")} | sampling),
         prior=load_prior("gaussian"),
-        rig=Rig(),
         edge=0.02,
         drapes_per_shard=4,
     )
@@ -259,7 +257,7 @@ def test_stored_mesh_is_the_solvers():
     record = make_record(1, config, solver=fake_drapes.cone)
     plan = plan_drape(1, config=config.sampling, prior=config.prior)
     result = fake_drapes.cone(
-        fabric_from_theta(plan.theta), rig=config.rig, edge=config.edge, start=plan.start,
+        fabric_from_theta(plan.theta), rig=plan.rig, edge=config.edge, start=plan.start,
         seed=plan.seed, offset=tuple(plan.offset))
     error = np.abs(record["positions"] * LENGTH_UNIT - result.positions).max()
     assert error <= 0.5001 * LENGTH_UNIT
@@ -299,8 +297,9 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
         (["parts=0"], "parts=0"),
         (["seed=-1"], "seed=-1"),
         (["prior.file=nowhere.json"], "nowhere.json"),
-        (["rig=moon"], "moon"),
-        (["rig=square600_corners500"], "rig=square600_corners500: .* disc300_support180"),
+        (["dataset.testers=[moon]"], "moon"),
+        (["dataset.testers=[square600_corners500]"], "square600_corners500"),
+        (["dataset.testers_per_fabric=2"], "testers_per_fabric=2 must lie between 1"),
         (["nuisances.shear=[1]"], "nuisances.shear: give two numbers"),
     ],
 )
@@ -325,7 +324,7 @@ def test_help_names_every_key(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
-    for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "rig:", "cut_deg:",
+    for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "testers:", "cut_deg:",
                 "starts_per_fabric:", "parts:", "dataset=specimens, the default",
                 "dataset=paper\n    # As in Feng",
                 "launcher=slurm\n    # Jobs of a Slurm"):

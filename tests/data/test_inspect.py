@@ -103,7 +103,7 @@ def test_strain_is_that_of_the_solvers_mesh(bare):
     config = small_config()
     for index in np.flatnonzero(converged)[:5].tolist():
         plan = plan_drape(index, config=config.sampling, prior=config.prior)
-        settings = {"rig": config.rig, "edge": config.edge, "offset": tuple(plan.offset)}
+        settings = {"rig": plan.rig, "edge": config.edge, "offset": tuple(plan.offset)}
         drape = fake_drapes.cone(fabric_from_theta(plan.theta), start=plan.start, seed=plan.seed,
                                  **settings)
         specimen = make_specimen(topology=plan.seed % TOPOLOGIES, **settings)

@@ -28,24 +28,36 @@ def test_real_specimens_spread_as_the_configuration_states():
     options = compose_config("generate", ["nuisances=real"], schema=Options)
     columns = dict(zip(NAMES, drawn(config_from_options(options).sampling.nuisances).T,
                        strict=True))
-    assert np.mean((columns["membrane"] > 100) & (columns["membrane"] < 1000)) == pytest.approx(
+    assert np.mean((columns["membrane"] > 200) & (columns["membrane"] < 2000)) == pytest.approx(
         0.95, abs=0.015)
-    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(10) * 2.5, abs=0.04)
+    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(200 * 2000) / 2, abs=0.04)
     assert 0.2 <= columns["shear"].min() < 0.21 and 0.99 < columns["shear"].max() <= 1
-    assert columns["friction"].mean() == pytest.approx(1e-4, rel=0.05)
-    assert columns["curl_warp"].std() == pytest.approx(3, rel=0.05)
+    ratio = 100 * columns["hysteresis"] / (1 - columns["hysteresis"])  # HB/B, 1/m
+    assert ratio.min() >= 5 and ratio.max() <= 60
+    assert np.median(ratio) == pytest.approx(np.sqrt(5 * 60), rel=0.05)
+    assert columns["curl_warp"].std() == pytest.approx(np.hypot(np.sqrt(2) * 5, 1), rel=0.06)
     assert columns["size"].std() == pytest.approx(1e-3, rel=0.05)
     assert columns["cut"].std() == pytest.approx(np.radians(1), rel=0.05)
 
 
 def test_a_cloth_keeps_its_nuisances_and_its_specimens_have_their_own():
     config = SamplingConfig(starts_per_fabric=2, nuisances=NuisanceConfig(
-        membrane=(100, 1000), friction=1e-4, size=1e-3))
+        membrane=(100, 1000), hysteresis=(5, 60), curl=5.0, curl_specimen=1.0, size=1e-3))
     one, other, strange = (plan_drape(k, config=config, prior=load_prior("gaussian")).nuisances
                            for k in range(3))
     assert one.membrane == other.membrane != strange.membrane
-    assert one.friction == other.friction != strange.friction
+    assert one.hysteresis == other.hysteresis != strange.hysteresis
     assert one.size != other.size
+    assert 0 < abs(one.curl_warp - other.curl_warp) < 5  # of the specimens
+    assert one.curl_warp != strange.curl_warp
+
+
+def test_the_other_face_has_the_opposite_curvature():
+    config = NuisanceConfig(hysteresis=(5, 60), curl=5.0, curl_specimen=1.0)
+    up, down = (config.sample(np.random.default_rng(1), np.random.default_rng(2), face=face)
+                for face in (1, -1))
+    assert up.curl_warp == -down.curl_warp != 0 and up.curl_weft == -down.curl_weft
+    assert up.hysteresis == down.hysteresis
 
 
 @pytest.mark.parametrize("nominal", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
@@ -80,8 +92,9 @@ def test_weights_give_the_prior_back():
 
 
 @pytest.mark.parametrize("wrong", [
-    {"membrane": (0, 100)}, {"membrane": (300, 200)}, {"friction": -1e-6}, {"size": 0.02},
-    {"cut": 1.0}, {"curl": np.nan}])
+    {"membrane": (0, 100)}, {"membrane": (300, 200)}, {"hysteresis": (0, 60)},
+    {"hysteresis": (5, 200)}, {"curl_specimen": -1.0}, {"size": 0.02}, {"cut": 1.0},
+    {"curl": np.nan}])
 def test_distributions_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError, match="nuisances"):
         NuisanceConfig(**wrong)

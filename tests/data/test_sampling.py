@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
+from data.nuisances import NuisanceConfig
 from data.prior import load_prior
 from data.sampling import SamplingConfig, choose_lender, plan_drape
+from sim.scene import DISC_RIG, SQUARE_RIG
 
 PRIOR = load_prior("gaussian")
 
@@ -36,7 +38,7 @@ def test_drapes_of_a_fabric_share_the_parameters_and_nothing_else():
 
 @pytest.mark.parametrize("per_fabric", [1, 2, 4])
 def test_starts_are_balanced(per_fabric):
-    starts = [p.start for p in plans(40, starts_per_fabric=per_fabric)]
+    starts = [p.start for p in plans(40, starts_per_fabric=per_fabric, starts=("sine", "fold"))]
     assert starts.count("sine") == starts.count("fold") == 20
 
 
@@ -53,7 +55,8 @@ def test_a_third_of_eight_starts_each_is_borrowed():
 
 
 def test_borrowing_changes_neither_fabrics_nor_seeds():
-    for plain, other in zip(plans(6), plans(6, starts=("borrowed", "sine")), strict=True):
+    for plain, other in zip(plans(6, starts=("sine",)), plans(6, starts=("borrowed", "sine")),
+                            strict=True):
         np.testing.assert_array_equal(plain.theta, other.theta)
         np.testing.assert_array_equal(plain.offset, other.offset)
         assert plain.seed == other.seed
@@ -73,14 +76,47 @@ def test_drift_has_its_standard_deviation():
     assert not np.any([p.offset for p in plans(4, drift=0.0)])
 
 
+def test_half_of_the_testers_are_common_ones_and_the_others_are_within_the_limits():
+    settings = {"starts_per_fabric": 4, "testers_per_fabric": 2, "random_testers": 0.5,
+                "testers": (SQUARE_RIG.name, DISC_RIG.name)}
+    drapes = plans(800, **settings)
+    rigs = [p.rig for p in drapes]
+    assert rigs[0] == rigs[2] and rigs[1] == rigs[3]
+    drawn = [rigs[k] for start in range(0, 800, 4) for k in (start, start + 1)]
+    common = [rig for rig in drawn if rig in (SQUARE_RIG, DISC_RIG)]
+    assert len(common) == pytest.approx(200, abs=35)
+    assert common.count(DISC_RIG) == pytest.approx(len(common) / 2, abs=25)
+    others = [rig for rig in drawn if rig not in (SQUARE_RIG, DISC_RIG)]
+    size, plate = 1e3 * np.array([(rig.specimen_size, rig.plate_diameter) for rig in others]).T
+    assert 200 <= size.min() < 220 and 380 < size.max() <= 400
+    assert 60 <= plate.min() < 70 and 180 < plate.max() <= 200
+    assert (size - plate).min() >= 40 - 1e-9
+    assert {rig.specimen for rig in others} == {"square", "disc"}
+    assert [p.rig for p in plans(8, **settings)] == rigs[:8]
+
+
+def test_both_faces_of_each_fabric_are_up():
+    drapes = plans(400, starts_per_fabric=4, both_faces=True,
+                   nuisances=NuisanceConfig(curl=5.0))
+    faces = np.array([p.face for p in drapes]).reshape(100, 4)
+    assert set(faces.ravel()) == {1, -1} and (np.abs(faces.sum(axis=1)) < 4).all()
+    assert abs(faces.mean()) < 0.15
+    curls = np.array([p.nuisances.curl_warp for p in drapes]).reshape(100, 4)
+    assert np.allclose(faces * curls, (faces * curls)[:, :1]) and (curls != 0).all()
+    assert {p.face for p in plans(8)} == {1}
+
+
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [({"seed": -1}, "seed=-1"), ({"starts_per_fabric": 0}, "starts_per_fabric"),
-     ({"starts": ("flat",)}, "flat.* must contain only sine, fold"),
-     ({"starts": ()}, "must contain sine or fold"),
+     ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
+     ({"starts": ()}, "must contain lowered or sine"),
      ({"starts": ("borrowed",)}, "nothing to borrow"),
      ({"drift": -0.001}, "drift"), ({"drift": float("nan")}, "drift"), ({"drift": 0.1}, "drift"),
-     ({"soft_share": 0.6}, "soft_share")],
+     ({"soft_share": 0.6}, "soft_share"), ({"testers": ("moon",)}, "moon"),
+     ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
+     ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
+     ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")],
 )
 def test_nonsense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):

@@ -11,6 +11,7 @@ import pytest
 from common.errors import InputError
 from data.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from data.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
+from sim.scene import Rig
 
 VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
@@ -19,14 +20,15 @@ ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}
 def random_record(seed):
     rng = np.random.default_rng(seed)
     record = {}
-    for name, field in fields(VERTICES, 3).items():
+    triangles = 60 + 10 * seed
+    for name, field in fields(VERTICES, triangles).items():
         if field.dtype.startswith("S"):
             record[name] = f"{name}{seed}".encode()[: int(field.dtype[1:])]
         elif field.dtype.startswith("f"):
             record[name] = rng.normal(size=field.shape)
         else:
             record[name] = rng.integers(0, 100, field.shape)
-    faces = rng.integers(0, VERTICES, (60 + 10 * seed, 3))
+    faces = rng.integers(1, VERTICES, (triangles, 3))
     return record | {"vertices": VERTICES, "mesh": seed, "faces": faces}
 
 
@@ -44,6 +46,8 @@ def test_every_field_comes_back(shard):
             expected = random_record(seed)[name]
             if isinstance(expected, bytes):
                 assert rows[row] == expected.decode()
+            elif name == "origin":  # padded
+                np.testing.assert_array_equal(rows[row][: len(expected)], expected)
             else:
                 np.testing.assert_array_equal(rows[row], expected)
 
@@ -71,12 +75,26 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
     np.testing.assert_array_equal(back[2], record["faces"])
 
 
+def test_tester_and_origins_of_a_drape_come_back(tmp_path):
+    records = [random_record(0), random_record(1)]
+    for record, rig in zip(records, (Rig(0.254, 0.127, "disc"), Rig()), strict=True):
+        record |= {"specimen": rig.specimen.encode(), "specimen_size": rig.specimen_size,
+                   "plate_diameter": rig.plate_diameter, "face": -1}
+    write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
+    shard = Shard(tmp_path / "s.h5")
+    assert shard.rig(0).name == "disc254_support127" and shard.rig(1) == Rig()
+    assert shard.column("face").tolist() == [-1, -1]
+    for row, record in enumerate(records):  # of as many triangles as the drape has
+        np.testing.assert_allclose(shard.origin(row), 0.1 * record["origin"])
+
+
 def test_each_triangulation_is_stored_once(tmp_path):
     records = [random_record(seed) for seed in (0, 1, 0)]
     small = {"vertices": 7, "positions": records[0]["positions"][:7],
-             "rest": records[0]["rest"][:7], "faces": np.array([[0, 1, 2]])}
+             "rest": records[0]["rest"][:7], "faces": np.array([[0, 1, 2]]),
+             "origin": records[0]["origin"][:1]}
     lost = {"vertices": 0, "positions": np.zeros((0, 3)), "rest": np.zeros((0, 2)),
-            "faces": np.zeros((0, 3))}
+            "faces": np.zeros((0, 3)), "origin": np.zeros((0, 3))}
     records += [records[0] | small, records[0] | lost]
     write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
     shard = Shard(tmp_path / "s.h5")
@@ -122,7 +140,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 6, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 7, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -138,9 +156,9 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
     content = (tmp_path / "new.h5").read_bytes()
-    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 6", b"schema 5", 1))
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 7", b"schema 6", 1))
     for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
-                            ("old.h5", "not a shard of schema version 6")):
+                            ("old.h5", "not a shard of schema version 7")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 
@@ -150,7 +168,8 @@ def test_manifest(tmp_path):
     begun = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
              "config": {"sampling": {}}}
     finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"},
-                        "config": {"rig": {"name": "disc"}, "prior": {}}}
+                        "config": {"sampling": {"testers": ["disc300_support180"],
+                                                "random_testers": 0.0}, "prior": {}}}
     for content in (begun, finished):
         write_manifest(tmp_path, content)
         assert read_manifest(tmp_path) == content
@@ -158,11 +177,11 @@ def test_manifest(tmp_path):
         ("drapes", "10"), ("config", []), ("identity", None), ("complete", 0))]
     damaged += [{"schema_version": SCHEMA_VERSION}, begun | {"complete": True},
                 finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]},
-                finished | {"config": {"rig": "disc", "prior": {}}},
-                finished | {"config": {"rig": {"name": "disc"}}}]
+                finished | {"config": {"sampling": {"testers": "disc"}, "prior": {}}},
+                finished | {"config": {"sampling": finished["config"]["sampling"]}}]
     texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
     complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (5, 7)}
+    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (6, 8)}
     for text, complaint in complaints.items():
         (tmp_path / "dataset.json").write_text(text)
         with pytest.raises(InputError, match=complaint) as refusal:

@@ -1,5 +1,6 @@
 """Captures of drapes as maps, and the neighbours of a drape."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,13 @@ from data.nuisances import Nuisances
 from data.setups import Setups
 from drapenet.maps import make_maps, maps_of_shard
 from drapenet.neighbours import change, moves
-from sim.drape import drape
-from sim.laws import Laws
+from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
 from sim.scene import Rig
 from sim.sensitivity import follow
 
 SETUPS = Setups.load()
+FABRIC = Fabric(np.array([30.0, 20.0, 25.0]) * MICRO, np.array([-60.0, -50.0, -40.0]) * 1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +53,37 @@ def test_an_unfinished_dataset_is_refused(tmp_path: Path) -> None:
         make_maps(tmp_path, tmp_path / "out", rig=Rig(), setups=SETUPS, captures=1, seed=0)
 
 
-def test_moves_are_the_derivatives_of_a_stored_drape() -> None:
-    """Against the equilibrium next to it of cloth with a stiffer bias or membrane."""
-    def cloth(alpha_bias: float, membrane: float) -> tuple[Fabric, Laws]:
-        alpha, beta = np.array([30.0, alpha_bias, 25.0]), np.array([-60.0, -50.0, -40.0])
-        return (Fabric(alpha * MICRO, beta * 1e-9),
-                Nuisances(membrane=membrane, shear=0.5, friction=5e-5).laws)
+@pytest.fixture(scope="module")
+def stored() -> tuple[DrapeResult, dict[str, object], np.ndarray, np.ndarray]:
+    """A lowered drape with hysteresis: its row, positions and origins as a shard has them."""
+    nuisances = Nuisances(membrane=300.0, shear=0.5, hysteresis=0.2)
+    one = drape(FABRIC, edge=4e-3, seed=1, laws=nuisances.laws)
+    row = {"theta": to_theta(FABRIC.alpha, FABRIC.beta), "edge": 4e-3, "seed": 1,
+           "offset": (0.0, 0.0), "nuisances": nuisances.vector}
+    origin = np.zeros(one.faces.shape)
+    origin[one.scene.active] = one.laws.bending.origin.round(1)
+    return one, row, one.positions.round(5), origin
 
-    fabric, laws = cloth(20.0, 300.0)
-    one = drape(fabric, edge=3e-3, seed=1, laws=laws)
-    row = {"theta": to_theta(fabric.alpha, fabric.beta), "edge": 3e-3, "seed": 1,
-           "offset": (0.0, 0.0),
-           "nuisances": Nuisances(membrane=300.0, shear=0.5, friction=5e-5).vector}
-    found = moves(row, one.positions.round(5), Rig())
-    for changed, predicted in (
-        (cloth(20.4, 300.0), found[1] * np.log(1.02) - found[4] * 50e-9 / 20e-6 * (1 / 1.02 - 1)),
-        (cloth(20.0, 330.0), found[6] * np.log(1.1)),
+
+def test_moves_are_the_derivatives_of_a_stored_drape(stored: tuple) -> None:
+    """Against the equilibrium next to it of cloth with a stiffer bias or membrane."""
+    one, *drawn = stored
+    found = moves(*drawn, Rig())
+    bias = replace(FABRIC, alpha=FABRIC.alpha * [1.0, 1.02, 1.0])
+    taut = Nuisances(membrane=330.0, shear=0.5).laws.membrane
+    for fabric, laws, predicted in (
+        (bias, one.laws,
+         found[1] * np.log(1.02) - found[4] * 50e-9 / 20e-6 * (1 / 1.02 - 1)),
+        (FABRIC, replace(one.laws, membrane=taut), found[6] * np.log(1.1)),
     ):
-        moved = follow(one, changed[0], laws=changed[1]).positions - one.positions
+        moved = follow(one, fabric, laws=laws).positions - one.positions
         assert np.linalg.norm(predicted - moved) < 0.1 * np.linalg.norm(moved)
+
+
+def test_a_drape_with_hysteresis_is_an_equilibrium_only_with_its_origins(stored: tuple) -> None:
+    _, row, positions, origin = stored
+    assert np.abs(origin).max() > 10.0
+    assert moves(row, positions, 0 * origin, Rig()) is None
 
 
 def test_neighbours_have_the_fabrics_mean_and_covariance() -> None:

@@ -55,17 +55,17 @@ def test_what_is_known_changes_the_answer(
     header = read_header(untrained_checkpoint)
     network = load_model(header)
     unknown, = predict(network, header, [drape_map_of_a_capture])
-    known, = predict(network, header, [drape_map_of_a_capture], membrane=1000.0, friction=0.0)
+    known, = predict(network, header, [drape_map_of_a_capture], membrane=1000.0)
     assert abs(known.theta.mean(axis=0) - unknown.theta.mean(axis=0)).max() > 1e-6
 
 
 def test_what_is_known_of_a_fabric_is_that_of_its_own_density() -> None:
-    """A fabric half as heavy drapes the same with half the moduli, membrane and friction."""
+    """A fabric half as heavy drapes the same with half the moduli and half the membrane."""
     twill = Path(__file__).parents[2] / "examples" / "captures" / "twill"
     capture = read_capture(twill)
     header = read_header(bundled(capture.rig))
     heavy, light = (
-        infer_capture(replace(capture, density=share * 0.3), header, membrane=share * 600.0,
-                      friction=share * 160e-6).estimate for share in (1.0, 0.5))
+        infer_capture(replace(capture, density=share * 0.3), header,
+                      membrane=share * 600.0).estimate for share in (1.0, 0.5))
     np.testing.assert_allclose(light.samples, heavy.samples, rtol=1e-12)
     assert light.fabric.alpha == pytest.approx(heavy.fabric.alpha / 2)

@@ -43,7 +43,7 @@ from sim.sensitivity.tangent import possible_contact
 THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
 AWAY = THETA + np.array([0.3, -0.2, 0.2, 5e-4, -5e-4, 5e-4])
 TIGHT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=300)
-SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), friction=2e-4, curl=3.0)
+SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), curl=3.0)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_a_registered_drape_gives_its_moduli(shape: DrapeResult) -> None:
 
 def test_drapes_move_as_their_derivatives_say() -> None:
     # Equal ratios are a crease of the law, so THETA would not do.
-    cloth = Cloth.of(AWAY, Nuisances(300.0, 0.5, 8e-5, 1.5, -1.0), warp=0.2)
+    cloth = Cloth.of(AWAY, Nuisances(300.0, 0.5, 0.0, 1.5, -1.0), warp=0.2)
     values = cloth.values.copy()
     values[[UNKNOWNS.index(name) for name in OFFSET]] = 2e-3, -1e-3
     cloth = Cloth(values)
@@ -106,7 +106,7 @@ def test_drapes_move_as_their_derivatives_say() -> None:
 
 def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult) -> None:
     known = Knowledge.of(GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7), SPREAD)
-    free = (*THETA_NAMES, "membrane", "friction", "offset_warp")
+    free = (*THETA_NAMES, "membrane", "curl_warp", "offset_warp")
     problem = Problem(away, Cloth(known.mean).with_theta(AWAY), vertex_positions(shape.positions),
                       free=free, known=known, error_scale=1.5)
     problem.value(problem.start)

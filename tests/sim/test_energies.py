@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim.energies.bending_friction import BendingFriction
 from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.gravity import Gravity
+from sim.energies.hysteresis import Hysteresis
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.torque_law import TorqueLaw
 from sim.material import Fabric
@@ -48,10 +48,10 @@ def case_of(name: str):
         return MidEdgeBending(mesh, active, fabric=ANISOTROPIC), q, after
     if name == "midedge stiffening":
         return MidEdgeBending(mesh, active, fabric=STIFFENING), q, after
-    if name == "friction":
+    if name == "hysteresis":
         plain = MidEdgeBending(mesh, active, fabric=STIFFENING)
         origin = plain.curvatures(crumpled_strip(seed=1)[2])
-        law = BendingFriction(3e-4, origin, build_up=20.0)
+        law = Hysteresis(0.3, origin=origin)
         return law(mesh, active, fabric=STIFFENING), q, after
     if name == "torque curve":
         law = TorqueLaw([0.0, 20.0, 60.0, 200.0], [0.0, 1e-3, 1.5e-3, 4e-3])
@@ -74,7 +74,7 @@ def case_of(name: str):
     return contact, points.ravel(), lambda step: points.ravel() + step
 
 
-ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "friction",
+ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "hysteresis",
             "torque curve", "contact", "rim", "fold limit"]
 
 
@@ -185,7 +185,7 @@ def test_the_rim_turns_smoothly_from_top_to_side():
 
 
 @pytest.mark.parametrize(
-    "name", ["membrane", "midedge softening", "midedge stiffening", "friction"])
+    "name", ["membrane", "midedge softening", "midedge stiffening", "hysteresis"])
 def test_rigid_motions_cost_nothing(name):
     energy, q, _ = case_of(name)
     mesh, _, _ = crumpled_strip()

@@ -26,6 +26,7 @@ class Ramp:
     """
 
     angle: float
+    radius: float = 0.05  # m, length to which contact is in proportion
 
     def depths(self, points: np.ndarray) -> np.ndarray:
         x, _, z = points.T
@@ -209,6 +210,7 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     [(Rig(), {"edge": 0.07}, "edge=70 mm"), (HUNG_SQUARE, {"offset": (1e-3, 0.0)}, "no plate"),
      (DISC_RIG, {"offset": (0.05, 0.0)}, "narrow"), (Rig(), {"offset": (1e-3,)}, "two finite"),
      (HUNG_SQUARE, {"start": "fold"}, "fold"),
+     (HUNG_SQUARE, {"start": "lowered"}, "start=lowered needs a plate"),
      (Rig(), {"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob")],
 )
 def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):

@@ -1,19 +1,16 @@
-"""Studies of torque curves, the membrane of a hung square, and friction."""
+"""Studies of torque curves and of the membrane of a hung square."""
 
 import numpy as np
 import pytest
 
 from data.fabrics import fabric_from_theta
 from sim.drape import drape
-from sim.energies.bending_friction import BendingFriction
 from sim.laws import Laws
-from sim.material import Fabric
 from sim.newton import NewtonOptions
 from sim.scene import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from studies import hung
 from studies.curves import KINDS, true_torque
-from studies.friction import precision, raise_drape
 
 THETA = np.array([*np.log([60e-6, 40e-6, 50e-6]), -2e-3, -2e-3, -2e-3])
 EXACT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=100)
@@ -46,33 +43,3 @@ def test_derivatives_of_a_hung_square_match_finite_differences():
                        options=EXACT).positions for sign in (1, -1)]
         difference = (ends[0] - ends[1]) / 2e-3
         np.testing.assert_allclose(moves[k], difference, atol=2e-3 * np.abs(difference).max())
-
-
-def test_with_friction_a_drape_from_below_hangs_lower():
-    fabric, heights = Fabric(np.full(3, 80e-6)), []
-    for torque in (0.0, 2e-4):
-        above = drape(fabric, edge=8e-3, laws=Laws(bending=BendingFriction(torque)))
-        below = raise_drape(above, fabric, torque, overshoot=1.5)
-        assert above.converged and below.converged
-        heights.append([1e3 * one.positions[:, 2].mean() for one in (above, below)])
-    (free, again), (held, hanging) = heights
-    assert again == pytest.approx(free, abs=0.05)  # without friction, one shape
-    assert held > free + 0.2 and hanging < free - 0.2
-
-
-def report_of(slope: float, noise: float) -> dict:
-    """Report of two fabrics; coefficients from above exceed those from below by slope * torque."""
-    def drapes(sign: float) -> list:
-        return [[{"apart_mm": 1.0, "above": {"coefficient": 50 + slope * m + k * sign * noise},
-                  "below": {"coefficient": 50 + k * sign * noise}} for k in range(2)]
-                for m in (0.0, 100.0)]
-
-    return {"settings": {"friction": [0.0, 100.0]},
-            "rigs": {"disc": {"a": {"drapes": drapes(1)}, "b": {"drapes": drapes(-1)}}}}
-
-
-def test_precision_is_the_deviation_between_starts_over_the_slope():
-    assert precision(report_of(0.02, 1.0), "disc", "coefficient") == pytest.approx(50.0)
-    found = report_of(0.02, 1.0)
-    found["rigs"]["disc"]["b"]["drapes"][1][0] = None  # one that did not converge
-    assert precision(found, "disc", "coefficient") == pytest.approx(50.0)

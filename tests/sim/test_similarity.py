@@ -1,0 +1,45 @@
+"""Drapes of any size are one family."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.energies.hysteresis import Hysteresis
+from sim.equilibrium import find_equilibrium
+from sim.initial import initial_positions
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.membranes import OrthotropicStVK
+from sim.mesh.specimens import make_specimen
+from sim.newton import NewtonOptions
+from sim.scene import DISC_RIG, Rig, Scene
+from sim.similarity import similar
+
+FABRIC = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
+EXACT = NewtonOptions(residual=1e-9, step=1e-8)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.3])
+@pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.specimen)
+def test_a_drape_of_another_size_is_the_scaled_drape(rig: Rig, factor: float) -> None:
+    specimen = make_specimen(rig, edge=12e-3, topology=1)
+    mesh, held, rest = specimen.mesh, specimen.held, specimen.mesh.rest
+    rng = np.random.default_rng(0)
+    scene = Scene(mesh, held, rig.obstacles)
+    origin = rng.normal(0, 8, (scene.active.sum(), 3))
+    laws = Laws(Hysteresis(0.2, curvature=(4.0, -3.0, 0.0), origin=origin),
+                OrthotropicStVK(warp=400.0, weft=300.0, poisson=0.2, shear=60.0))
+    start = initial_positions(rest, rig=rig, start="sine", rng=rng)
+    start[held] = rig.place(rest[held])
+    here = find_equilibrium(scene, FABRIC, scene.state(start), laws=laws, options=EXACT)
+    fabric, larger, scaled = similar(FABRIC, rig, laws, factor)
+    there = Scene(mesh.with_rest(factor * rest), held, larger.obstacles)
+    found = find_equilibrium(there, fabric, there.state(factor * start), laws=scaled,
+                             options=EXACT)
+    assert here.converged and found.converged
+    gap = found.state.positions - factor * here.state.positions
+    assert np.abs(gap).max() < 1e-6 * larger.specimen_size
+    plain = replace(laws, bending=Hysteresis(0.2, origin=origin))
+    uncurved = find_equilibrium(scene, FABRIC, here.state, laws=plain, options=EXACT)
+    assert np.abs(uncurved.state.positions - here.state.positions).max() > 1e-3
