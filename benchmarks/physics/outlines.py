@@ -76,8 +76,8 @@ def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> Dr
     plan = plan_drape(seed, config=config.sampling, prior=config.prior)
     theta = plan.theta.copy()
     theta[:3] += np.log(alpha) - theta[:3].mean()
-    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge, seed=seed,
-                 offset=tuple(plan.offset), laws=plan.nuisances.laws)
+    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
+                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
 
 
 def features(radii: np.ndarray) -> np.ndarray:
