@@ -1,15 +1,13 @@
-"""Derivatives by the rest shape: forward along given moves, adjoint for every rest point.
+"""Derivatives by the rest shape, along given moves.
 
 The areas in self-contact depend on the rest shape. They affect the distance of two sheets under a
-force, not the force. This dependence is neglected, in forward and adjoint derivatives.
+force, not the force. This dependence is neglected.
 """
 
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from sim import reference
 from sim.cloth import Cloth
 from sim.mesh.specimens import share_of_offset
 from sim.potential import forces
@@ -61,23 +59,3 @@ def forces_in(scene: Scene, tangent: Tangent) -> np.ndarray:
     """Gradient (U,) of the energy at the state of ``tangent`` in another scene."""
     potential = Cloth(scene, tangent.cloth.fabric, laws=tangent.cloth.laws).potential
     return forces(potential.energies, tangent.q, potential.unknowns)
-
-
-def rest_gradient(tangent: Tangent, weights: np.ndarray) -> np.ndarray:
-    """Derivatives (V, 2) by the rest points of the energy's gradient times ``weights`` (U,), by
-    automatic differentiation of :mod:`sim.reference`; NaN for laws not implemented there."""
-    cloth, mesh = tangent.cloth, tangent.cloth.scene.mesh
-    if not reference.covers(cloth):
-        return np.full_like(mesh.rest, np.nan)
-    with torch.enable_grad():  # disabled within a backward pass
-        model = reference.ReferenceEnergy(cloth)
-        x, n = torch.from_numpy(tangent.q.reshape(-1, 3)).split([len(mesh.rest), len(mesh.edges)])
-        rest = torch.tensor(mesh.rest, requires_grad=True)
-        move = torch.zeros_like(x, requires_grad=True)
-        turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
-        total = model.energy(x + move, reference.moved(model.edges, x, n, move, turn), rest)
-        gradients = torch.autograd.grad(total, (move, turn), create_graph=True)
-        along, around = np.split(weights, [tangent.coordinates])
-        product = ((gradients[0] * torch.from_numpy(along).view_as(move)).sum()
-                   + (gradients[1] * torch.from_numpy(around)).sum())
-        return torch.autograd.grad(product, rest)[0].numpy()

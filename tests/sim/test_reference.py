@@ -1,10 +1,10 @@
 """The plain PyTorch energies against the fast kernels: values, gradients, invariances."""
 
+import energies_by_autograd as reference
 import numpy as np
 import pytest
 import torch
 
-from sim import reference
 from sim.cloth import Cloth
 from sim.energies.fold_barrier import is_bent
 from sim.laws import Laws

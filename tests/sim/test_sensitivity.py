@@ -21,9 +21,9 @@ from sim.mesh import strip
 from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
-from sim.sensitivity.adjoint import adjoint_gradients, clamp_levers, equilibria
+from sim.sensitivity.adjoint import adjoint_gradients, equilibria
 from sim.sensitivity.forward import tangent_sensitivities
-from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest, rest_gradient
+from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
 
 TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
 MODULI = ("log_alpha", "ratio")
@@ -137,32 +137,12 @@ def test_a_common_factor_of_moduli_stiffness_and_density_changes_nothing(draped)
 
 def test_backwards_agrees_with_forwards(draped, tangent):
     moves = tangent_sensitivities(tangent, FABRIC, ("alpha", "beta", "density", "membrane"))
-    rng = np.random.default_rng(1)
-    rest_moves = rng.standard_normal((1, *draped.rest.shape))
-    held_move = rng.standard_normal((int(draped.held.sum()), 3))
-    pushed = np.zeros(tangent.cloth.potential.unknowns)
-    pushed[: tangent.coordinates].reshape(-1, 3)[draped.held] = held_move
-    levers = clamp_levers(tangent.cloth.scene, tangent.positions)
-    pushed[tangent.coordinates:] = levers @ pushed[: tangent.coordinates]
-    answer = pushed - tangent.response(tangent.force_of(pushed))
-    by_held = answer[: tangent.coordinates].reshape(-1, 3)
-    by_rest = moves_with_rest(tangent, rest_moves)[0]
     for seed in range(3):
         weights = random_weights(draped, seed)
-        *by_fabric, held, rest = adjoint_gradients(tangent, FABRIC, weights, membrane=1.0)
+        by_fabric = adjoint_gradients(tangent, FABRIC, weights, membrane=1.0)
         size = np.linalg.norm(weights)
         error = np.hstack(by_fabric) - np.tensordot(moves.positions, weights, 2)
         assert (np.abs(error) < 1e-8 * size * np.linalg.norm(moves.positions, axis=(1, 2))).all()
-        assert abs((held * held_move).sum() - (weights * by_held).sum()) < (
-            1e-8 * size * np.linalg.norm(by_held))
-        assert abs((rest * rest_moves).sum() - (weights * by_rest).sum()) < (
-            1e-6 * size * np.linalg.norm(by_rest))  # forwards by differences of forces
-
-
-def test_a_rest_shape_that_moves_as_a_whole_is_the_same(tangent):
-    pull = rest_gradient(tangent, np.random.default_rng(0).standard_normal(
-        tangent.cloth.potential.unknowns))
-    assert np.abs(pull.sum(axis=0)).max() < 1e-9 * np.abs(pull).sum()
 
 
 def test_the_offset_of_the_specimen_against_drapes_with_it():
@@ -177,15 +157,8 @@ def test_the_offset_of_the_specimen_against_drapes_with_it():
     assert size > 0.5 and error < 0.35 * size
 
 
-def test_cloth_follows_a_clamp_that_moves_as_a_whole():
-    tangent = hanging_strip(gamma=10.0)
-    weights = np.random.default_rng(0).standard_normal(tangent.positions.shape)
-    *_, held, _ = adjoint_gradients(tangent, tangent.cloth.fabric, weights, membrane=200.0)
-    assert held.sum(axis=0) == pytest.approx(weights.sum(axis=0), rel=1e-8)
-
-
 def test_equilibria_against_finite_differences(draped):
-    """Through PyTorch: a batch of two, all six inputs, one direction through each."""
+    """Through PyTorch: a batch of two, all four inputs, one direction through each."""
     starts = [draped, draped]
     weights = torch.from_numpy(random_weights(draped))
     inputs = {
@@ -193,11 +166,8 @@ def test_equilibria_against_finite_differences(draped):
         "beta": torch.tensor(np.stack([FABRIC.beta, FABRIC.beta])),
         "density": torch.tensor([0.15, 0.15], dtype=torch.float64),
         "membrane": torch.tensor([100.0, 100.0], dtype=torch.float64),
-        "held": torch.from_numpy(draped.positions[draped.held]).repeat(2, 1, 1),
-        "rest": torch.from_numpy(draped.rest).repeat(2, 1, 1),
     }
-    steps = {"alpha": 3e-9, "beta": 3e-11, "density": 1e-5, "membrane": 1e-2, "held": 1e-8,
-             "rest": 1e-8}
+    steps = {"alpha": 3e-9, "beta": 3e-11, "density": 1e-5, "membrane": 1e-2}
 
     def weighed(**changed: torch.Tensor) -> torch.Tensor:
         found = equilibria(starts, options=TIGHT, **(inputs | changed))
@@ -214,14 +184,6 @@ def test_equilibria_against_finite_differences(draped):
             move = steps[name] * direction
             difference = (weighed(**{name: value + move}) - weighed(**{name: value - move})) / 2
             assert float((value.grad * move).sum()) == pytest.approx(float(difference), rel=1e-4)
-
-
-@pytest.mark.parametrize("x", [np.nan, 0.0, -1.0])
-def test_rest_shapes_that_fold_over_are_refused(draped, x):
-    rest = torch.from_numpy(draped.rest * [x, 1.0])
-    alpha, beta = (torch.tensor(moduli)[None] for moduli in (FABRIC.alpha, FABRIC.beta))
-    with pytest.raises(InputError, match="a triangle has the area"):
-        equilibria([draped], alpha=alpha, beta=beta, rest=[rest])
 
 
 def test_a_failure_spoils_its_own_sample_only(draped):
@@ -307,7 +269,6 @@ def test_other_laws_have_derivatives_too():
     stiffer, softer = (follow(result, isotropic, laws=laws.softened(np.exp(s)), options=TIGHT)
                        for s in (1e-3, -1e-3))
     difference = (stiffer.positions - softer.positions) / 2e-3
-    assert np.isnan(rest_gradient(Tangent.of(result), np.zeros(1))).all()
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
@@ -378,8 +339,6 @@ def test_mistakes_are_named(draped):
     with pytest.raises(InputError, match="unknown parameter 'gamma'"):
         sensitivities(draped, parameters=("gamma",))
     moduli = torch.tensor(FABRIC.alpha)[None]
-    with pytest.raises(InputError, match="do not fit a mesh"):
-        equilibria([draped], alpha=moduli, beta=-moduli, held=[torch.zeros(2, 3)])
     with pytest.raises(InputError, match="alpha has 1 entries for 2 cloths"):
         equilibria([draped, draped], alpha=moduli, beta=moduli)
 

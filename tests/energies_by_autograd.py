@@ -1,7 +1,5 @@
-"""Reference implementation of the default drape's energies in PyTorch: values only.
-
-Tests compare the fast kernels in :mod:`sim.energies` with it. By automatic differentiation it also
-gives derivatives that are rarely evaluated, such as those by the rest shape.
+"""The energies of a drape in plain PyTorch, values only, with which the fast kernels of
+:mod:`sim.energies` are compared.
 
 Positions x are (V, 3) m, edge normals n (E, 3) (:mod:`sim.state`), rest points (V, 2) m; N of the
 triangles are free.
@@ -13,17 +11,8 @@ from torch import Tensor
 from sim.cloth import Cloth
 from sim.energies.contact import DEPTH, RIM
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.midedge import CLAMP, MidEdgeBending, rows_at_clamp
+from sim.energies.midedge import CLAMP, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants
-from sim.energies.self_contact import SelfContact
-from sim.membranes import Corotational
-
-
-def covers(cloth: Cloth) -> bool:
-    """Whether a cloth's energies are those of the default laws, apart from self-contact."""
-    return (type(cloth.bending) is MidEdgeBending
-            and type(cloth.laws.membrane) is Corotational and not cloth.others
-            and all(isinstance(energy, SelfContact) for energy in cloth.extra))
 
 
 def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
@@ -37,7 +26,7 @@ def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Te
 
 
 class ReferenceEnergy:
-    """The energy of a cloth accepted by :func:`covers`, differentiable also by its rest points.
+    """The energy of a cloth with the default laws, differentiable also by its rest points.
 
     Attributes:
         edges: (E, 2).
