@@ -58,7 +58,10 @@ def kes_bending(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
 
 def kes_hysteresis(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """2HB of KES-FB2, N: twice the torque at zero curvature of the secant of :func:`kes_bending`,
-    because KES's loading curve is B kappa + HB. Arguments as there."""
+    because KES's loading curve is B kappa + HB.
+
+    ``alpha``, N·m, and ``beta``, N·m², of the same shape.
+    """
     low = torque(np.asarray(KES_CURVATURES[0]), alpha, beta)
     return 2 * (low - KES_CURVATURES[0] * kes_bending(alpha, beta))
 

@@ -1,7 +1,7 @@
 """Outlines of real Cusick drapes, seen from above, against simulated ones.
 
 For each real fabric and face, the isotropic fabric is found whose lowered drapes have the same mean
-drape coefficient, without natural curvature, and with that which the two faces tell. Such cloth,
+drape coefficient, without natural curvature, and with that which the two faces have. Such cloth,
 exactly centred, has regular outlines. The same is therefore done with *specimens* of isotropic
 fabrics, off-centre and with the nuisances of datasets, and with those of *fabrics* of the prior,
 scaled to a mean alpha. Compared are the number of folds, the standard deviation of the outline's
