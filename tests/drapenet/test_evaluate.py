@@ -1,11 +1,13 @@
 """The matrix of the evaluation, with an untrained network and cloth that costs nothing."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cloths
 import numpy as np
 import pytest
+from checkpoints import change_description, description
 
 import drapenet.evaluate
 from common.errors import InputError
@@ -46,12 +48,11 @@ def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> No
 def test_seen_fabrics_are_refused_before_they_are_made(
     untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy = tmp_path / "copy.json"
-    content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
-    content["dataset"]["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
-                                         "prior": prior_content(load_prior("vae"))}
-    copy.write_text(json.dumps(content))
-    copy.with_suffix(".safetensors").write_bytes(untrained_checkpoint.read_bytes())
+    copy = Path(shutil.copy(untrained_checkpoint, tmp_path / "copy.safetensors"))
+    dataset = description(copy)["dataset"]
+    dataset["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
+                              "prior": prior_content(load_prior("vae"))}
+    change_description(copy, dataset=dataset)
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
     with pytest.raises(InputError, match="not unseen"):
         drapenet.evaluate.main([f"checkpoint={copy}", f"out={tmp_path}", "seed=5"])
