@@ -59,11 +59,10 @@ class Batch:
         """Batch of maps in the types of :class:`drapenet.maps.Maps`.
 
         Args:
-            given: (N, 2) membrane, N/m along the yarns, and friction, N·m per metre; NaN if
-                unknown.
+            given: (N,) membrane, N/m along the yarns; NaN if unknown.
         """
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
-                   known_of(torch.from_numpy(views), *torch.from_numpy(given).T), targets)
+                   known_of(torch.from_numpy(views), torch.from_numpy(given)), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its maps, not to its targets."""

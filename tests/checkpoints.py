@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load, save_file
 
 from drapenet.checkpoint import SCHEMA
 
@@ -17,7 +17,7 @@ def description(checkpoint: Path) -> dict:
 
 def describe_again(checkpoint: Path, text: str) -> None:
     """Replace the description of a checkpoint by ``text``."""
-    save_file(load_file(checkpoint), checkpoint, metadata={SCHEMA: text})
+    save_file(load(checkpoint.read_bytes()), checkpoint, metadata={SCHEMA: text})
 
 
 def change_description(checkpoint: Path, **changes: object) -> None:
