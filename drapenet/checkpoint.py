@@ -176,12 +176,13 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
     """Header of the checkpoint for captures of one fabric; of the bundled one if none is given.
 
     Raises:
-        InputError: different testers or densities, captures with and without a marked warp, or a
-            checkpoint of another tester.
+        InputError: different testers or densities, captures with and without a marked warp, the
+            same views twice, or a checkpoint of another tester.
     """
     require_one_fabric([one.rig for one in captures],
-                  [one.warp_direction is not None for one in captures],
-                  [one.density for one in captures])
+                       [one.warp_direction is not None for one in captures],
+                       [one.density for one in captures],
+                       [(str(one.path), one.digest) for one in captures])
     header = read_header(checkpoint or bundled(captures[0].rig))
     if header.rig != captures[0].rig:
         raise InputError(f"the capture is of the tester {captures[0].rig.name} but the checkpoint "

@@ -232,7 +232,7 @@ def _checkpoint(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15)
+    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15, path="", digest="")
     header = header_for([capture], str(folder / "net.safetensors"))
     _ = header.setups, header.scale, header.identity
     load_model(header)
