@@ -19,6 +19,14 @@ from drapenet.maps import make_maps
 from sim.scene import Rig
 
 
+def write_fabrics(file: Path) -> Path:
+    """Write a table of a measured fabric."""
+    file.write_text("density[kg.m-2],linear warp[SI*1e9],linear weft[SI*1e9],linear diag[SI*1e9],"
+                    "nonlinear warp[SI*1e12],nonlinear weft[SI*1e12],nonlinear diag[SI*1e12]\n"
+                    "0.3,30000,20000,25000,-60000,-4e4,-5e4\n")
+    return file
+
+
 def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is(
     untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
 ) -> None:
@@ -54,8 +62,12 @@ def test_seen_fabrics_are_refused_before_they_are_made(
                               "prior": prior_content(load_prior("vae"))}
     change_description(copy, dataset=dataset)
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
+    words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5"]
     with pytest.raises(InputError, match="not unseen"):
-        drapenet.evaluate.main([f"checkpoint={copy}", f"out={tmp_path}", "seed=5"])
+        drapenet.evaluate.main(words)
+    measured = write_fabrics(tmp_path / "table.csv")
+    with pytest.raises(TypeError, match="not callable"):  # generate_dataset: they are unseen
+        drapenet.evaluate.main([*words, f"fabrics={measured}"])
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -72,10 +84,7 @@ def test_the_command_prints_a_line_a_cell(
         name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
     words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=6", "seed=5"]
     if table:
-        header = ("density[kg.m-2],linear warp[SI*1e9],linear weft[SI*1e9],linear diag[SI*1e9],"
-                  "nonlinear warp[SI*1e12],nonlinear weft[SI*1e12],nonlinear diag[SI*1e12]")
-        (tmp_path / "table.csv").write_text(f"{header}\n0.3,30000,20000,25000,-60000,-4e4,-5e4\n")
-        words.append(f"fabrics={tmp_path / 'table.csv'}")
+        words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
     drapenet.evaluate.main(words)
     lines = capsys.readouterr().out.splitlines()
     names = ["as trained", "without nuisances", *([] if table else ["views 8"])]
