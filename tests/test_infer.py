@@ -54,6 +54,16 @@ def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
             *more)
 
 
+def test_the_same_views_twice_are_not_two_captures(
+    capture: Path, checkpoint: Path, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(capture, tmp_path / "copy")
+    for second in (capture, copy):
+        with pytest.raises(InputError, match=f"{capture} and {second} have the same views"):
+            infer.main(last(f"capture=[{capture},{second}]", f"checkpoint={checkpoint}",
+                            f"out={tmp_path / 'out'}"))
+
+
 def test_a_doubtful_capture_is_refused_where_that_is_wanted(
     capture: Path, checkpoint: Path, tmp_path: Path
 ) -> None:
@@ -177,7 +187,9 @@ def test_a_tester_without_a_network_is_refused_with_those_that_have_one(
     ("refine=scan", "none or depth"), ("refine=depth refine.edge_mm=100", "edge=100 mm"),
     ("refine.starts=2", "refine.starts"),
     ("refine=depth refine.starts=0.5", "refine.starts=0.5 must be a positive whole number"),
-    ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
+    ("membrane_n_per_m=-1", "membrane_n_per_m=-1"),
+    ("membrane_n_per_m=0", "membrane_n_per_m=0.0 must be more than 0"),
+    ("drapes=-1", "drapes=-1 is outside 0-4"), ("workers=0", "workers=0 must be at least 1")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,

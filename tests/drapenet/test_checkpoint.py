@@ -49,7 +49,7 @@ def test_a_loaded_network_predicts_the_same(checkpoint: Path, half: bool) -> Non
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no checkpoint file .*nothing; "):
+    with pytest.raises(InputError, match=r"no checkpoint file .*nothing; "):
         read_header(tmp_path / "nothing")
 
 
