@@ -29,7 +29,8 @@ from common.files import folder_named, require_folder
 from data.captures import CAPTURE_FILES
 from data.testers import TESTERS
 from drapenet.export import TARGETS
-from drapenet.material import MESHES, read_material
+from drapenet.hinges import MESHES
+from drapenet.material import read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs

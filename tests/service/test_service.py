@@ -90,9 +90,9 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     assert not (folder / "uploaded").exists()
 
 
-def test_exports_can_be_fetched(client, finished):
-    for name in ("jfab", "u3m", "usd", "json", "csv", "torque"):  # others hang strips for seconds
-        target = TARGETS[name]
+def test_exports_can_be_fetched(client, finished, monkeypatch):
+    monkeypatch.setattr("drapenet.hinges.equivalent_modulus", None)  # no strips in this process
+    for name, target in TARGETS.items():
         answer = client.get(f"/estimates/{finished['id']}/export/{name}")
         assert answer.status_code == 200, (name, answer.text)
         title = answer.headers["content-disposition"].partition("filename=")[2].strip('"')
@@ -212,7 +212,7 @@ class BreakablePool:
     def stop(self) -> None:
         """Nothing: the status of a broken pool does not change."""
 
-    def join(self, timeout: float) -> None:
+    def join(self, **options: object) -> None:
         self.joined = True
 
 
