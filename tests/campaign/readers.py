@@ -465,7 +465,8 @@ READERS = {
     "prior": Reader(_priors, {"gaussian.json": damaged_json, "vae.json": damaged_json},
                     _read_priors),
     "checkpoint": Reader(_checkpoint, {"net.safetensors": damaged_safetensors}, _read_checkpoint),
-    "state of a training": Reader(_state, {"state.pt": damaged_zip}, _read_state),
+    "state of a training": Reader(_state, {"state.pt": lambda data, rng: damaged_zip(
+        data, rng, damaged_bytes)}, _read_state),
     "estimate": Reader(_estimate, {"estimate.json": damaged_json}, _read_estimate),
     "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, _damaged_shard)
                       | {"dataset.json": _damaged_manifest}, _read_dataset, _mend_dataset),
