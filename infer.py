@@ -36,10 +36,10 @@ def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)
     exports = targets_named(config.export, "export") if config.export else []
-    options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "known": known(config),
-               "strict": config.strict}
-    if config.captures or config.drapes >= 0:
-        options["drapes"] = max(config.drapes, 0)
+    drapes = (0 if config.captures else 2) if config.drapes is None else config.drapes
+    membrane = config.membrane_n_per_m
+    options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "strict": config.strict,
+               "drapes": drapes, "known": {} if membrane is None else {"membrane": membrane}}
     if config.captures:
         from drapenet.batch import estimate_tree
 
@@ -81,11 +81,6 @@ def export_estimates(files: list[Path], targets: list[str]) -> None:
         print(f"exports:  {', '.join(str(path) for path in written)}")
 
 
-def known(config: InferConfig) -> dict[str, float]:
-    """Known properties of the fabric, in SI units, for :func:`estimate_capture`."""
-    return {"membrane": config.membrane_n_per_m} if config.membrane_n_per_m else {}
-
-
 def check(config: InferConfig) -> None:
     """Raise InputError for values out of range or incompatible keys."""
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
@@ -103,10 +98,7 @@ def check(config: InferConfig) -> None:
         raise InputError(f"give {given[0]}= or {given[1]}=, not both")
     if not given:
         raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
-    if not -1 <= config.drapes <= 4:
-        raise InputError(f"drapes={config.drapes} must lie between 0 and 4")
-    if config.edge_mm:
-        check_edge(1e-3 * config.edge_mm)
+    check_edge(1e-3 * config.edge_mm)
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:

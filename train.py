@@ -40,7 +40,7 @@ def train(config: TrainConfig) -> Path:
 
     device = choose_device(config)
     training, unseen, manifest = open_captures(config)
-    checkpoint, state = out / "drapenet.safetensors", out / "state.safetensors"
+    checkpoint, state = out / "drapenet.safetensors", out / "state.pt"
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = MapNet(**training.network(config.model))

@@ -154,9 +154,8 @@ def _stored(path: Path, stamp: dict) -> dict | None:
 def sources_digest(folders: Sequence[str], work: Callable) -> str:
     """Digest, 16 hexadecimal digits, of the sources in ``folders`` (or files) and of ``work``."""
     digest = hashlib.sha256(inspect.getsource(work).encode())
-    # JSON files: that of the bundled weights contains the digest of the weights.
     files = {ROOT / name for name in folders if (ROOT / name).is_file()}
-    files |= {file for folder in folders for kind in ("py", "json")
+    files |= {file for folder in folders for kind in ("py", "json", "safetensors")
               for file in (ROOT / folder).rglob(f"*.{kind}")}
     for file in sorted(files):
         digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())

@@ -14,6 +14,7 @@ frames show only cloth. All content is validated; a fault raises an InputError o
 names the file.
 """
 
+import hashlib
 import math
 import os
 import tempfile
@@ -129,6 +130,11 @@ class Capture:
     cut: CutOut | None = None
     face: str = "up"
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the views."""
+        return hashlib.sha256(self.views.tobytes()).hexdigest()
+
 
 def read_capture(path: str | Path) -> Capture:
     """Read and check a capture folder of either format.
@@ -181,7 +187,8 @@ def captures_in(path: Path) -> list[Path]:
 
 
 def require_one_fabric(
-    rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[float]
+    rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[float],
+    digests: Iterable[tuple[str, str]],
 ) -> None:
     """InputError for captures that cannot be combined in the estimate of one fabric.
 
@@ -189,7 +196,14 @@ def require_one_fabric(
         rigs: of the captures, or their names.
         marked: whether each states the warp direction.
         densities: kg/m².
+        digests: name and :attr:`Capture.digest` of each.
     """
+    names: dict[str, str] = {}
+    for name, digest in digests:
+        if digest in names:
+            raise InputError(f"{names[digest]} and {name} have the same views, which are not "
+                             "independent; give each capture once")
+        names[digest] = name
     for right, values in (("have the same tester", set(rigs)),
                           ("state warp_direction_deg, or none of them", set(marked))):
         if len(values) > 1:

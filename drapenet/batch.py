@@ -49,14 +49,14 @@ class Done(Schema):
 
 
 def estimate_tree(
-    source: Path, out: Path, *, checkpoint: str = "", workers: int = 0, **options: Any
+    source: Path, out: Path, *, checkpoint: str = "", workers: int | None = None, **options: Any
 ) -> list[Path]:
     """Estimate all captures of ``source`` (:func:`drapenet.tree.entries_of`); write tables, a page
     for each fabric and an overview to ``out``; return the fabrics' files ``estimate.json``.
 
     Args:
         checkpoint: for all captures; empty: the bundled one of each capture's rig.
-        workers: processes, one thread each; 0: one for each core.
+        workers: processes, one thread each; None: one for each core.
         options: of :func:`drapenet.inference.estimate_capture`, serialisable as JSON.
 
     Raises:

@@ -82,10 +82,10 @@ class InferConfig:
     checkpoint: str
     refine: dict[str, Any]
     export: str
-    workers: FromZero
-    drapes: int
+    workers: Annotated[int | None, Field(ge=1)]
+    drapes: Annotated[int | None, Field(ge=0, le=4)]
     edge_mm: float
-    membrane_n_per_m: Annotated[float, Field(ge=0)]
+    membrane_n_per_m: Annotated[float | None, Field(gt=0)]
     density_g_m2: float
     strict: bool
 

@@ -172,13 +172,13 @@ def main(config: EvaluateConfig) -> None:
     require_folder(out)
     network = load_model(header)
     base = make_config(header, drapes=config.drapes, seed=config.seed)
-    require_unseen(header, base.as_dict())
     cells = CELLS
     if config.fabrics:
         base = replace(base, prior=TablePrior(read_fabric_table(config.fabrics).theta),
                        sampling=replace(base.sampling, soft_share=0.0))
         cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
         out = out / Path(config.fabrics).stem
+    require_unseen(header, base.as_dict())
     results = {}
     few = -(-base.drapes // (REDUCTION * base.drapes_per_shard))  # shards for other set-ups
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):

@@ -88,8 +88,9 @@ def capture_doubts(
 
 def estimate_capture(
     capture: Capture, header: Header, *, seen: Any = None, refine: Mapping[str, Any] | bool = False,
-    drapes: int = 2, edge: float = 0.0, known: dict[str, float] | None = None, strict: bool = False,
-    first: Callable[[dict[str, Any]], None] | None = None, progress: Progress | None = None,
+    drapes: int = 2, edge: float | None = None, known: dict[str, float] | None = None,
+    strict: bool = False, first: Callable[[dict[str, Any]], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result:
     """Estimate a capture and optionally refine the estimate by simulation.
 
@@ -98,7 +99,7 @@ def estimate_capture(
             are those of ``capture``; None for captured views.
         refine: whether to refine with defaults, or the content of a file of ``configs/refine``.
         drapes: number simulated with the estimate; the report shows the best. 0: no report.
-        edge: m, mesh edge of these simulations at the plate's rim; 0: the default.
+        edge: m, mesh edge of these simulations at the plate's rim; None: the default.
         known: ``membrane``, N/m, of the fabric at its own density, if known.
         strict: raise an error instead of giving warnings.
         first: called with the content of ``estimate.json`` by the network alone, before any
@@ -144,8 +145,8 @@ def estimate_capture(
 
             stated = Nuisances(**at_density(known, capture.density, REFERENCE_DENSITY))
             drape = resimulate(estimate.fabric, capture.views, camera, rig=rig,
-                               edge=edge or EDGE, drapes=drapes, turns=found.turns,
-                               laws=stated.laws)
+                               edge=EDGE if edge is None else edge, drapes=drapes,
+                               turns=found.turns, laws=stated.laws)
             doubts += [] if drape else ["no drape of the estimate converged; the report shows none"]
         if drape:
             source["resimulation"] = drape.as_dict()
@@ -206,5 +207,6 @@ def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:
     share = drape_coefficient(found, rig)
     return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
             "rig": capture.rig.name, "face": capture.face, "views": len(capture.views),
+            "views_sha256": capture.digest,
             "turns_deg": (np.degrees(found.turns).round(1) + 0.0).tolist(),  # no -0.0
             "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}

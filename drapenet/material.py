@@ -5,7 +5,6 @@ modulus of hinges on the meshes of other tools.
 import hashlib
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,21 +15,14 @@ from common.documents import Excerpt, parse_json, read_bytes, shown
 from common.errors import InputError
 from drapenet.content import SCHEMA, SCHEMA_VERSION
 from drapenet.convention import STIFF_SOFT, WARP_WEFT
+from drapenet.hinges import GAMMA, MESHES, MIN_CELLS, hinge_ratio
 from drapenet.output import ESTIMATE, result_name
-from sim.cantilever.equivalent import equivalent_modulus
 from sim.hinge_laws import mean_modulus
 from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
-from sim.mesh import strip
 from sim.scene import GRAVITY
 
 MAX_ESTIMATE_BYTES = 8 << 20  # bytes
 MAX_NAME_LENGTH = 80  # characters
-MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
-          "equal": ("equal", 0.0), "random": ("random", 0.0)}
-"""Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
-MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
-SAMPLES = 6  # strips for irregular meshes, whose stiffness varies by 4 %
-GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
 _Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -113,7 +105,7 @@ class Material:
             raise InputError(f"edge_mm={1e3 * self.edge:g} is too coarse for this fabric, whose "
                              f"folds are about {1e3 * natural:.0f} mm long; at most "
                              f"{1e3 * natural / MIN_CELLS:.1f}")
-        return _ratio(self.mesh, min(cells, MAX_CELLS))
+        return hinge_ratio(self.mesh, cells)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -181,20 +173,3 @@ def _captured_name(capture: dict[str, Any]) -> str:
     if not all(isinstance(source, str) and source and source.isprintable() for source in sources):
         return "fabric"
     return result_name([Path(source) for source in sources])[-MAX_NAME_LENGTH:]
-
-
-@cache
-def _ratio(mesh: str, cells: int) -> float:
-    diagonals, jitter = MESHES[mesh]
-    length = 0.09
-    edge = length / cells
-    ratios = []
-    for seed in range(SAMPLES if jitter or diagonals == "random" else 1):
-        found = equivalent_modulus(*strip(
-            length=length, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
-            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA)
-        if not found.found:
-            raise InputError(f"no strip on the mesh '{mesh}' came to rest ({found.message}); "
-                             "choose another mesh or edge_mm")
-        ratios.append(found.ratio)
-    return float(np.mean(ratios))

@@ -109,8 +109,10 @@ def write_overview(
 def _fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricResult:
     results = [read_result(out / entry.place) for entry in entries]
     require_one_fabric([one.content["capture"]["rig"] for one in results],
-                  [one.estimate.names == WARP_WEFT for one in results],
-                  [one.estimate.density for one in results])
+                       [one.estimate.names == WARP_WEFT for one in results],
+                       [one.estimate.density for one in results],
+                       [(about["source"], about["views_sha256"]) for about in
+                        (one.content["capture"] for one in results)])
     joint, scatter = results[0], np.full(3, np.nan)
     if len(results) > 1:
         joint = joint_result(results)

@@ -6,19 +6,24 @@ and standard deviations around the axis, the offset on their first harmonics. Th
 the ridge regressions, in ``drapenet/weights/placement.json``, are fitted to captures of a dataset's
 drapes, for the scale with depths multiplied by up to e^±0.15:
 
-    python -m drapenet.placement data=DATASET [rig=NAME]
+    python -m drapenet.placement data=DATASET [rig=NAME] [out=FILE]
+
+writes that table with the coefficients of one rig replaced; it takes effect in the place of the
+file above.
 """
 
 import json
 import math
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from common.command import command
 from common.errors import InputError
-from common.files import replace_file
+from common.files import replace_file, require_file
 from data.cameras import CameraRig
 from data.manifest import finished_manifest
 from data.setups import Setups
@@ -40,18 +45,24 @@ class PlacementConfig:
 
     data: str
     rig: str
+    out: str
     captures: FromOne
     seed: FromZero
+
+
+@cache
+def _table() -> dict[str, Any]:
+    """The coefficients by name of the rig."""
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 def specimen_placement(found: DrapeMap, rig: Rig) -> tuple[float, float]:
     """Logarithm of the apparent over the possible size of the drape in ``found``, and offset, m, of
     the specimen's centre from the plate's axis; NaN for a rig without coefficients.
     """
-    table = json.loads(FILE.read_text(encoding="utf-8"))
-    if rig.name not in table:
+    if rig.name not in _table():
         return math.nan, math.nan
-    scale, offset = table[rig.name]["log_scale"], table[rig.name]["offset"]
+    scale, offset = (_table()[rig.name][name] for name in ("log_scale", "offset"))
     return (float(_scale_features(found) @ scale["coefficients"] + scale["constant"]),
             float(np.abs(_offset_features(found) @ offset["coefficients"])))
 
@@ -96,9 +107,10 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constan
 
 @command("placement", PlacementConfig)
 def main(config: PlacementConfig) -> None:
-    """Fit the coefficients of one rig and write them to the table of all rigs."""
+    """Fit the coefficients of one rig and write the table of all rigs with them."""
     if not config.data:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
+    require_file(Path(config.out))
     rig, setups = Rig.from_name(config.rig), Setups.load()
     manifest, root = finished_manifest(config.data), Path(config.data)
     nominal = CameraRig.load(rig)
@@ -131,8 +143,8 @@ def main(config: PlacementConfig) -> None:
     own["offset"] = fit(np.concatenate([features.real, features.imag]),
                         np.concatenate([values.real, values.imag]), np.tile(groups, 2),
                         constant=False)
-    table = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
-    replace_file(FILE, (json.dumps(table | {rig.name: own}, indent=1) + "\n").encode())
+    table = _table() | {rig.name: own}
+    replace_file(Path(config.out), (json.dumps(table, indent=1) + "\n").encode())
     print(f"{rig.name}: log scale known to {own['log_scale']['deviation']:.3f}, offset to "
           f"{1e3 * own['offset']['deviation']:.2f} mm along warp and weft each")
 

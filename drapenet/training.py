@@ -193,7 +193,7 @@ def log_metrics(
 def describe(
     config: TrainConfig, training: CaptureSet, manifest: dict, metrics: dict, epoch: int
 ) -> dict:
-    """Content of a checkpoint's JSON file, see :mod:`drapenet.checkpoint`."""
+    """Description of a checkpoint's network, see :mod:`drapenet.checkpoint`."""
     theta = training.maps.theta
     low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     return {

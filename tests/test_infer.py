@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from checkpoints import change_description
 from cloths import capture_views
 from PIL import Image
 from words import last
@@ -45,14 +46,22 @@ def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
     """A checkpoint, which a test may spoil."""
     folder = tmp_path / "checkpoint"
     folder.mkdir()
-    for suffix in (".safetensors", ".json"):
-        shutil.copy(untrained_checkpoint.with_suffix(suffix), folder / f"net{suffix}")
-    return folder / "net.safetensors"
+    return Path(shutil.copy(untrained_checkpoint, folder / "net.safetensors"))
 
 
 def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
     return last(f"capture={capture}", f"checkpoint={checkpoint}", f"out={capture.parent / 'out'}",
             *more)
+
+
+def test_the_same_views_twice_are_not_two_captures(
+    capture: Path, checkpoint: Path, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(capture, tmp_path / "copy")
+    for second in (capture, copy):
+        with pytest.raises(InputError, match=f"{capture} and {second} have the same views"):
+            infer.main(last(f"capture=[{capture},{second}]", f"checkpoint={checkpoint}",
+                            f"out={tmp_path / 'out'}"))
 
 
 def test_a_doubtful_capture_is_refused_where_that_is_wanted(
@@ -90,10 +99,7 @@ def spoil_yaml(**changes: object) -> Callable[[Path, Path], None]:
 
 
 def spoil_header(**changes: object) -> Callable[[Path, Path], None]:
-    def change(_: Path, checkpoint: Path) -> None:
-        file = checkpoint.with_suffix(".json")
-        file.write_text(json.dumps(json.loads(file.read_text()) | changes))
-    return change
+    return lambda _, checkpoint: change_description(checkpoint, **changes)
 
 
 def spoil_view(action: Callable[[Path], object]) -> Callable[[Path, Path], None]:
@@ -137,9 +143,9 @@ BAD = {
     "intrinsics of another picture": (
         spoil_yaml(intrinsics={"fx": -1.0, "fy": 100.0, "cx": 59.5, "cy": 44.5}), "intrinsics"),
     "checkpoint of another rig": (spoil_header(rig="disc300_support180"), "disc300_support180"),
-    "checkpoint of another schema": (spoil_header(schema_version=7), "schema_version=7 must be 2"),
+    "checkpoint of another schema": (spoil_header(schema_version=7), "schema_version=7 must be 3"),
     "checkpoint missing": (lambda _, f: f.unlink(), "no checkpoint file"),
-    "checkpoint damaged": (lambda _, f: truncate(f), "copy both again"),
+    "checkpoint damaged": (lambda _, f: truncate(f), "copy it again"),
 }
 
 
@@ -177,11 +183,13 @@ def test_a_tester_without_a_network_is_refused_with_those_that_have_one(
 @pytest.mark.parametrize(("word", "message"), [
     ("drapes=9", "drapes=9"), ("colour=red", "colour"), ("drapes", "key=value"),
     ("edge_mm=0.3", "edge=0.3 mm"), ("capture=", "capture=DIR"), ("checkpoint=.", "checkpoint"),
-    ("checkpoint=7", "no checkpoint file 7.safetensors"), ("refine=more", "refine=more"),
+    ("checkpoint=7", "no checkpoint file 7; "), ("refine=more", "refine=more"),
     ("refine=scan", "none or depth"), ("refine=depth refine.edge_mm=100", "edge=100 mm"),
     ("refine.starts=2", "refine.starts"),
     ("refine=depth refine.starts=0.5", "refine.starts=0.5 must be a positive whole number"),
-    ("membrane_n_per_m=-1", "membrane_n_per_m=-1")])
+    ("membrane_n_per_m=-1", "membrane_n_per_m=-1"),
+    ("membrane_n_per_m=0", "membrane_n_per_m=0.0 must be more than 0"),
+    ("drapes=-1", "drapes=-1 is outside 0-4"), ("workers=0", "workers=0 must be at least 1")])
 def test_bad_words_are_one_line(
     capture: Path, checkpoint: Path, word: str, message: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
@@ -281,7 +289,7 @@ def test_estimate_says_what_it_is(
             assert own[unit]["median"] == pytest.approx(reference[unit]["median"] / 2)
             assert own[unit]["interval_90"][0] < own[unit]["interval_68"][0] < own[unit]["median"]
         assert 0.1 < own["alpha_uN_m"]["median"] < 1000  # µN·m of a fabric, not another unit
-    assert content["checkpoint"]["sha256"] == read_header(checkpoint).weights.sha256
+    assert content["checkpoint"]["sha256"] == read_header(checkpoint).sha256
     assert content["warp_axis"]["direction_deg"] == pytest.approx(math.degrees(0.4))
     assert content["capture"]["turns_deg"] == pytest.approx([0, 90, 180, 270], abs=1)
     assert "68 % interval" in capsys.readouterr().out

@@ -1,7 +1,8 @@
 """Priors of fabrics: distributions over theta, fitted to measured fabrics.
 
 A prior is a JSON file; its "kind" selects the class: one normal distribution (:mod:`gaussian`), a
-mixture (:mod:`mixture`) or a variational autoencoder (:mod:`vae`). Those in ``data/weights`` were
+mixture (:mod:`mixture`), a variational autoencoder (:mod:`vae`) or the fabrics of a table
+(:mod:`table`). Those in ``data/weights`` were
 fitted to the distinct fabrics published with Feng et al. 2022. To fit one to another table:
 
     python -m data.prior fit fabrics=FILE out=prior.json
@@ -20,6 +21,7 @@ from data.fabrics import THETA_NAMES, from_theta
 from data.prior.base import Prior
 from data.prior.gaussian import GaussianPrior
 from data.prior.mixture import MixturePrior
+from data.prior.table import TablePrior
 from data.prior.vae import ARCHITECTURES, VaePrior
 from sim.material import is_admissible
 
@@ -29,7 +31,7 @@ BUNDLED = ("gaussian", "mixture", "vae")
 """Names of the priors that ship with the project, ``data/weights/NAME.json``."""
 MAX_TRIES = 10_000
 
-KINDS = {kind.kind: kind for kind in (GaussianPrior, MixturePrior, VaePrior)}
+KINDS = {kind.kind: kind for kind in (GaussianPrior, MixturePrior, VaePrior, TablePrior)}
 
 MODELS: dict[str, Callable[[np.ndarray], Prior]] = {
     "gaussian": GaussianPrior.fit,

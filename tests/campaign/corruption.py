@@ -204,8 +204,9 @@ def damaged_safetensors(data: bytes, rng: random.Random) -> bytes:
     size = int.from_bytes(data[:8], "little")
     header, numbers = json.loads(data[8 : 8 + size]), data[8 + size :]
     about = header.get("__metadata__", {})
-    if "record" in about and rng.random() < 0.6:
-        about["record"] = damaged_json(about["record"].encode(), rng).decode("utf-8", "replace")
+    if about and rng.random() < 0.6:
+        name = rng.choice(list(about))
+        about[name] = damaged_json(about[name].encode(), rng).decode("utf-8", "replace")
     else:
         header = damaged_value(header, rng)
     text = json.dumps(header).encode("utf-8", "surrogatepass")

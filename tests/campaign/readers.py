@@ -231,20 +231,9 @@ def _checkpoint(folder: Path) -> None:
         "config": {"setup": dict(read_option("setup", "real"))}})
 
 
-def _mend_checkpoint(folder: Path) -> None:
-    try:
-        digest = hashlib.sha256((folder / "net.safetensors").read_bytes()).hexdigest()
-        content = json.loads((folder / "net.json").read_text())
-        if digest != content["weights"]["sha256"]:
-            content["weights"]["sha256"] = digest
-            (folder / "net.json").write_text(json.dumps(content))
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-
-
 def _read_checkpoint(folder: Path) -> None:
-    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15)
-    header = header_for([capture], str(folder / "net"))
+    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15, path="", digest="")
+    header = header_for([capture], str(folder / "net.safetensors"))
     _ = header.setups, header.scale, header.identity
     load_model(header)
 
@@ -267,13 +256,13 @@ _RUN = {"settings": {"seed": 0}, "dataset": "0" * 64}
 def _state(folder: Path) -> None:
     model, optimizer = _training()
     _step(model, optimizer)
-    save_state(folder / "state.safetensors", model=model, optimizer=optimizer, record={
+    save_state(folder / "state.pt", model=model, optimizer=optimizer, record={
         "run": _RUN, "epochs_done": 2, "best_loss": 0.5})
 
 
 def _read_state(folder: Path) -> None:
     model, optimizer = _training()
-    load_state(folder / "state.safetensors", run=_RUN, model=model,
+    load_state(folder / "state.pt", run=_RUN, model=model,
                optimizer=optimizer)
     _step(model, optimizer)
 
@@ -291,13 +280,10 @@ def _estimate(folder: Path) -> None:
                    for name, a in (("warp", 52.0), ("bias", 31.0), ("weft", 22.0))}}))
 
 
-LIGHT = [name for name in TARGETS if name not in ("arcsim", "ppf", "newton")]  # without hinges
-
-
 def _read_estimate(folder: Path) -> None:
     material = read_material(folder / "estimate.json", curvature=50.0)
-    for name in LIGHT:
-        TARGETS[name].write(material, TARGETS[name].file)
+    for target in TARGETS.values():
+        target.write(material, target.file)
 
 
 def small_config(drapes: int = 8, per_shard: int = 4) -> DatasetConfig:
@@ -478,10 +464,9 @@ READERS = {
                                lambda folder: entries_of(folder / "list.csv")),
     "prior": Reader(_priors, {"gaussian.json": damaged_json, "vae.json": damaged_json},
                     _read_priors),
-    "checkpoint": Reader(_checkpoint, {"net.json": damaged_json,
-                                       "net.safetensors": damaged_safetensors},
-                         _read_checkpoint, _mend_checkpoint),
-    "state of a training": Reader(_state, {"state.safetensors": damaged_safetensors}, _read_state),
+    "checkpoint": Reader(_checkpoint, {"net.safetensors": damaged_safetensors}, _read_checkpoint),
+    "state of a training": Reader(_state, {"state.pt": lambda data, rng: damaged_zip(
+        data, rng, damaged_bytes)}, _read_state),
     "estimate": Reader(_estimate, {"estimate.json": damaged_json}, _read_estimate),
     "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, _damaged_shard)
                       | {"dataset.json": _damaged_manifest}, _read_dataset, _mend_dataset),

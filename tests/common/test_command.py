@@ -35,15 +35,16 @@ from data.inspect.__main__ import InspectConfig
 from data.options import Options, config_from_options
 from data.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
+from drapenet.hinges import HingesConfig
 from drapenet.placement import PlacementConfig
 from drapenet.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
-           "export": ExportConfig, "generate": Options, "infer": InferConfig,
-           "inspect": InspectConfig, "placement": PlacementConfig, "prior_fit": FitConfig,
-           "serve": Settings, "train": TrainConfig}
+           "export": ExportConfig, "generate": Options, "hinges": HingesConfig,
+           "infer": InferConfig, "inspect": InspectConfig, "placement": PlacementConfig,
+           "prior_fit": FitConfig, "serve": Settings, "train": TrainConfig}
 
 
 @dataclass

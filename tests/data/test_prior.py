@@ -9,6 +9,7 @@ from common.errors import InputError
 from data.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
 from data.prior import MODELS, GaussianPrior, load_prior, sample_admissible, save_prior
 from data.prior.__main__ import main
+from data.prior.table import TablePrior
 from sim.material import is_admissible
 
 TABLE = Path(__file__).parents[2] / ".." / "shared" / "fabrics" / "feng2022_train.csv"
@@ -109,6 +110,16 @@ def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:
         load_prior(path)
     assert "\n" not in str(refusal.value) and str(path) in str(refusal.value)
+
+
+def test_a_table_of_fabrics_is_a_prior(prior, tmp_path):
+    table = TablePrior(prior.sample(3, np.random.default_rng(0)))
+    save_prior(table, tmp_path / "table.json")
+    np.testing.assert_array_equal(load_prior(tmp_path / "table.json").theta, table.theta)
+    file = tmp_path / "table.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"theta": [[0.0] * 5]}))
+    with pytest.raises(InputError, match="theta: give K × 6 finite numbers"):
+        load_prior(file)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000])

@@ -39,7 +39,9 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     root, out = tmp_path / "root", tmp_path / "out"
     lines = ["fabric,sample,capture"]
     for k, (fabric, sample, _) in enumerate(NAMES):
-        write(root / str(k), captured)
+        views = captured[0].copy()
+        views[0, 45, 60] += 1e-3 * k  # the same views twice are not repeats
+        write(root / str(k), (views, captured[1]))
         quoted = fabric.replace('"', '""')
         lines.append(f'"{quoted}",{sample},{k}')
     lines.append("gone,,nowhere")
@@ -57,7 +59,7 @@ def test_a_tree_is_estimated_resumed_and_shown(tmp_path, captured, untrained_che
     # The fabric's density is half of 300 g/m², and so are its moduli; equal drapes do not vary.
     assert float(fabrics[0]["bias_alpha_uN_m_at_300_g_m2"]) == pytest.approx(
         2 * float(fabrics[0]["bias_alpha_uN_m"]), rel=1e-4)
-    assert float(fabrics[1]["alpha_bias_scatter_factor"]) == pytest.approx(1.0)
+    assert float(fabrics[1]["alpha_bias_scatter_factor"]) == pytest.approx(1.0, abs=0.02)
     failure, = rows(out / "failures.csv")
     assert failure["fabric"] == "gone" and "does not exist" in failure["reason"]
     pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
@@ -111,7 +113,7 @@ def test_a_tree_of_broken_captures_ends_with_an_error_and_a_list(tmp_path, untra
 def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(
     tmp_path, untrained_checkpoint, capsys
 ):
-    for place in ("sound/1", "faulty/1", "faulty/2"):
+    for place in ("sound/1", "faulty/1", "faulty/2", "twice/1", "twice/2"):
         shutil.copytree(TWILL, tmp_path / "root" / place)
     faulty = tmp_path / "root" / "faulty" / "2"
     shutil.copy(TWILL / "view_1.png", faulty / "view_2.png")
@@ -129,8 +131,10 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(
     assert any(line.startswith("sound") and line.endswith(" -") for line in lines)
     page = (out / "index.html").read_text("utf-8")
     assert page.count('<tr class="doubted">') == 1 and f"<strong>{count} warning" in page
+    twice, = rows(out / "failures.csv")
+    assert "root/twice/2 have the same views" in twice["reason"]
     infer.main([*words, f"out={tmp_path / 'strict'}", "strict=true"])
-    failure, = rows(tmp_path / "strict" / "failures.csv")
+    failure, _ = rows(tmp_path / "strict" / "failures.csv")
     assert failure["sample"] == "" and failure["capture"] == "2"
     assert failure["reason"].startswith("refused because strict=true: ")
 

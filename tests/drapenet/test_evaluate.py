@@ -1,11 +1,13 @@
 """The matrix of the evaluation, with an untrained network and cloth that costs nothing."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cloths
 import numpy as np
 import pytest
+from checkpoints import change_description, description
 
 import drapenet.evaluate
 from common.errors import InputError
@@ -15,6 +17,14 @@ from drapenet.checkpoint import load_model, read_header
 from drapenet.evaluate import CELLS, datasets, judge, make_config
 from drapenet.maps import make_maps
 from sim.scene import Rig
+
+
+def write_fabrics(file: Path) -> Path:
+    """Write a table of a measured fabric."""
+    file.write_text("density[kg.m-2],linear warp[SI*1e9],linear weft[SI*1e9],linear diag[SI*1e9],"
+                    "nonlinear warp[SI*1e12],nonlinear weft[SI*1e12],nonlinear diag[SI*1e12]\n"
+                    "0.3,30000,20000,25000,-60000,-4e4,-5e4\n")
+    return file
 
 
 def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is(
@@ -46,15 +56,18 @@ def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> No
 def test_seen_fabrics_are_refused_before_they_are_made(
     untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy = tmp_path / "copy.json"
-    content = json.loads(untrained_checkpoint.with_suffix(".json").read_text())
-    content["dataset"]["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
-                                         "prior": prior_content(load_prior("vae"))}
-    copy.write_text(json.dumps(content))
-    copy.with_suffix(".safetensors").write_bytes(untrained_checkpoint.read_bytes())
+    copy = Path(shutil.copy(untrained_checkpoint, tmp_path / "copy.safetensors"))
+    dataset = description(copy)["dataset"]
+    dataset["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
+                              "prior": prior_content(load_prior("vae"))}
+    change_description(copy, dataset=dataset)
     monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
+    words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5"]
     with pytest.raises(InputError, match="not unseen"):
-        drapenet.evaluate.main([f"checkpoint={copy}", f"out={tmp_path}", "seed=5"])
+        drapenet.evaluate.main(words)
+    measured = write_fabrics(tmp_path / "table.csv")
+    with pytest.raises(TypeError, match="not callable"):  # generate_dataset: they are unseen
+        drapenet.evaluate.main([*words, f"fabrics={measured}"])
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -71,10 +84,7 @@ def test_the_command_prints_a_line_a_cell(
         name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
     words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=6", "seed=5"]
     if table:
-        header = ("density[kg.m-2],linear warp[SI*1e9],linear weft[SI*1e9],linear diag[SI*1e9],"
-                  "nonlinear warp[SI*1e12],nonlinear weft[SI*1e12],nonlinear diag[SI*1e12]")
-        (tmp_path / "table.csv").write_text(f"{header}\n0.3,30000,20000,25000,-60000,-4e4,-5e4\n")
-        words.append(f"fabrics={tmp_path / 'table.csv'}")
+        words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
     drapenet.evaluate.main(words)
     lines = capsys.readouterr().out.splitlines()
     names = ["as trained", "without nuisances", *([] if table else ["views 8"])]

@@ -18,7 +18,15 @@ from drapenet.export import (
     export_all,
     main,
 )
-from drapenet.material import MESHES, read_material
+from drapenet.hinges import (
+    FILE,
+    MAX_CELLS,
+    MESHES,
+    MIN_CELLS,
+    hinge_ratio,
+    simulated_ratio,
+)
+from drapenet.material import read_material
 from sim.hinge_laws import HingeLaw, mean_modulus
 from sim.material import MICRO, NANO, Fabric, torque
 from sim.mesh import strip
@@ -250,6 +258,18 @@ def test_programs_stand_for_their_format_and_folders_for_their_estimate(
     printed = capsys.readouterr().out
     assert [Path(line).name for line in printed.splitlines()[:2]] == ["fabric.jfab", "fabric.usda"]
     assert "warning: curvature_1_m=120 is outside the law" in printed
+
+
+@pytest.mark.parametrize(("mesh", "cells"), [
+    ("unstructured", 7), ("alternating", 9), ("equal", 6), ("random", 6)])
+def test_ratios_of_meshes_are_those_of_simulated_strips(mesh: str, cells: int) -> None:
+    assert hinge_ratio(mesh, cells) == pytest.approx(simulated_ratio(mesh, cells), abs=1e-3)
+
+
+def test_the_table_has_a_ratio_for_every_mesh_and_number_of_cells() -> None:
+    assert {mesh: len(ratios) for mesh, ratios in json.loads(FILE.read_text()).items()} == (
+        dict.fromkeys(MESHES, MAX_CELLS - MIN_CELLS + 1))
+    assert hinge_ratio("equal", 10 * MAX_CELLS) == hinge_ratio("equal", MAX_CELLS)
 
 
 def test_a_mesh_of_every_kind_has_a_ratio_near_the_validation_s(estimate: Path) -> None:

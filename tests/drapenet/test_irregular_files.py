@@ -31,11 +31,6 @@ def _state(file: Path) -> None:
     load_state(file, run={}, model=model, optimizer=torch.optim.Adam(model.parameters()))
 
 
-def _header(file: Path) -> None:
-    file.with_suffix(".safetensors").touch()
-    read_header(file)
-
-
 READERS: dict[str, Callable[[Path], object]] = {
     "capture.yaml": lambda file: read_capture(file.parent),
     "density.txt": lambda file: read_capture(file.parent),
@@ -53,8 +48,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "prior.json": load_prior,
     "dataset.json": lambda file: read_manifest(file.parent),
     "shard_00000.h5": Shard,
-    "net.json": _header,
-    "state.safetensors": _state,
+    "net.safetensors": read_header,
+    "state.pt": _state,
     "estimate.json": read_material,
 }
 

@@ -1,7 +1,9 @@
 """Spoiled captures say what is wrong with them; sound ones say nothing."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from common.errors import InputError
 from data.cameras import CameraRig
 from data.setups import Setups, SyntheticCapture
 from drapenet.canonical import drape_map
-from drapenet.placement import fit
+from drapenet.placement import FILE, fit, main, specimen_placement
 from drapenet.quality import measure, quality_doubts, require_plate
 from drapenet.registration import locate_camera
 from sim.drape import drape
@@ -37,6 +39,21 @@ def doubts(capture: SyntheticCapture) -> str:
     found = drape_map(capture.views, camera, RIG, turns=capture.turns)
     return "; ".join(quality_doubts(measure(capture.views, camera, found, RIG,
                                             turns=capture.turns)))
+
+
+def test_coefficients_of_the_placement_are_written_to_out_alone(
+    cloth_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sound: SyntheticCapture
+) -> None:
+    before, out = FILE.read_bytes(), tmp_path / "placement.json"
+    main([f"data={cloth_dataset}", "captures=8", f"out={out}"])
+    fitted, bundled = json.loads(out.read_text()), json.loads(before)
+    assert FILE.read_bytes() == before
+    assert fitted.keys() == bundled.keys() and fitted[RIG.name] != bundled[RIG.name]
+    camera = locate_camera(sound.views, sound.intrinsics, RIG)
+    found = drape_map(sound.views, camera, RIG, turns=sound.turns)
+    placement = specimen_placement(found, RIG)
+    monkeypatch.setattr("drapenet.placement.FILE", out)  # is read once
+    assert specimen_placement(found, RIG) == placement
 
 
 def test_a_sound_capture_is_not_doubted(sound: SyntheticCapture) -> None:

@@ -247,13 +247,6 @@ def test_nonsense_is_refused_in_words(alpha, beta, density, word):
         Fabric(alpha, beta, density)
 
 
-def test_fabrics_are_compared_by_value():
-    one, same = (Fabric([2e-5, 3e-5, 4e-5], [-1e-9, 0, 0], density=0.2) for _ in range(2))
-    assert one == same and hash(one) == hash(same) and len({one, same}) == 1
-    assert one != Fabric([2e-5, 3e-5, 4e-5], [-1e-9, 0, 0], density=0.3)
-    assert one != Fabric([2e-5, 3e-5, 5e-5], [-1e-9, 0, 0], density=0.2) and one != "fabric"
-
-
 def test_the_limits_of_units_do_not_hold_for_a_fabric_scaled_to_another_density():
     stiff = Fabric([1.0, 1.0, 1.0], density=0.3)
     assert stiff.at_density(3.0).alpha == pytest.approx([10.0] * 3)
