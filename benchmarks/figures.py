@@ -317,8 +317,7 @@ def information() -> str:
              f"{1e3 * found['beta_over_alpha']:.2f}",
              f"{found['standardised_log_alpha']:.3f}",
              f"{found['standardised_beta_over_alpha']:.3f}"]
-            for name, found in report("information")["rms"].items()
-            if name not in ("shear", "curl_warp", "curl_weft", "size", "plate", "cut")]
+            for name, found in report("information")["rms"].items()]
     return table(["unknown", "log α", "β/α, mm", "log α, of the spread", "β/α, of the spread"],
                  rows)
 

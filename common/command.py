@@ -389,7 +389,7 @@ def _message(error: Exception, name: str, schema: type) -> str:
         if fitting := [word for word, content in options.items() if inner in content]:
             return f"{key} goes with {' or '.join(fitting)}"
         inside = _names(_kind(schema, group)) if group else set()
-        if inside := inside.union(*options.values()):
+        if inside := inside.union(*options.values()) - {"defaults"}:
             return (f"unknown key '{key}'{_suggestion(inner, inside)}; keys of {group}: "
                     f"{', '.join(sorted(inside))}")
         return _unknown_key(key, name, schema)

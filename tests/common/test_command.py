@@ -185,7 +185,7 @@ def test_a_mistake_is_one_line_and_nothing_is_called(run, words, complaint):
         ("generate", "dataset=null", "dataset=null"),
         ("generate", "dataset=[1]", "see dataset=[1]"),
         ("generate", "dataset=huge", "specimens"),
-        ("generate", "dataset.colour=red", "keys of dataset: drapes_per_shard"),
+        ("generate", "dataset.colour=red", "keys of dataset: both_faces, drapes_per_shard"),
         ("generate", "nuisances.colour=red", "keys of nuisances"),
         ("generate", "colour=red", "unknown key 'colour'; known keys: dataset, drapes, edge_mm"),
         ("generate", "+colour=red", "unknown key 'colour'; known keys: dataset"),

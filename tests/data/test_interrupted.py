@@ -18,9 +18,10 @@ from test_generate import ROOT, files, generate, small_config
 
 from common.errors import InputError
 from data.records import make_record
-from data.sampling import BORROWED, STARTS, choose_lender
+from data.sampling import BORROWED, choose_lender
 from data.shards import LENGTH_UNIT, Shard
 
+SHAPES = ("sine", "fold")
 SCRIPT = """
 import sys
 sys.path.insert(0, {tests!r})
@@ -34,7 +35,7 @@ if __name__ == "__main__":
 
 def config(shards=6):
     """Three drapes of each fabric, some of them borrowed, in shards of six."""
-    small = small_config(6 * shards, starts_per_fabric=3, starts=(*STARTS, BORROWED))
+    small = small_config(6 * shards, starts_per_fabric=3, starts=(*SHAPES, BORROWED))
     return replace(small, drapes_per_shard=6)
 
 
@@ -89,7 +90,7 @@ def test_borrowed_starts_are_earlier_drapes_of_other_fabrics_of_the_shard(peacef
                 assert row["lender"] == choose_lender(row["index"], seed=0, candidates=able)
                 borrowed += 1
             else:
-                assert row["start"] in (STARTS if row["planned"] == BORROWED
+                assert row["start"] in (SHAPES if row["planned"] == BORROWED
                                         else (row["planned"],))
                 assert row["lender"] == -1
     assert borrowed > 3  # else this dataset tests nothing

@@ -22,11 +22,13 @@ def test_small_and_large_specimens_are_lowered(rig: Rig) -> None:
     assert result.positions[:, 2].min() < -0.2 * (rig.specimen_size - rig.plate_diameter)
 
 
+@pytest.mark.slow
 def test_lowered_discs_have_more_folds_than_discs_from_rings() -> None:
+    """Their numbers scatter by 0.6 and 1.5."""
     folds = {}
-    for start in ("lowered", "ring"):
+    for start, count in (("lowered", 3), ("ring", 12)):
         drapes = [drape(SOFT, rig=DISC_RIG, edge=6e-3, start=start, seed=seed)
-                  for seed in range(4)]
+                  for seed in range(count)]
         assert all(one.converged for one in drapes)
         folds[start] = np.mean([fold_count(one.positions, one.rest, DISC_RIG) for one in drapes])
     assert folds["lowered"] > folds["ring"] + 0.5
