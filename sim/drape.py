@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,8 @@ COARSE_MEMBRANE = 0.03
 little effect on the shape but limits the length of Newton steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth end inside the cylinder."""
+_MIDDLE = 0.7
+"""Largest edge of a mesh between lowering and the final one, relative to that of the lowering."""
 COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
@@ -172,7 +175,9 @@ def drape(
     if start == LOWERED and borrowed is None:
         found, statuses, laws = run.lowered(edge, laws)
     else:
-        found, statuses = run.started(edge, laws, start, borrowed)
+        coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
+        scenes = run.scenes(edge, min(coarsest, longest_edge(rig, offset)))
+        found, statuses, _ = run.settled(scenes, laws, borrowed=borrowed, start=start, seed=seed)
     return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began,
                         coarse=tuple(statuses))
 
@@ -193,38 +198,43 @@ class _Run:
                                       offset=self.offset, grading=grading), self.rig, soft=soft)
 
     def lowered(self, edge: float, laws: Laws) -> tuple[Equilibrium, list[Status], Laws]:
-        """The equilibrium of lowered cloth, the status of the lowering, and the laws of cloth that
-        remembers it. Limp cloth without an equilibrium is lowered again on a finer mesh."""
-        scene = self.scene(edge)
+        """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth that finds none is lowered
+        again on a finer mesh."""
         for coarse, grading in LOWERING_MESHES:
             coarse = min(max(coarse, edge), longest_edge(self.rig, self.offset))
-            before = lowered(self.scene(coarse, grading, soft=True), self.fabric, self.rig,
-                             laws=laws.softened(COARSE_MEMBRANE), seed=self.seed)
-            remembering = with_origins(laws, before, scene)
-            start = start_positions(scene, self.rig, coarse=before)
-            found = find_equilibrium(scene, self.fabric, scene.state(start), laws=remembering,
-                                     options=self.options, self_contact=True).after(before)
-            if found.converged:
+            scene = self.scene(coarse, grading, soft=True)
+            before = lowered(scene, self.fabric, self.rig, laws=laws.softened(COARSE_MEMBRANE),
+                             seed=self.seed)
+            found = self.settled([scene, *self.scenes(edge, _MIDDLE * coarse)], laws, before=before)
+            if found[0].converged:
                 break
-        return found, [before.status], remembering
+        return found
 
-    def started(
-        self, edge: float, laws: Laws, start: str, borrowed: tuple[np.ndarray, np.ndarray] | None
-    ) -> tuple[Equilibrium, list[Status]]:
-        """The equilibrium from an initial shape, and the statuses on the coarser meshes."""
-        coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
-        found, statuses = None, []
-        for level in coarse_to_fine(edge, min(coarsest, longest_edge(self.rig, self.offset))):
-            last = level == edge
-            scene = self.scene(level, soft=not last)
-            positions = start_positions(scene, self.rig, coarse=found, borrowed=borrowed,
-                                        start=start, seed=self.seed)
+    def scenes(self, edge: float, coarsest: float) -> list[Scene]:
+        """The specimen on meshes from ``coarsest`` at most to ``edge``, m, the last one's."""
+        return [self.scene(level, soft=level != edge) for level in coarse_to_fine(edge, coarsest)]
+
+    def settled(
+        self, scenes: list[Scene], laws: Laws, *, before: Equilibrium | None = None, **first: Any
+    ) -> tuple[Equilibrium, list[Status], Laws]:
+        """The equilibrium in the last of ``scenes``, coarse to fine, the statuses in those before,
+        and the laws, which remember the hysteresis of cloth that was lowered.
+
+        Args:
+            before: cloth that was lowered.
+            first: other arguments of :func:`start_positions`, without ``before``.
+        """
+        found, statuses, used = before, [], laws
+        for scene in scenes:
+            last = scene is scenes[-1]
+            used = with_origins(laws, before, scene) if before else laws
+            positions = start_positions(scene, self.rig, coarse=found, **first)
             found = find_equilibrium(
                 scene, self.fabric, scene.state(positions), self_contact=last,
-                laws=laws if last else laws.softened(COARSE_MEMBRANE),
+                laws=used if last else used.softened(COARSE_MEMBRANE),
                 options=self.options if last else COARSE_OPTIONS).after(found)
             statuses.append(found.status)
-        return found, statuses[:-1]
+        return found, statuses[:-1], used
 
 
 def check_arguments(
