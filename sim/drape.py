@@ -198,7 +198,7 @@ class _Run:
                                       offset=self.offset, grading=grading), self.rig, soft=soft)
 
     def lowered(self, edge: float, laws: Laws) -> tuple[Equilibrium, list[Status], Laws]:
-        """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth that finds none is lowered
+        """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth without any is lowered
         again on a finer mesh."""
         for coarse, grading in LOWERING_MESHES:
             coarse = min(max(coarse, edge), longest_edge(self.rig, self.offset))
