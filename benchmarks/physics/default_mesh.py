@@ -63,7 +63,7 @@ def timed_drape(
 ) -> tuple[DrapeResult, float]:
     """Simulate a drape from a sine start; return it and its CPU-seconds."""
     began = time.process_time()
-    result = drape(fabric, rig=rig, edge=edge, seed=seed)
+    result = drape(fabric, rig=rig, edge=edge, seed=seed, start="sine")
     return result, time.process_time() - began
 
 

@@ -66,7 +66,8 @@ def simulate(
     fabric = Fabric(np.full(3, alpha * MICRO), density=density)
     laws = Laws(membrane=membrane(law, stiffness))
     if begin is None:
-        found = drape(fabric, rig=rig, edge=1e-3 * edge_mm, seed=seed, laws=laws)
+        found = drape(fabric, rig=rig, edge=1e-3 * edge_mm, seed=seed, laws=laws,
+                      start="sine")
         mesh, steps = found.mesh, found.iterations
     else:
         start = load_arrays(Path(begin).parent, Path(begin).stem)

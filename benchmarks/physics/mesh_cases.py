@@ -34,7 +34,7 @@ DEFAULT_LAW = "midedge"
 def common_start(alpha: list[float], edge_mm: float, membrane: float, seed: int) -> dict:
     """Drape a fabric of moduli ``alpha`` (3,), µN·m, as the common start of its cases."""
     laws = Laws(membrane=Corotational(stiffness=membrane))
-    result = drape(_fabric(alpha), edge=1e-3 * edge_mm, seed=seed, laws=laws)
+    result = drape(_fabric(alpha), edge=1e-3 * edge_mm, seed=seed, laws=laws, start="sine")
     return _results(result.mesh, result.positions, result.status, result.seconds)
 
 

@@ -55,7 +55,7 @@ def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     fabric = fabric_from_theta(theta)
     drape(fabric, edge=0.01)  # loads the kernels
     clock, seconds = Clock(), {}
-    made = drape(fabric, edge=1e-3 * edge_mm, seed=index)
+    made = drape(fabric, edge=1e-3 * edge_mm, seed=index, start="sine")
     seconds["drape"] = clock()
     result = {
         "alpha_uN_m": (1e6 * fabric.alpha).tolist(),
