@@ -44,7 +44,7 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = MapNet(**training.network(config.model))
-    network = network.to(device, memory_format=torch.channels_last)
+    network = network.to(device)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
