@@ -47,7 +47,7 @@ def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> No
     assert {cell.drapes for cell in CELLS.values()} == set(made)
     assert made["as trained"] is base and made["none"].drapes == 10
     assert made["membrane x 3"].sampling.nuisances.membrane == pytest.approx(
-        [3 * np.sqrt(1e5)] * 2)
+        [3 * np.sqrt(4e5)] * 2)
     assert made["finer mesh"].edge < base.edge
     for cell in CELLS.values():  # all are possible
         assert set(cell.setups) <= set(vars(header.setups))

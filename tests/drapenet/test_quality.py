@@ -28,7 +28,8 @@ CLEAN = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.
 
 @pytest.fixture(scope="module")
 def sound() -> SyntheticCapture:
-    shape = drape(FABRIC, edge=6e-3, seed=3)
+    # Lowered squares of this fabric are too symmetric to show that the table was reversed.
+    shape = drape(FABRIC, edge=6e-3, seed=3, start="sine")
     assert shape.converged
     return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
                          nominal=CameraRig.load())
