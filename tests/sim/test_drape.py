@@ -183,7 +183,8 @@ def test_a_law_beside_the_others_is_made_on_every_mesh():
         return Gravity(mesh, density=fabric.density, gravity=GRAVITY)
 
     twice = drape(isotropic(60), edge=0.005, laws=Laws(others=(heavier,)))
-    assert twice.converged and len(made) == 2 and made[0] < made[1]
+    assert twice.converged
+    assert len(made) == 3 and made[0] == made[1] < made[2]  # lowered, settled, final mesh
     light = drape(isotropic(30), edge=0.005, laws=Laws(membrane=Corotational(100.0)))
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
