@@ -32,7 +32,8 @@ SPEEDS = (0.13, 0.39)
 for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""
 STEP = 0.64
 """Time step in units of sqrt(o/g): 50 ms for 60 mm. Its damping is that of a bending viscosity with
-a relaxation time of half of it. Halving it changes the number of folds by 0.2 (docs/physics.md)."""
+a relaxation time of half of it. Halving it changes the number of folds by -0.3 to 1
+(docs/physics.md)."""
 SETTLING = 2.5
 """Time from the ring's last contact to the search for the equilibrium, in the same units."""
 _WAVINESS = 3e-4  # m

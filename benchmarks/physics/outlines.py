@@ -38,7 +38,8 @@ SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
 HARMONICS = np.arange(2, 17)
 MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 CALIBRATION = (1, 4, 6, 11, 21)
-"""Fabrics with which the speeds of lowering were chosen; the other four test them."""
+"""Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
+the test."""
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 VARIED = (SPECIMENS, "fabrics")
