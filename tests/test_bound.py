@@ -108,7 +108,7 @@ def test_moves_with_the_specimen_and_its_plate(specimen, tangent):
         positions[there.held] = rig.place(there.mesh.rest[there.held])
         return follow(replace(specimen, rig=rig).at(positions, there.mesh), FABRIC, options=TIGHT)
 
-    step = 1e-4
+    step = 1e-5  # ten times this jumps to other folds
     for move, change in zip(moves_with_offset(tangent, RIG), step * np.eye(2), strict=True):
         assert agree(move, [settled(RIG, OFFSET + s * change) for s in (1, -1)], 2 * step)
     for move, name in ((moves_with_size(tangent, RIG)[0], "specimen_size"),
@@ -127,7 +127,7 @@ def test_moves_with_the_cut(specimen, tangent):
         mesh = specimen.mesh.with_rest(specimen.rest + turned)
         return follow(specimen.at(specimen.positions, mesh), FABRIC, options=TIGHT)
 
-    assert agree(moves_with_size(tangent, RIG)[1], [settled(s) for s in (1e-3, -1e-3)], 2e-3)
+    assert agree(moves_with_size(tangent, RIG)[1], [settled(s) for s in (1e-4, -1e-4)], 2e-4)
 
 
 def test_noise_and_fewer_pixels_widen_the_bounds(draped, information):
