@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
-PACKAGES := apps benchmarks common configs data drapenet examples sim studies tests tools
+PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
 .PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset dataset-testers train evaluate bench-sim bench bench-gpu docs studies example validate matrix clean
 
@@ -68,15 +68,15 @@ sim: $(STAMP)  ## simulate one drape, results in outputs/drape
 	$(BIN)/python -m apps.drape
 
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
-	$(BIN)/python -m $(if $(TABLE),data.prior fit fabrics=$(TABLE),benchmarks prior)
+	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
 dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
-	$(BIN)/python -m data.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
-	$(BIN)/python -m data.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
+	$(BIN)/python -m data.dataset.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
+	$(BIN)/python -m data.dataset.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
 	  'dataset.testers=[disc300_support180]'
 
 dataset-testers: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.generate dataset=testers drapes=20000 seed=39 edge_mm=4 out=$(DATASET)/testers
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=20000 seed=39 edge_mm=4 out=$(DATASET)/testers
 
 train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET)/square300_cylinder100 out=outputs/train/square300_cylinder100 \
@@ -85,30 +85,30 @@ train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes
 	  epochs=10
 
 evaluate: $(STAMP)  ## errors and coverage of the bundled networks on unseen fabrics
-	$(BIN)/python -m drapenet.evaluate rig=square300_cylinder100
-	$(BIN)/python -m drapenet.evaluate rig=disc300_support180
+	$(BIN)/python -m drapenet.network.evaluate rig=square300_cylinder100
+	$(BIN)/python -m drapenet.network.evaluate rig=disc300_support180
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
-	$(BIN)/python -m benchmarks speed
+	$(BIN)/python -m experiments speed
 
 bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
-	for name in speed render throughput; do $(BIN)/python -m benchmarks $$name || exit 1; done
+	for name in speed render throughput; do $(BIN)/python -m experiments $$name || exit 1; done
 
 bench-gpu: $(STAMP)  ## compare rendering on the GPU and on the CPU
-	$(BIN)/python -m benchmarks render device=cuda out=docs/validation/render_gpu.json
+	$(BIN)/python -m experiments render device=cuda out=docs/validation/render_gpu.json
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \
-	  $(BIN)/python -m benchmarks $$name || exit 1; done
+	  $(BIN)/python -m experiments $$name || exit 1; done
 
 docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
 	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
-	$(BIN)/python -m benchmarks.figures
+	$(BIN)/python -m experiments.figures
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
-	$(BIN)/python -m studies all
+	$(BIN)/python -m experiments.papers all
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)

@@ -22,12 +22,12 @@ from common.command import command
 from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
-from data.captures import Capture, captures_in, checked_density, read_capture
-from drapenet.checkpoint import header_for
+from data.captures.capture import Capture, captures_in, checked_density, read_capture
 from drapenet.config import InferConfig
-from drapenet.export import export_all, targets_named
-from drapenet.material import read_material
-from drapenet.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
+from drapenet.export.formats import export_all, targets_named
+from drapenet.export.material import read_material
+from drapenet.network.checkpoint import header_for
+from drapenet.result.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
 from sim.mesh.specimens import check_edge
 
 
@@ -41,7 +41,7 @@ def main(config: InferConfig) -> None:
     options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "strict": config.strict,
                "drapes": drapes, "known": {} if membrane is None else {"membrane": membrane}}
     if config.captures:
-        from drapenet.batch import estimate_tree
+        from drapenet.batch.batch import estimate_tree
 
         estimates = estimate_tree(Path(config.captures), folder_named(config.out),
                                   checkpoint=config.checkpoint, workers=config.workers, **options)
@@ -58,7 +58,7 @@ def main(config: InferConfig) -> None:
         require_output(folder)
     with deferred():  # importing torch takes seconds; input errors come first
         from drapenet.inference import estimate_capture
-        from drapenet.joint import joint_result
+        from drapenet.result.joint import joint_result
 
     found = []
     for (capture, seen), folder in zip(sources, folders, strict=True):

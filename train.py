@@ -28,9 +28,9 @@ def train(config: TrainConfig) -> Path:
         from torch.utils.tensorboard import SummaryWriter
         from tqdm import tqdm
 
-        from drapenet.checkpoint import load_state, save_checkpoint, save_state
-        from drapenet.network import MapNet
-        from drapenet.training import (
+        from drapenet.network.checkpoint import load_state, save_checkpoint, save_state
+        from drapenet.network.model import MapNet
+        from drapenet.network.training import (
             choose_device,
             describe,
             log_metrics,

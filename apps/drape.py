@@ -114,7 +114,7 @@ def write(folder: Path, result: DrapeResult, summary: dict) -> None:
     import cv2
     import trimesh
 
-    from data.picture import shade
+    from data.render.shade import shade
 
     mesh = trimesh.Trimesh(result.positions, result.faces, process=False)
     size, radius = result.rig.specimen_size, result.rig.plate_radius

@@ -1,15 +1,7 @@
-"""Datasets of simulated drapes for training, and captures of real drapes.
+"""Captures of real drapes, and datasets of simulated drapes.
 
-- ``fabrics``, ``prior``: tables of measured fabrics, and distributions fitted to them;
-- ``nuisances``, ``sampling``, ``options``: random fabric, specimen and initial state of a drape;
-- ``records``, ``workers``, ``generate``: simulation of drapes by parallel processes;
-- ``shards``, ``manifest``, ``folder``, ``splits``, ``inspect``: datasets on disk;
-- ``cameras``, ``rasterise``, ``rasterise_cpu``, ``render``, ``picture``: depth images and shaded
-  images;
-- ``sensor``, ``sensor_noise``, ``structured_light``, ``time_of_flight``, ``remap``: sensor noise;
-- ``setups``, ``scenes``: simulated captures, segmented to the cloth or of the full scene;
-- ``arrays``, ``reading``, ``recordings``, ``frames``: reading depth from files;
-- ``board``, ``plate``, ``cutout``: turns of the table, and segmentation of the cloth;
-- ``captures``, ``capture``: reading, checking and writing captures; the segmentation command;
-- ``scans``: scanned drapes.
+- ``captures``: folders of depth images, scans: reading, checking, cutting out the cloth;
+- ``render``: depth images of simulated drapes with the noise of sensors; whole synthetic scenes;
+- ``fabrics``: measured fabrics, the prior fitted to them, nuisances of specimens;
+- ``dataset``: plan, simulation and storage of a dataset's drapes.
 """

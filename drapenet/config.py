@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 @dataclass
 class ModelConfig:
-    """See :class:`drapenet.network.MapNet`."""
+    """See :class:`drapenet.network.model.MapNet`."""
 
     width: Annotated[int, Field(ge=1, le=512)]
     components: Annotated[int, Field(ge=1, le=32)]

@@ -1,4 +1,4 @@
-"""Names and order of the entries of theta (:mod:`data.fabrics`) by direction."""
+"""Names and order of the entries of theta (:mod:`data.fabrics.fabrics`) by direction."""
 
 STIFF_SOFT = ("stiff", "bias", "soft")
 WARP_WEFT = ("warp", "bias", "weft")

@@ -10,25 +10,25 @@ import numpy as np
 
 from common.ctrl_c import require_interruption
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
-from data.cameras import Camera
-from data.captures import Capture
-from data.nuisances import Nuisances, at_density
-from data.setups import Setups
-from drapenet.canonical import DrapeMap, drape_coefficient, drape_map, turn_doubts
-from drapenet.checkpoint import Header, load_model
-from drapenet.content import Result, interval_table, to_json
-from drapenet.estimate import Estimate, make_estimate
-from drapenet.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
-from drapenet.pages import render
-from drapenet.predict import predict
-from drapenet.quality import measure, quality_doubts, require_plate
-from drapenet.registration import camera_doubts, locate_camera
+from data.captures.capture import Capture
+from data.fabrics.nuisances import Nuisances, at_density
+from data.render.cameras import Camera
+from data.render.setups import Setups
+from drapenet.network.checkpoint import Header, load_model
+from drapenet.network.predict import predict
+from drapenet.report.pages import render
+from drapenet.result.content import Result, interval_table, to_json
+from drapenet.result.estimate import Estimate, make_estimate
+from drapenet.result.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
+from drapenet.views.checks import measure, quality_doubts, require_plate
+from drapenet.views.pose import camera_doubts, locate_camera
+from drapenet.views.radial_map import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from sim.material import REFERENCE_DENSITY
 from sim.scene import Rig
 
 if TYPE_CHECKING:
-    from drapenet.refine.refined import Refined
-    from drapenet.resimulate import Resimulation
+    from drapenet.refine.refine import Refined
+    from drapenet.report.drape import Resimulation
 
 Progress = Callable[[int, int, float], None]
 """Called with the simulated and the expected number of drapes, and the current misfit."""
@@ -72,7 +72,7 @@ def capture_doubts(
     capture: Capture, setups: Setups, camera: Camera, found: DrapeMap
 ) -> list[str]:
     """One line for each possible fault of a capture: camera pose outside the ``setups`` trained on,
-    turns of the table, quality of the views (:mod:`drapenet.quality`).
+    turns of the table, quality of the views (:mod:`drapenet.views.checks`).
 
     Raises:
         InputError: the views do not show cloth on a plate.
@@ -104,7 +104,7 @@ def estimate_capture(
         strict: raise an error instead of giving warnings.
         first: called with the content of ``estimate.json`` by the network alone, before any
             simulation.
-        progress: of the refinement, :func:`drapenet.refine.refined.refined_capture`.
+        progress: of the refinement, :func:`drapenet.refine.refine.refined_capture`.
 
     An error during refinement leaves the network's estimate, with a doubt.
 
@@ -141,7 +141,7 @@ def estimate_capture(
                 drape = refined.resimulation
     try:
         if drapes and not drape:
-            from drapenet.resimulate import EDGE, resimulate
+            from drapenet.report.drape import EDGE, resimulate
 
             stated = Nuisances(**at_density(known, capture.density, REFERENCE_DENSITY))
             drape = resimulate(estimate.fabric, capture.views, camera, rig=rig,
@@ -169,9 +169,9 @@ def _refined(
 ) -> "Refined | None":
     """The refinement of an estimate; None, with a line in ``doubts``, where there is none.
 
-    ``options``: of :func:`drapenet.refine.refined.refined_capture`.
+    ``options``: of :func:`drapenet.refine.refine.refined_capture`.
     """
-    from drapenet.refine.refined import refined_capture
+    from drapenet.refine.refine import refined_capture
 
     try:
         refined = refined_capture(inferred.estimate, capture, inferred.camera,
@@ -191,8 +191,8 @@ def _shown(
     result: Result, inferred: Inferred, capture: Capture, rig: Rig, drape: "Resimulation | None"
 ) -> dict[str, bytes]:
     """Report files of a result, bytes by name."""
-    from drapenet.report import draw_report, draw_torques
-    from drapenet.shapes import drape_glb
+    from drapenet.report.figures import draw_report, draw_torques
+    from drapenet.report.shapes import drape_glb
 
     name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
     report = draw_report(result.estimate, capture.views, drape,

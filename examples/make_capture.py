@@ -19,13 +19,13 @@ import torch
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
-from data.cameras import CameraRig
-from data.captures import checked_density, whole_turns, write_capture
-from data.rasterise import camera_tensors
-from data.render import VIEWS, DepthRenderer
-from data.scenes import raw_scene
-from data.sensor import load_sensor
-from data.structured_light import StructuredLight
+from data.captures.capture import checked_density, whole_turns, write_capture
+from data.render.cameras import CameraRig
+from data.render.rasterise import camera_tensors
+from data.render.renderer import VIEWS, DepthRenderer
+from data.render.scenes import raw_scene
+from data.render.sensor import load_sensor
+from data.render.structured_light import StructuredLight
 from data.testers import named_tester
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric

@@ -11,8 +11,8 @@ from sim.drape import DrapeResult, check_arguments, drape
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import default_edge
-from sim.newton import NewtonOptions
 from sim.scene import Rig
+from sim.solver.newton import NewtonOptions
 
 
 def drape_batch(
@@ -28,7 +28,7 @@ def drape_batch(
         rig: rig of all drapes; None for the square on its cylinder.
         edge: edge length at the plate's rim, m, one value or N; None chooses each by
             :func:`sim.mesh.specimens.default_edge`.
-        starts: initial shape, one name or N; see :data:`sim.initial.STARTS`.
+        starts: initial shape, one name or N; see :data:`sim.start.STARTS`.
         seeds: N seeds of the initial shape and the triangulation; None for 0, 1, 2, ...
         offsets: N offsets (2,), m, of the specimen's centre from the plate's axis; None for zero.
         laws: bending law, membrane and user-defined energies.

@@ -9,8 +9,8 @@ from sim.energies.contact import Cylinder, ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.potential import Potential
 from sim.scene import GRAVITY, Scene
+from sim.solver.potential import Potential
 
 STEP_UNIT = 1e-3  # m; steps are reported in mm
 

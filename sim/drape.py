@@ -10,13 +10,6 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.base import Energy
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.initial import (
-    LOWERED,
-    borrowed_positions,
-    check_start,
-    initial_positions,
-    interpolate_positions,
-)
 from sim.laws import Laws
 from sim.lowering import LOWERING_MESHES, lowered, with_origins
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -32,10 +25,17 @@ from sim.mesh.specimens import (
     longest_edge,
     make_specimen,
 )
-from sim.newton import NewtonOptions, Status
 from sim.scene import CONTACT_PRESSURE, Rig, Scene
 from sim.self_contact import self_intersections
-from sim.state import State
+from sim.solver.newton import NewtonOptions, Status
+from sim.solver.state import State
+from sim.start import (
+    LOWERED,
+    borrowed_positions,
+    check_start,
+    initial_positions,
+    interpolate_positions,
+)
 
 COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness has
@@ -152,7 +152,7 @@ def drape(
         edge: edge length at the plate's rim, m, of the final mesh
             (:func:`sim.mesh.specimens.make_specimen`); None chooses it by the fabric
             (:func:`sim.mesh.specimens.default_edge`).
-        start: "lowered" (:mod:`sim.lowering`), or an initial shape (:data:`sim.initial.STARTS`);
+        start: "lowered" (:mod:`sim.lowering`), or an initial shape (:data:`sim.start.STARTS`);
             None: lowered over a plate, else "sine".
         borrowed: warm start in place of ``start``: rest points (W, 2) and positions (W, 3), m, of
             another fabric's drape on the same rig, on a mesh fine enough for its folds.

@@ -9,10 +9,10 @@ from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.newton import NewtonOptions, NewtonResult, Status, minimise
 from sim.scene import Scene
 from sim.self_contact import contact_near, self_intersections, untangled
-from sim.state import State
+from sim.solver.newton import NewtonOptions, NewtonResult, Status, minimise
+from sim.solver.state import State
 
 _DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
 _STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-contact

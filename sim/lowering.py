@@ -1,7 +1,7 @@
 """Lowering: the start of a drape test (BS 5058, ISO 9073-9).
 
 The specimen lies flat on the plate and on a ring around it, with sub-millimetre waviness. The ring
-sinks, the cloth follows by implicit time steps (:mod:`sim.dynamics`), and folds form at the hem,
+sinks, the cloth follows by implicit time steps (:mod:`sim.solver.dynamics`), and folds form at the hem,
 which becomes too long for the circle in which it hangs. Their number is that of real drapes, and
 depends on the speed, as in the test (docs/physics.md).
 """
@@ -12,17 +12,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sim.cloth import Cloth
-from sim.dynamics import Inertia, Motion
 from sim.energies.base import Energy
 from sim.energies.hysteresis import HystereticBending
 from sim.equilibrium import Equilibrium
-from sim.initial import waves
 from sim.laws import Laws
-from sim.linear import make_solver
 from sim.material import Fabric
 from sim.mesh.specimens import GRADING
-from sim.newton import Status
 from sim.scene import GRAVITY, Rig, Scene
+from sim.solver.dynamics import Inertia, Motion
+from sim.solver.linear import make_solver
+from sim.solver.newton import Status
+from sim.start import waves
 
 LOWERING_MESHES = ((10e-3, GRADING), (7e-3, 2.0))
 """Edge length at the rim, m, and grading of the mesh on which cloth is lowered; the second where

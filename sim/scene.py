@@ -11,7 +11,7 @@ import numpy as np
 from common.errors import InputError
 from sim.energies.contact import Cylinder
 from sim.mesh import Mesh
-from sim.state import State
+from sim.solver.state import State
 
 GRAVITY = 9.81  # m/s²
 CONTACT_PRESSURE = 120.0

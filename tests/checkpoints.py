@@ -6,7 +6,7 @@ from pathlib import Path
 from safetensors import safe_open
 from safetensors.torch import load, save_file
 
-from drapenet.checkpoint import SCHEMA
+from drapenet.network.checkpoint import SCHEMA
 
 
 def description(checkpoint: Path) -> dict:

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from data.cameras import CameraRig
-from data.manifest import SCHEMA_VERSION, json_digest, write_manifest
-from data.prior import load_prior
-from data.records import DatasetConfig, make_record
-from data.render import DepthRenderer
-from data.sampling import SamplingConfig
-from data.shards import Shard, shard_name, write_shard
+from data.dataset.manifest import SCHEMA_VERSION, json_digest, write_manifest
+from data.dataset.plan import SamplingConfig
+from data.dataset.shards import Shard, shard_name, write_shard
+from data.dataset.simulate import DatasetConfig, make_record
+from data.fabrics.prior import load_prior
+from data.render.cameras import CameraRig
+from data.render.renderer import DepthRenderer
 from sim.laws import Laws
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.scene import Rig

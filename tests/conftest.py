@@ -30,8 +30,8 @@ def untrained_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import torch
 
     from common.configs import read_option
-    from drapenet.checkpoint import save_checkpoint
-    from drapenet.network import MapNet
+    from drapenet.network.checkpoint import save_checkpoint
+    from drapenet.network.model import MapNet
 
     torch.manual_seed(0)
     mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]

@@ -23,12 +23,12 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 import sim.equilibrium  # noqa: E402
-from benchmarks.common import machine, table  # noqa: E402
 from common.command import command  # noqa: E402
 from common.errors import InputError  # noqa: E402
 from common.files import replace_json, require_file  # noqa: E402
-from sim.newton import NewtonResult, minimise  # noqa: E402
-from sim.potential import Potential  # noqa: E402
+from experiments.common import machine, table  # noqa: E402
+from sim.solver.newton import NewtonResult, minimise  # noqa: E402
+from sim.solver.potential import Potential  # noqa: E402
 
 
 @dataclass
@@ -61,7 +61,7 @@ class Perturbation:
         self.searching: set[str] = set()
 
     def minimise(self, potential: Potential, start: np.ndarray, *options: object) -> NewtonResult:
-        """As :func:`sim.newton.minimise`, from beside the ``start``."""
+        """As :func:`sim.solver.newton.minimise`, from beside the ``start``."""
         self.searching.add(self._file)
         if self._seed is not None:
             rng = np.random.default_rng([self._seed, zlib.crc32(start.tobytes())])

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.figures import BLOCKS, MARK, PAGES, ROOT, fill_blocks, slug
 from common.errors import InputError
+from experiments.figures import BLOCKS, MARK, PAGES, ROOT, fill_blocks, slug
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -21,9 +21,9 @@ from words import last
 import infer
 from common.cli import run_command
 from common.errors import InputError
-from data.cameras import Intrinsics
-from data.captures import captures_in, read_capture, write_capture
-from drapenet.checkpoint import load_model, read_header
+from data.captures.capture import captures_in, read_capture, write_capture
+from data.render.cameras import Intrinsics
+from drapenet.network.checkpoint import load_model, read_header
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.scene import SQUARE_RIG
@@ -368,7 +368,7 @@ def test_an_interrupted_report_does_not_lose_the_estimate(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("drapenet.report.draw_report", interrupted)
+    monkeypatch.setattr("drapenet.report.figures.draw_report", interrupted)
     infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12"))
     out = capture.parent / "out"
     assert [file.name for file in out.iterdir()] == ["estimate.json"]
@@ -390,7 +390,7 @@ def test_a_report_that_fails_does_not_lose_the_estimate(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("no\nfont")
 
-    monkeypatch.setattr("drapenet.report.draw_report", fail)
+    monkeypatch.setattr("drapenet.report.figures.draw_report", fail)
     infer.main(given)
     content = json.loads((out / "estimate.json").read_text())
     assert content["capture"]["source"] == str(capture)
@@ -426,7 +426,7 @@ def test_a_refinement_that_fails_leaves_the_network_its_answer(
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     (out / "estimate.json").unlink()
-    monkeypatch.setattr("drapenet.refine.refined.refined_capture", fail)
+    monkeypatch.setattr("drapenet.refine.refine.refined_capture", fail)
     infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     content = json.loads((out / "estimate.json").read_text())
     assert kept == [alone]
@@ -442,7 +442,7 @@ def test_an_interrupted_refinement_leaves_the_network_its_answer(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("drapenet.refine.refined.refined_capture", interrupt)
+    monkeypatch.setattr("drapenet.refine.refine.refined_capture", interrupt)
     with pytest.raises(KeyboardInterrupt):
         infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     assert "refined" not in json.loads((capture.parent / "out" / "estimate.json").read_text())
@@ -457,7 +457,7 @@ def test_the_report_drapes_cloth_with_the_stated_membrane(
         laws.append(options["laws"])
         return drape(*args, **options)
 
-    monkeypatch.setattr("drapenet.resimulate.drape", recorded)
+    monkeypatch.setattr("drapenet.report.drape.drape", recorded)
     density = read_capture(capture).density
     infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12",
                      "membrane_n_per_m=500"))
@@ -471,7 +471,7 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
         "misfit_before": None, "misfit": 20.0, "simulations": 15, "status": "interrupted",
         "specimen": {}}, doubts=("the network's estimate stands",),
                                resimulation=SimpleNamespace(as_dict=dict, doubts=["another drape"]))
-    monkeypatch.setattr("drapenet.refine.refined.refined_capture", lambda *_, **__: rejected)
+    monkeypatch.setattr("drapenet.refine.refine.refined_capture", lambda *_, **__: rejected)
     infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     content = json.loads((capture.parent / "out" / "estimate.json").read_text())
     assert "resimulation" not in content and "another drape" not in content["warnings"]

@@ -13,11 +13,11 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_imports_from_outside_the_repository(tmp_path):
     code = (
-        "import sim.drape, data.captures, drapenet.checkpoint, train, infer, serve;"
+        "import sim.drape, data.captures.capture, drapenet.network.checkpoint, train, infer, serve;"
         "from common.configs import CONFIG_DIR;"
         "from sim.scene import SQUARE_RIG;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file();"
-        "assert drapenet.checkpoint.bundled(SQUARE_RIG).is_file()"
+        "assert drapenet.network.checkpoint.bundled(SQUARE_RIG).is_file()"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)

@@ -10,10 +10,10 @@ from words import last
 import train
 from common.command import compose_config
 from common.errors import InputError
-from data.setups import Setups
-from drapenet.checkpoint import load_model, read_header
+from data.render.setups import Setups
 from drapenet.config import TrainConfig, learning_rate
-from drapenet.training import open_captures
+from drapenet.network.checkpoint import load_model, read_header
+from drapenet.network.training import open_captures
 
 SMALL = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "device=cpu", "seed=3",
          "captures=2", "neighbours=false", "validation_fraction=0.2", "optim.learning_rate=0.003"]

@@ -25,8 +25,8 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from data.cameras import Camera
-from data.render import QUARTERS, import_open3d
+from data.render.cameras import Camera
+from data.render.renderer import QUARTERS, import_open3d
 from drapenet.refine.objective import Linearised, huber
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
@@ -54,7 +54,7 @@ class DepthWeights:
         jump: m, range of depths within 3 x 3 pixels that is a discontinuity.
         patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
             :data:`EDGE` at the rim: noise of neighbours is correlated, and the mesh's effect on
-            folds more so. Intervals have nominal coverage (``python -m benchmarks refine_views``).
+            folds more so. Intervals have nominal coverage (``python -m experiments refine_views``).
     """
 
     sigma: float = 1e-3

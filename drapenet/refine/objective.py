@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from drapenet.refine.optimisers import Limits, Status, minimise
+from drapenet.refine.minimise import Limits, Status, minimise
 
 NUISANCE_REACH = 20.0
 """Bounds of a nuisance around its start, in its scale."""

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data.fabrics import from_theta
-from drapenet.refine.cloth import BOUNDS, SCALE, UNKNOWNS, Cloth, Knowledge, cloth_moves
+from data.fabrics.fabrics import from_theta
 from drapenet.refine.objective import NUISANCE_REACH, Objective, value
+from drapenet.refine.unknowns import BOUNDS, SCALE, UNKNOWNS, Cloth, Knowledge, cloth_moves
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.material import is_admissible
-from sim.potential import forces
 from sim.sensitivity import Sensitivities, Tangent, follow
+from sim.solver.potential import forces
 
 Hold = Callable[[np.ndarray], Energy]
 """Springs that hold the simulated cloth, as a function of the objective's nuisances (K,), because

@@ -16,12 +16,12 @@ from scipy.spatial import cKDTree
 
 from common.documents import read_bytes
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.captures import Capture
-from data.render import QUARTERS, DepthRenderer
-from data.scans import MAX_SCAN_SIZE, check_rim, read_scan
-from drapenet.refine.attraction import captured_shape, pulled
+from data.captures.capture import Capture
+from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
+from data.render.cameras import CameraRig
+from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine.search import CapturedScan
+from drapenet.refine.springs import captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -31,7 +31,7 @@ SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_D
 """As soft as the softest fabrics of the prior, so that folds are preserved."""
 LAST_PULL = 30.0
 """Force of the last pull at 1 mm over the cloth's weight. Simulated scans with noise of 0.3 mm are
-matched to 0.09 to 0.17 mm (``python -m benchmarks refine_scans``)."""
+matched to 0.09 to 0.17 mm (``python -m experiments refine_scans``)."""
 MAX_STRAIN = 0.05
 """Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond,
 the scan's vertices have slid along the cloth."""

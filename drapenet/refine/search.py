@@ -18,25 +18,25 @@ from typing import Protocol
 import numpy as np
 
 from common.ctrl_c import require_interruption
-from data.cameras import Camera
-from drapenet.refine.attraction import (
+from data.render.cameras import Camera
+from drapenet.refine.depth import DepthViews, DepthWeights
+from drapenet.refine.minimise import Limits, Status, minimise
+from drapenet.refine.objective import Objective, fit_nuisances
+from drapenet.refine.problem import Effort, Hold, Problem, Trial, Uncertainty, laplace
+from drapenet.refine.springs import (
     Springs,
     captured_shape,
     nearest_points,
     plane_springs,
     spring_stiffness,
 )
-from drapenet.refine.cloth import Cloth, Knowledge
-from drapenet.refine.depth import DepthViews, DepthWeights
-from drapenet.refine.objective import Objective, fit_nuisances
-from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.problem import Effort, Hold, Problem, Trial, Uncertainty, laplace
 from drapenet.refine.surface import CapturedShape, RobustPositions
+from drapenet.refine.unknowns import Cloth, Knowledge
 from sim.drape import DrapeResult
 from sim.mesh.specimens import make_specimen
-from sim.newton import NewtonOptions
 from sim.scene import Rig
 from sim.sensitivity import follow
+from sim.solver.newton import NewtonOptions
 
 REACH = 6e-3  # m, maximum distance of a vertex from the captured point that holds it
 MIN_DECREASE = 3e-3  # predicted decrease of a step, relative to the value

@@ -16,9 +16,9 @@ from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh, edges_of, vertex_normals
 from sim.mesh.specimens import Specimen
-from sim.newton import Status
 from sim.scene import Rig
 from sim.sensitivity.tangent import possible_contact
+from sim.solver.newton import Status
 
 _ON_PLATE = 1.003  # of the plate's radius: vertices on its rim are held
 NEIGHBOURS = 20  # used to estimate the normal of a raw point

@@ -26,19 +26,19 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError, one_line
 from common.files import folder_named, require_folder
-from data.captures import CAPTURE_FILES
+from data.captures.capture import CAPTURE_FILES
 from data.testers import TESTERS
-from drapenet.export import TARGETS
-from drapenet.hinges import MESHES
-from drapenet.material import read_material
-from drapenet.output import ESTIMATE, SHOWN
-from drapenet.pages import render
+from drapenet.batch.captures import plain_name
+from drapenet.export.formats import TARGETS
+from drapenet.export.hinges import MESHES
+from drapenet.export.material import read_material
+from drapenet.report.pages import render
+from drapenet.result.output import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
 from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
-from drapenet.tree import plain_name
 from sim.scene import RIGS
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)

@@ -10,7 +10,7 @@ from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.workers import follow
-from drapenet.output import ESTIMATE, write_result
+from drapenet.result.output import ESTIMATE, write_result
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
@@ -40,11 +40,11 @@ def change_state(folder: Path, **values: object) -> None:
 def warm_up(parent: int) -> None:
     """Import and cache, in a worker of the process ``parent``, what the first estimate needs."""
     follow(parent)
-    from data.render import import_open3d
-    from drapenet.checkpoint import bundled, read_header
+    from data.render.renderer import import_open3d
     from drapenet.inference import network_of
-    from drapenet.report import draw_report  # noqa: F401
-    from drapenet.resimulate import EDGE
+    from drapenet.network.checkpoint import bundled, read_header
+    from drapenet.report.drape import EDGE
+    from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
     from sim.material import MICRO, Fabric
     from sim.scene import SQUARE_RIG
@@ -62,9 +62,9 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
         scan: file of a scan; None for a capture.
         name: of the capture, for display. density: kg/m², of a scan.
     """
-    from data.captures import read_capture
-    from drapenet.checkpoint import header_for
+    from data.captures.capture import read_capture
     from drapenet.inference import estimate_capture
+    from drapenet.network.checkpoint import header_for
     from drapenet.refine.scans import read_scan_capture
 
     uploaded = folder / UPLOADED
@@ -98,8 +98,8 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
 
 def preview(capture: Any) -> bytes:
     """PNG of a capture: frames with the cloth outlined, or the cloth of each view."""
-    from data.capture import picture
-    from data.picture import thumbnails
+    from data.captures.preview import picture
+    from data.render.shade import thumbnails
 
     if capture.cut:
         return picture(capture.cut, capture.intrinsics, capture.rig, turns=capture.turns)

@@ -17,7 +17,7 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.scene import Scene
-from sim.state import State
+from sim.solver.state import State
 
 _MAX_ITERATIONS = 12  # simulated strips
 

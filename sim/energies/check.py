@@ -4,7 +4,7 @@ import numpy as np
 
 from common.errors import InputError
 from sim.energies.base import Energy, dofs_of
-from sim.state import moved
+from sim.solver.state import moved
 
 STEP = 1e-7  # m, or rad
 TOLERANCE = 1e-4  # relative to the magnitude of the terms

@@ -1,6 +1,6 @@
 """Mid-edge bending: a constant-curvature plate element with edge normals and finite angles.
 
-Every edge has a normal (:mod:`sim.state`). In a triangle, phi is the angle about an edge from the
+Every edge has a normal (:mod:`sim.solver.state`). In a triangle, phi is the angle about an edge from the
 triangle's normal to the edge's, positive if the edge normal is inclined outwards; the angles of the
 two triangles at an edge add up to its dihedral angle. The normal of a boundary edge is free: an
 exact free-edge condition. An edge between held and free cloth has the normal of the held triangle:

@@ -13,10 +13,10 @@ from sim.drape import DrapeResult
 from sim.laws import Law, Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
-from sim.newton import NewtonOptions
 from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.tangent import Tangent
+from sim.solver.newton import NewtonOptions
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from sim.energies.base import Energy
 from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.newton import NewtonOptions
 from sim.sensitivity.forward import Sensitivities
-from sim.state import State
+from sim.solver.newton import NewtonOptions
+from sim.solver.state import State
 
 
 def follow(

@@ -16,8 +16,8 @@ from sim.cloth import Cloth
 from sim.drape import DrapeResult
 from sim.energies.base import Energy
 from sim.material import DIRECTIONS, Fabric
-from sim.potential import forces
 from sim.sensitivity.tangent import Tangent
+from sim.solver.potential import forces
 
 PARAMETERS = ("log_alpha", "ratio", "alpha", "beta", "density", "membrane")
 """Names of (groups of) parameters: the first four are groups of warp, bias and weft."""
@@ -60,7 +60,7 @@ def sensitivities(
             bias and weft each:
 
             "log_alpha"  per unit of log alpha at fixed beta/alpha; with
-            "ratio"      per m of beta/alpha, the derivatives by theta (:mod:`data.fabrics`);
+            "ratio"      per m of beta/alpha, the derivatives by theta (:mod:`data.fabrics.fabrics`);
             "alpha", "beta"  per N·m at fixed beta, per N·m² at fixed alpha;
             "density"    per kg/m² at fixed moduli and in-plane stiffness;
             "membrane"   per unit of the logarithm of the in-plane stiffness.

@@ -10,9 +10,9 @@ import numpy as np
 
 from sim.cloth import Cloth
 from sim.mesh.specimens import share_of_offset
-from sim.potential import forces
 from sim.scene import Rig, Scene
 from sim.sensitivity.tangent import Tangent
+from sim.solver.potential import forces
 
 _STEP = 1e-5  # of the mean edge, in central differences
 

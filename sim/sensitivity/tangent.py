@@ -6,9 +6,9 @@ from sim.cloth import Cloth
 from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact
 from sim.equilibrium import Equilibrium
-from sim.linear import CholeskySolver, make_solver
-from sim.potential import hessian_product
 from sim.self_contact import contact_near
+from sim.solver.linear import CholeskySolver, make_solver
+from sim.solver.potential import hessian_product
 
 MAX_STEP, MAX_RESIDUAL = 1e-5, 1e-6
 """Next Newton step, mm, and largest force, weights of a vertex, of a state that is differentiated.

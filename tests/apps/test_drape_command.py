@@ -105,7 +105,7 @@ import common.interrupt
 import os, subprocess, time
 import numpy as np
 from common.ctrl_c import require_interruption
-from sim.linear import SparsePattern
+from sim.solver.linear import SparsePattern
 
 stencil = np.random.default_rng(0).integers(0, 20000, (20000, 12))
 SparsePattern([stencil], 20000)
@@ -129,7 +129,7 @@ def test_ctrl_c_in_a_compiled_function_is_ctrl_c(ctrl_c):
 
 
 def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path, ctrl_c):
-    command = [sys.executable, "-m", "data.generate", f"out={tmp_path / 'set'}", "drapes=400",
+    command = [sys.executable, "-m", "data.dataset.generate", f"out={tmp_path / 'set'}", "drapes=400",
                "edge_mm=10", "dataset.drapes_per_shard=4", "workers=2"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                            start_new_session=True)
@@ -173,7 +173,7 @@ def test_ctrl_c_that_is_ignored_or_in_another_thread_stays_so(ctrl_c):
         time.sleep(0.1)
 
 
-@pytest.mark.parametrize("command", ["train.py", "infer.py", "data/generate.py",
+@pytest.mark.parametrize("command", ["train.py", "infer.py", "data/dataset/generate.py",
                                      "apps/drape.py", "apps/cantilever.py"])
 def test_commands_see_to_ctrl_c_before_other_imports(command):
     tree = ast.parse((Path(apps.__file__).parents[1] / command).read_text(encoding="utf-8"))

@@ -26,10 +26,10 @@ from cases import FINDINGS, Outcome, run_case  # noqa: E402
 from readers import READERS, Reader, spoil  # noqa: E402
 from tables import describe, place  # noqa: E402
 
-from benchmarks.common import REPORTS, machine  # noqa: E402
 from common.command import command  # noqa: E402
 from common.documents import read_json  # noqa: E402
 from common.files import replace_json  # noqa: E402
+from experiments.common import REPORTS, machine  # noqa: E402
 
 REPORT = REPORTS / "campaign.json"
 KEPT = 40  # findings of a reader that are listed

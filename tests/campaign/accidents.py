@@ -19,14 +19,14 @@ import fake_drapes
 import torch
 from readers import small_config
 
-import data.folder
-import data.workers
+import data.dataset.folder
+import data.dataset.workers
 import train
 from common.command import compose_config
 from common.errors import InputError
-from data.generate import generate_dataset
+from data.dataset.generate import generate_dataset
 from drapenet.config import TrainConfig
-from drapenet.training import open_captures
+from drapenet.network.training import open_captures
 
 DRAPES, PER_SHARD = 36, 3
 MOST_ATTEMPTS = 400
@@ -55,7 +55,7 @@ def _here(workers: int) -> Iterator[Executor]:
 def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) -> dict:
     """A small dataset of drapes that cost little; ``workers`` 0 for none but this process."""
     if not workers:
-        data.workers.worker_pool = _here
+        data.dataset.workers.worker_pool = _here
     return generate_dataset(small_config(DRAPES, PER_SHARD), out, part=part, parts=parts,
                             workers=workers or 1, solver=fake_drapes.cone)
 
@@ -135,7 +135,7 @@ def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
 
 
 def _require_complete(out: Path) -> None:
-    from data.manifest import finished_manifest
+    from data.dataset.manifest import finished_manifest
 
     finished_manifest(out)
 

@@ -37,29 +37,35 @@ from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.captures import read_capture
-from data.fabrics import TABLE_COLUMNS, read_fabric_table
-from data.folder import DatasetFolder
-from data.inspect import figures
-from data.inspect.check import check_dataset
-from data.inspect.pictures import histograms
-from data.manifest import json_digest
-from data.prior import load_prior
-from data.recordings import read_recording
-from data.records import DatasetConfig, make_record
-from data.sampling import SamplingConfig
-from data.scans import read_scan
-from data.setups import Setups
-from data.shards import SEAL_SIZE, _seal
-from drapenet.checkpoint import header_for, load_model, load_state, save_checkpoint, save_state
-from drapenet.export import TARGETS
-from drapenet.material import read_material
-from drapenet.network import MapNet
+from data.captures.capture import read_capture
+from data.captures.rosbag import read_recording
+from data.captures.scans import read_scan
+from data.dataset.folder import DatasetFolder
+from data.dataset.inspect import figures
+from data.dataset.inspect.check import check_dataset
+from data.dataset.inspect.pictures import histograms
+from data.dataset.manifest import json_digest
+from data.dataset.plan import SamplingConfig
+from data.dataset.shards import SEAL_SIZE, _seal
+from data.dataset.simulate import DatasetConfig, make_record
+from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
+from data.fabrics.prior import load_prior
+from data.render.cameras import CameraRig
+from data.render.setups import Setups
+from drapenet.batch.captures import entries_of
+from drapenet.export.formats import TARGETS
+from drapenet.export.material import read_material
+from drapenet.network.checkpoint import (
+    header_for,
+    load_model,
+    load_state,
+    save_checkpoint,
+    save_state,
+)
+from drapenet.network.model import MapNet
 from drapenet.refine.scans import read_cloud
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, checked_upload, write_upload
-from drapenet.tree import entries_of
 from sim.scene import Rig
 
 ROOT = Path(__file__).parents[2]

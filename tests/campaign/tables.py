@@ -5,8 +5,8 @@ from typing import Any
 
 from cases import FINDINGS
 
-from benchmarks.common import table
 from common.files import replace_file
+from experiments.common import table
 
 BEGIN, END = "<!-- campaign -->\n", "\n<!-- end of campaign -->"
 KILLS = {"kills": "SIGKILL: datasets, one to four processes",

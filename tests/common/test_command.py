@@ -29,15 +29,15 @@ from common.command import (
 )
 from common.configs import group_options, read_config, read_option
 from common.errors import InputError
-from data import generate
-from data.capture import CaptureConfig
-from data.inspect.__main__ import InspectConfig
-from data.options import Options, config_from_options
-from data.prior.__main__ import FitConfig
+from data.captures.preview import CaptureConfig
+from data.dataset import generate
+from data.dataset.inspect.__main__ import InspectConfig
+from data.dataset.options import Options, config_from_options
+from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
-from drapenet.hinges import HingesConfig
-from drapenet.placement import PlacementConfig
+from drapenet.export.hinges import HingesConfig
 from drapenet.service.settings import Settings
+from drapenet.views.specimen_offset import PlacementConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,

@@ -31,6 +31,6 @@ def test_one_thread_within_and_as_many_as_before_afterwards():
 
 
 def test_benchmarks_choose_one_thread_before_a_library_reads_how_many():
-    loaded = ("import benchmarks.one_thread, sys; "
+    loaded = ("import experiments.one_thread, sys; "
               "print(*{'numpy', 'torch', 'numba'} & {*sys.modules})")
     assert not subprocess.check_output([sys.executable, "-c", loaded]).split()

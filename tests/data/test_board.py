@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from common.errors import InputError
-from data.board import PAPER, board_intrinsics, board_picture, board_turns, shows_board
-from data.cameras import Intrinsics, Pose
-from data.frames import read_frames
+from data.captures.board import PAPER, board_intrinsics, board_picture, board_turns, shows_board
+from data.captures.frames import read_frames
+from data.render.cameras import Intrinsics, Pose
 
 INTRINSICS = Intrinsics(fx=610.0, fy=610.0, cx=319.5, cy=239.5, width=640, height=480)
 TURNS = np.radians([0.0, 87.0, 181.5, 271.0])

@@ -8,9 +8,9 @@ import pytest
 
 from common.configs import read_option
 from common.errors import InputError
-from data.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
-from data.captures import read_capture
-from data.setups import Setups
+from data.captures.capture import read_capture
+from data.render.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
+from data.render.setups import Setups
 from sim.scene import DISC_RIG, SQUARE_RIG, Rig
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"

@@ -14,12 +14,12 @@ from scipy import ndimage
 from words import last
 
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.captures import Capture, read_capture, write_capture
-from data.render import DepthRenderer
+from data.captures.capture import Capture, read_capture, write_capture
+from data.render.cameras import CameraRig
+from data.render.renderer import DepthRenderer
 from data.testers import TESTERS
-from drapenet.canonical import drape_coefficient, drape_map
-from drapenet.registration import locate_camera
+from drapenet.views.pose import locate_camera
+from drapenet.views.radial_map import drape_coefficient, drape_map
 from sim.scene import SQUARE_RIG, Rig
 
 ROOT = Path(__file__).resolve().parents[2]

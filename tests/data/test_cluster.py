@@ -5,7 +5,7 @@ import json
 import pytest
 
 from common.errors import InputError
-from data.generate import main
+from data.dataset.generate import main
 
 SMALL = ["drapes=4", "edge_mm=20", "dataset.drapes_per_shard=1", "workers=1"]
 

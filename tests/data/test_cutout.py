@@ -13,13 +13,13 @@ from cloths import skirt
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-import data.capture
-import data.frames
+import data.captures.frames
+import data.captures.preview
 from common.errors import InputError
-from data.capture import main
-from data.captures import read_capture
-from data.cutout import cut_out
-from data.scenes import RawScene, raw_scene
+from data.captures.capture import read_capture
+from data.captures.cutout import cut_out
+from data.captures.preview import main
+from data.render.scenes import RawScene, raw_scene
 from sim.scene import DISC_RIG, Rig
 
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
@@ -135,7 +135,7 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
         assert picture.size == (960, 1080)
         below = np.asarray(picture.convert("RGB"), int)[720:]
     assert (below[:, 480:] == 255).all()  # the empty cell
-    for colour in data.capture._VIEWS[:4]:
+    for colour in data.captures.preview._VIEWS[:4]:
         seen = (np.abs(below[:, 150:480] - 255 * np.array(to_rgb(colour))) < 12).all(axis=2)
         assert seen.sum() > 100
     assert "capture.png" in capsys.readouterr().out
@@ -147,13 +147,13 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
 def test_the_hem_of_a_disc_is_its_circle_on_the_side_of_the_camera():
     grid = np.stack(np.meshgrid(*[np.linspace(-0.15, 0.15, 301)] * 2), axis=-1).reshape(-1, 2)
     disc = grid[np.linalg.norm(grid, axis=1) <= 0.15]
-    line = data.capture._hem(disc, towards=np.pi)
+    line = data.captures.preview._hem(disc, towards=np.pi)
     assert np.linalg.norm(line, axis=1) == pytest.approx(0.15, abs=2e-3)
     away = np.degrees(np.arctan2(line[:, 1], -line[:, 0]))
     assert [away.min(), away.max()] == pytest.approx([-75, 75], abs=3)
     # A notch that no point is seen in parts the line.
     notched = disc[np.abs(np.arctan2(disc[:, 1], -disc[:, 0])) > np.radians(8)]
-    assert np.isnan(data.capture._hem(notched, towards=np.pi)).all(axis=1).sum() == 1
+    assert np.isnan(data.captures.preview._hem(notched, towards=np.pi)).all(axis=1).sum() == 1
 
 
 def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene):
@@ -162,7 +162,7 @@ def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene)
         for j, step in enumerate((-0.002, 0.0, 0.005)):
             holes = rng.random(frame.shape) < 0.1
             save(np.where(holes | (frame == 0), 0, frame + step), folder / f"view_{k}_{j}.png")
-    frames = data.frames.read_frames(folder, None, None, None).frames
+    frames = data.captures.frames.read_frames(folder, None, None, None).frames
     known = scene.frames > 0
     error = (frames - scene.frames)[known & (frames > 0)]
     assert (frames > 0)[known].mean() > 0.998 and (frames[~known] == 0).all()
@@ -179,16 +179,16 @@ def test_arrays_and_points_give_the_same_depth(folder, scene):
         np.save(folder / f"view_{k}.npy", np.where(frame > 0, frame, np.nan))
         cloud = trimesh.PointCloud(rng.permutation(points[k][frame > 0]))
         cloud.export(folder / f"view_{k}.ply")
-    assert np.array_equal(data.frames.read_array(folder / "view_0.npy"), scene.frames[0])
+    assert np.array_equal(data.captures.frames.read_array(folder / "view_0.npy"), scene.frames[0])
     pixels = np.where(scene.frames[0] > 0, scene.frames[0], np.inf).astype(np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     for channels in ({"Z": pixels, "A": 0 * pixels}, {"Y": pixels}):
         OpenEXR.File(header, channels).write(str(folder / "one.exr"))
-        assert np.array_equal(data.frames.read_exr(folder / "one.exr"), scene.frames[0])
+        assert np.array_equal(data.captures.frames.read_exr(folder / "one.exr"), scene.frames[0])
     OpenEXR.File(header, {"R": pixels, "G": pixels}).write(str(folder / "one.exr"))
     with pytest.raises(InputError, match="give depth as channel Z"):
-        data.frames.read_exr(folder / "one.exr")
-    depth = data.frames.read_points(folder / "view_0.ply", scene.camera.intrinsics)
+        data.captures.frames.read_exr(folder / "one.exr")
+    depth = data.captures.frames.read_points(folder / "view_0.ply", scene.camera.intrinsics)
     assert np.abs(depth - scene.frames[0]).max() < 1e-6
     with pytest.raises(InputError, match=r"holds view_0.npy and view_0.ply"):
         read_capture(folder)

@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 
 from common.errors import InputError
-from data.folder import DatasetFolder
-from data.frames import read_array
-from data.inspect.check import check_dataset
-from data.manifest import json_digest, read_manifest
-from data.manifest import write_manifest as write
-from data.prior import load_prior
-from data.reading import read_picture
-from data.records import DatasetConfig, make_record
-from data.sampling import SamplingConfig
-from data.shards import SEAL_SIZE, Shard, _seal
+from data.captures.frames import read_array
+from data.captures.pictures import read_picture
+from data.dataset.folder import DatasetFolder
+from data.dataset.inspect.check import check_dataset
+from data.dataset.manifest import json_digest, read_manifest
+from data.dataset.manifest import write_manifest as write
+from data.dataset.plan import SamplingConfig
+from data.dataset.shards import SEAL_SIZE, Shard, _seal
+from data.dataset.simulate import DatasetConfig, make_record
+from data.fabrics.prior import load_prior
 
 
 def test_a_picture_without_pixels_is_refused(tmp_path: Path) -> None:

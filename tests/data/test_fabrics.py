@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
+from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
 
 HEADER = (
     "density[kg.m-2], linear warp[SI*1e9], linear weft[SI*1e9], linear diag[SI*1e9], "

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.fabrics import fabric_from_theta
-from data.folder import DatasetFolder
-from data.generate import generate_dataset, main
-from data.prior import load_prior
-from data.records import DatasetConfig, make_record
-from data.sampling import SamplingConfig, plan_drape
-from data.shards import LENGTH_UNIT, Shard
-from sim.linear import SparsePattern, available_solvers, make_solver, pardiso
+from data.dataset.folder import DatasetFolder
+from data.dataset.generate import generate_dataset, main
+from data.dataset.plan import SamplingConfig, plan_drape
+from data.dataset.shards import LENGTH_UNIT, Shard
+from data.dataset.simulate import DatasetConfig, make_record
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior
+from sim.solver.linear import SparsePattern, available_solvers, make_solver, pardiso
 
 ROOT = Path(__file__).parents[2]
 
@@ -313,7 +313,7 @@ def test_mistakes_on_the_command_line(tmp_path, words, complaint):
 def test_command_line_ends_with_code_2_and_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     run = subprocess.run(
-        [sys.executable, "-m", "data.generate", f"out={tmp_path / 'file' / 'set'}"],
+        [sys.executable, "-m", "data.dataset.generate", f"out={tmp_path / 'file' / 'set'}"],
         cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 2
     assert run.stderr.startswith("error: cannot create the folder")

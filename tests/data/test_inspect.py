@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from test_generate import generate, small_config
 
-import data.progress
+import data.dataset.progress
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.fabrics import fabric_from_theta, from_theta
-from data.inspect.__main__ import describe, main
-from data.inspect.check import check_dataset
-from data.inspect.figures import prior_samples, read_drapes, report, spread
-from data.inspect.pictures import Shot, contact_sheet, take_shots
-from data.manifest import json_digest, read_manifest, write_manifest
-from data.sampling import plan_drape
-from data.shards import Shard
+from data.dataset.inspect.__main__ import describe, main
+from data.dataset.inspect.check import check_dataset
+from data.dataset.inspect.figures import prior_samples, read_drapes, report, spread
+from data.dataset.inspect.pictures import Shot, contact_sheet, take_shots
+from data.dataset.manifest import json_digest, read_manifest, write_manifest
+from data.dataset.plan import plan_drape
+from data.dataset.shards import Shard
+from data.fabrics.fabrics import fabric_from_theta, from_theta
+from data.render.cameras import CameraRig
 from sim.measures import maximum_stretch
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 
@@ -197,7 +197,7 @@ def test_long_work_shows_how_far_it_is(bare, tmp_path, capsys, monkeypatch):
     words = [str(bare), f"out={tmp_path}", "sheet=1", "intersections=0"]
     main(words)
     assert not capsys.readouterr().err
-    monkeypatch.setattr(data.progress, "DELAY", 0.0)
+    monkeypatch.setattr(data.dataset.progress, "DELAY", 0.0)
     main(words)
     bars = capsys.readouterr().err
     assert all(f"{doing}:" in bars for doing in ("checking", "measuring"))
@@ -303,7 +303,7 @@ def test_mistakes_on_the_command_line(words, complaint):
 
 
 def test_command_line_ends_with_code_2_and_one_line(tmp_path):
-    run = subprocess.run([sys.executable, "-m", "data.inspect", str(tmp_path)], cwd=ROOT,
+    run = subprocess.run([sys.executable, "-m", "data.dataset.inspect", str(tmp_path)], cwd=ROOT,
                          capture_output=True, text=True)
     assert run.returncode == 2
     assert run.stderr == (f"error: {tmp_path} is not a dataset: dataset.json is missing; check the "

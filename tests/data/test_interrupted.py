@@ -17,9 +17,9 @@ import pytest
 from test_generate import ROOT, files, generate, small_config
 
 from common.errors import InputError
-from data.records import make_record
-from data.sampling import BORROWED, choose_lender
-from data.shards import LENGTH_UNIT, Shard
+from data.dataset.plan import BORROWED, choose_lender
+from data.dataset.shards import LENGTH_UNIT, Shard
+from data.dataset.simulate import make_record
 
 SHAPES = ("sine", "fold")
 SCRIPT = """

@@ -5,9 +5,9 @@ import json
 import pytest
 from test_generate import generate, shards, small_config
 
-import data.folder
+import data.dataset.folder
 from common.provenance import environment, release
-from data.manifest import json_digest, read_manifest
+from data.dataset.manifest import json_digest, read_manifest
 
 
 def elsewhere():
@@ -32,7 +32,7 @@ def test_the_manifest_says_where_the_dataset_comes_from(here):
 
 
 def test_no_digest_depends_on_the_environment(here, tmp_path, monkeypatch):
-    monkeypatch.setattr(data.folder, "environment", elsewhere)
+    monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
     manifest = generate(tmp_path, small_config(drapes=6))
     assert manifest["provenance"] == [elsewhere()]
     assert manifest | {"provenance": here[1]["provenance"]} == here[1]
@@ -42,7 +42,7 @@ def test_no_digest_depends_on_the_environment(here, tmp_path, monkeypatch):
 
 def test_every_environment_that_made_shards_is_named_once(tmp_path, monkeypatch):
     generate(tmp_path, small_config(drapes=4))
-    monkeypatch.setattr(data.folder, "environment", elsewhere)
+    monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
     assert generate(tmp_path, small_config(drapes=4))["provenance"] == [environment()]
     for drapes in (6, 8):
         manifest = generate(tmp_path, small_config(drapes=drapes))

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.nuisances import NAMES, NuisanceConfig, Nuisances
-from data.options import Options, config_from_options
-from data.prior import load_prior
-from data.sampling import SOFT, SamplingConfig, plan_drape
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import SOFT, SamplingConfig, plan_drape
+from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.fabrics.prior import load_prior
 from sim.laws import Laws
 from sim.mesh.specimens import make_specimen
 from sim.scene import DISC_RIG, Rig

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from data.picture import shade
+from data.render.shade import shade
 
 SIZE = (60, 50)
 

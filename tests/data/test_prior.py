@@ -6,10 +6,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from common.errors import InputError
-from data.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
-from data.prior import MODELS, GaussianPrior, load_prior, sample_admissible, save_prior
-from data.prior.__main__ import main
-from data.prior.table import TablePrior
+from data.fabrics.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
+from data.fabrics.prior import MODELS, GaussianPrior, load_prior, sample_admissible, save_prior
+from data.fabrics.prior.__main__ import main
+from data.fabrics.prior.table import TablePrior
 from sim.material import is_admissible
 
 TABLE = Path(__file__).parents[2] / ".." / "shared" / "fabrics" / "feng2022_train.csv"
@@ -146,7 +146,7 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
     theta, rejected = sample_admissible(Reluctant(3), np.random.default_rng(0))
     assert rejected == 3
     assert is_admissible(*from_theta(theta))
-    monkeypatch.setattr("data.prior.MAX_TRIES", 5)
+    monkeypatch.setattr("data.fabrics.prior.MAX_TRIES", 5)
     with pytest.raises(InputError, match="possible fabric"):
         sample_admissible(Reluctant(5), np.random.default_rng(0))
 
@@ -156,7 +156,7 @@ def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
     table.write_text(", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
                      + "\n0.15, 9000, 4000, 6000, -900, -400, -600")
     out.write_text("a good one")
-    monkeypatch.setattr("data.prior.MAX_TRIES", 5)
+    monkeypatch.setattr("data.fabrics.prior.MAX_TRIES", 5)
     monkeypatch.setitem(MODELS, "gaussian", lambda theta: Reluctant(5))
     with pytest.raises(InputError, match="possible fabric"):
         main(["fit", f"fabrics={table}", f"out={out}", "model=gaussian"])

@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal
 from sklearn.mixture import GaussianMixture
 
 from common.errors import InputError
-from data.fabrics import from_theta, read_fabric_table
-from data.prior import (
+from data.fabrics.fabrics import from_theta, read_fabric_table
+from data.fabrics.prior import (
     BUNDLED,
     MODELS,
     MixturePrior,
@@ -26,9 +26,9 @@ from data.prior import (
     sample_admissible,
     save_prior,
 )
-from data.prior.coordinates import Coordinates, plausible_range
-from data.prior.mixture import VARIANCE_FLOOR
-from data.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
+from data.fabrics.prior.coordinates import Coordinates, plausible_range
+from data.fabrics.prior.mixture import VARIANCE_FLOOR
+from data.fabrics.prior.vae import SIGMA_MIDDLE, SIGMA_REACH, Architecture
 from sim.material import plate_constants, torque
 
 TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"
@@ -305,7 +305,7 @@ def test_bundled_vae_samples_are_what_they_always_were():
 
 
 def test_reading_and_sampling_need_neither_torch_nor_scikit_learn():
-    code = ("import sys, numpy; from data.prior import load_prior; "
+    code = ("import sys, numpy; from data.fabrics.prior import load_prior; "
             "load_prior('vae').sample(1, numpy.random.default_rng(0)); "
             "print(*({'torch', 'sklearn'} & set(sys.modules)))")
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,

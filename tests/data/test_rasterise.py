@@ -8,10 +8,10 @@ import torch
 from torch.nn.utils.rnn import pad_sequence
 
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.rasterise import camera_points, camera_tensors, rasterise_tensors, render_batch
-from data.rasterise_cpu import rasterise_arrays
-from data.render import DepthRenderer
+from data.render.cameras import CameraRig
+from data.render.rasterise import camera_points, camera_tensors, rasterise_tensors, render_batch
+from data.render.rasterise_cpu import rasterise_arrays
+from data.render.renderer import DepthRenderer
 from sim.mesh import grid_faces
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
@@ -195,7 +195,7 @@ def test_each_drape_of_a_batch_is_drawn_as_if_alone(monkeypatch):
     points = camera_points(positions.float(), settings["angles"], settings["world_to_camera"])
     arguments = (points, faces, settings["intrinsics"].float()[:, None].expand(-1, 4, -1))
     whole = rasterise_tensors(*arguments, height=HEIGHT, width=WIDTH)
-    monkeypatch.setattr("data.rasterise.CHUNK", 8)
+    monkeypatch.setattr("data.render.rasterise.CHUNK", 8)
     assert torch.equal(rasterise_tensors(*arguments, height=HEIGHT, width=WIDTH), whole)
 
 

@@ -8,9 +8,9 @@ import pytest
 from turntable import FILE, turntable, write_bag
 
 from common.errors import InputError
-from data.captures import read_capture
-from data.reading import median_depth
-from data.recordings import find_rests, read_recording
+from data.captures.capture import read_capture
+from data.captures.pictures import median_depth
+from data.captures.rosbag import find_rests, read_recording
 
 
 @pytest.fixture(scope="module")

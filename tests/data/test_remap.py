@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from data import remap
-from data.remap import EDGE_STEP
+from data.render import remap
+from data.render.remap import EDGE_STEP
 
 
 def remap_depth(*arrays: np.ndarray) -> np.ndarray:

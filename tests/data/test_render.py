@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.cameras import Camera, CameraRig
-from data.render import DepthRenderer
+from data.render.cameras import Camera, CameraRig
+from data.render.renderer import DepthRenderer
 
 
 def camera_at_origin(**changes: float) -> Camera:

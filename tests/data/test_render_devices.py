@@ -5,9 +5,9 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
-from data import rasterise, sensor_noise, structured_light, time_of_flight
-from data.cameras import CameraRig
-from data.sensor import load_sensor
+from data.render import rasterise, sensor_noise, structured_light, time_of_flight
+from data.render.cameras import CameraRig
+from data.render.sensor import load_sensor
 
 HEIGHT, WIDTH = 60, 80
 GPU = torch.device("cuda", 0)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.nuisances import NuisanceConfig
-from data.prior import load_prior
-from data.sampling import SamplingConfig, choose_lender, plan_drape
+from data.dataset.plan import SamplingConfig, choose_lender, plan_drape
+from data.fabrics.nuisances import NuisanceConfig
+from data.fabrics.prior import load_prior
 from sim.scene import DISC_RIG, SQUARE_RIG
 
 PRIOR = load_prior("gaussian")

@@ -10,7 +10,7 @@ import trimesh
 
 from apps.drape_file import read_borrowed
 from common.errors import InputError
-from data.scans import check_rim, read_scan, rim_steepness
+from data.captures.scans import check_rim, read_scan, rim_steepness
 from drapenet.refine.scans import read_shape
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric

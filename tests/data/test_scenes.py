@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloths import skirt
 
-from data.scenes import CLUTTER, raw_scene
+from data.render.scenes import CLUTTER, raw_scene
 from sim.scene import Rig
 
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])

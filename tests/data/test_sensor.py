@@ -7,9 +7,9 @@ import torch
 
 from common.configs import group_options
 from common.errors import InputError
-from data.sensor import load_sensor, sensor_from_config
-from data.sensor_noise import SensorNoise, cloth_window
-from data.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight
+from data.render.sensor import load_sensor, sensor_from_config
+from data.render.sensor_noise import SensorNoise, cloth_window
+from data.render.structured_light import EIGHTHS_OF_DISPARITY, StructuredLight
 
 STILL = StructuredLight(
     shift_px=0, affine_scale_percent=0, affine_turn_deg=0, affine_shift_px=0,

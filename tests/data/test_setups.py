@@ -9,8 +9,8 @@ from cloths import skirt
 
 from common.configs import read_option
 from common.errors import InputError
-from data.setups import Setups, SyntheticCapture
-from drapenet.registration import locate_camera
+from data.render.setups import Setups, SyntheticCapture
+from drapenet.views.pose import locate_camera
 from sim.scene import Rig
 
 REAL = Setups.load()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.manifest import SCHEMA_VERSION, read_manifest, write_manifest
-from data.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
+from data.dataset.manifest import SCHEMA_VERSION, read_manifest, write_manifest
+from data.dataset.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
 from sim.scene import Rig
 
 VERTICES = 81

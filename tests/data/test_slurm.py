@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data.generate import main
+from data.dataset.generate import main
 
 ROOT = Path(__file__).parents[2]
 TOOL = ROOT / "tools" / "slurm.sh"
@@ -47,7 +47,7 @@ def local(slurm, tmp_path_factory):
 
 
 def command(folder):
-    return [sys.executable, "-m", "data.generate", "--multirun", "launcher=slurm",
+    return [sys.executable, "-m", "data.dataset.generate", "--multirun", "launcher=slurm",
             f"parts={PARTS}", "workers=1", f"out={folder / 'set'}",
             f"hydra.sweep.dir={folder / 'logs'}", *SMALL]
 

@@ -3,8 +3,8 @@ import pytest
 from test_generate import generate, small_config
 
 from common.errors import InputError
-from data.manifest import finished_manifest, read_manifest, write_manifest
-from data.splits import split_by_fabric
+from data.dataset.manifest import finished_manifest, read_manifest, write_manifest
+from data.dataset.splits import split_by_fabric
 
 FRACTIONS = {"train": 0.8, "validation": 0.1, "test": 0.1}
 

@@ -7,11 +7,11 @@ import pytest
 import yaml
 
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.captures import read_capture, whole_turns, write_capture
-from data.plate import plate_diameter
-from data.render import VIEWS, DepthRenderer
-from data.scenes import raw_scene
+from data.captures.capture import read_capture, whole_turns, write_capture
+from data.captures.plate import plate_diameter
+from data.render.cameras import CameraRig
+from data.render.renderer import VIEWS, DepthRenderer
+from data.render.scenes import raw_scene
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
 from sim.scene import Rig

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from common.errors import InputError
-from data.sensor import load_sensor
-from data.sensor_noise import SensorNoise
-from data.time_of_flight import TimeOfFlight, correlated_normal
+from data.render.sensor import load_sensor
+from data.render.sensor_noise import SensorNoise
+from data.render.time_of_flight import TimeOfFlight, correlated_normal
 
 NOTHING = TimeOfFlight(
     axial_mm=0, bias_mm=0, scale_percent=0, edge_invalid_least=0, edge_invalid_most=0,

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from data.cameras import Intrinsics
+from data.render.cameras import Intrinsics
 
 RATE = 10.0  # frames a second
 REST, MOVE = 9, 3  # frames of a stop, and between two
@@ -22,7 +22,7 @@ def turntable() -> tuple[np.ndarray, np.ndarray, Intrinsics]:
     """Counts (N, H, W) uint16 in mm, of which the stops' are (4, H, W), and the intrinsics."""
     from cloths import skirt
 
-    from data.scenes import raw_scene
+    from data.render.scenes import raw_scene
     from sim.scene import Rig
 
     fabric = SimpleNamespace(alpha=np.full(3, 20e-6))

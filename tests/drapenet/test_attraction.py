@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from data.cameras import CameraRig
-from data.render import DepthRenderer
-from drapenet.refine.attraction import MAX_HINGE_ANGLE, captured_shape, smoothed
+from data.render.cameras import CameraRig
+from data.render.renderer import DepthRenderer
 from drapenet.refine.depth import DepthViews
+from drapenet.refine.springs import MAX_HINGE_ANGLE, captured_shape, smoothed
 from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.material import MICRO, Fabric

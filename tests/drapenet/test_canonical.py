@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.cameras import CameraRig, Pose
-from data.render import DepthRenderer
-from drapenet.canonical import (
+from data.render.cameras import CameraRig, Pose
+from data.render.renderer import DepthRenderer
+from drapenet.views.pose import locate_camera
+from drapenet.views.radial_map import (
     AZIMUTHS,
     CENTRE_BIAS,
     drape_coefficient,
@@ -16,7 +17,6 @@ from drapenet.canonical import (
     side_direction,
     turn_doubts,
 )
-from drapenet.registration import locate_camera
 from sim.material import Fabric
 from sim.scene import Rig
 from tests.cloths import skirt

@@ -9,9 +9,9 @@ from cloths import capture_views
 
 import infer
 from common.errors import InputError
-from data.captures import write_capture
-from drapenet.table import csv_table
-from drapenet.tree import entries_of, plain_name
+from data.captures.capture import write_capture
+from drapenet.batch.captures import entries_of, plain_name
+from drapenet.result.table import csv_table
 from sim.scene import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"

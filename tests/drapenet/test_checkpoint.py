@@ -9,8 +9,7 @@ from checkpoints import change_description, describe_again, description
 from safetensors.torch import load, save_file
 
 from common.errors import InputError
-from drapenet.canonical import AZIMUTHS, ELEVATIONS
-from drapenet.checkpoint import (
+from drapenet.network.checkpoint import (
     bundled,
     load_model,
     load_state,
@@ -18,7 +17,8 @@ from drapenet.checkpoint import (
     save_checkpoint,
     save_state,
 )
-from drapenet.network import KNOWN, MapNet
+from drapenet.network.model import KNOWN, MapNet
+from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS
 from sim.scene import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG, Rig
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.cameras import CameraRig
-from data.captures import Capture, whole_turns
-from drapenet.checkpoint import Header, read_header
-from drapenet.content import to_json
+from data.captures.capture import Capture, whole_turns
+from data.render.cameras import CameraRig
 from drapenet.convention import SWAPPED
-from drapenet.estimate import make_estimate
-from drapenet.predict import Draws
-from drapenet.table import format_table, with_interval
+from drapenet.network.checkpoint import Header, read_header
+from drapenet.network.predict import Draws
+from drapenet.result.content import to_json
+from drapenet.result.estimate import make_estimate
+from drapenet.result.table import format_table, with_interval
 from sim.material import MICRO, is_admissible
 from sim.scene import SQUARE_RIG
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from checkpoints import change_description, description
 
-import drapenet.evaluate
+import drapenet.network.evaluate
 from common.errors import InputError
-from data.prior import load_prior, prior_content
-from data.setups import Setups
-from drapenet.checkpoint import load_model, read_header
-from drapenet.evaluate import CELLS, datasets, judge, make_config
-from drapenet.maps import make_maps
+from data.fabrics.prior import load_prior, prior_content
+from data.render.setups import Setups
+from drapenet.network.checkpoint import load_model, read_header
+from drapenet.network.dataset import make_maps
+from drapenet.network.evaluate import CELLS, datasets, judge, make_config
 from sim.scene import Rig
 
 
@@ -61,13 +61,13 @@ def test_seen_fabrics_are_refused_before_they_are_made(
     dataset["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
                               "prior": prior_content(load_prior("vae"))}
     change_description(copy, dataset=dataset)
-    monkeypatch.setattr(drapenet.evaluate, "generate_dataset", None)
+    monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", None)
     words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5"]
     with pytest.raises(InputError, match="not unseen"):
-        drapenet.evaluate.main(words)
+        drapenet.network.evaluate.main(words)
     measured = write_fabrics(tmp_path / "table.csv")
     with pytest.raises(TypeError, match="not callable"):  # generate_dataset: they are unseen
-        drapenet.evaluate.main([*words, f"fabrics={measured}"])
+        drapenet.network.evaluate.main([*words, f"fabrics={measured}"])
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -79,13 +79,13 @@ def test_the_command_prints_a_line_a_cell(
         if not out.exists():
             cloths.write_dataset(out, drapes=6, seed=config.sampling.seed)
 
-    monkeypatch.setattr(drapenet.evaluate, "generate_dataset", make)
-    monkeypatch.setattr(drapenet.evaluate, "CELLS", {
+    monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", make)
+    monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {
         name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
     words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=6", "seed=5"]
     if table:
         words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
-    drapenet.evaluate.main(words)
+    drapenet.network.evaluate.main(words)
     lines = capsys.readouterr().out.splitlines()
     names = ["as trained", "without nuisances", *([] if table else ["views 8"])]
     for name in names:

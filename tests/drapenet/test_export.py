@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from drapenet.export import (
+from drapenet.export.formats import (
     ALIASES,
     NOT_OFFERED,
     TARGETS,
@@ -18,7 +18,7 @@ from drapenet.export import (
     export_all,
     main,
 )
-from drapenet.hinges import (
+from drapenet.export.hinges import (
     FILE,
     MAX_CELLS,
     MESHES,
@@ -26,7 +26,7 @@ from drapenet.hinges import (
     hinge_ratio,
     simulated_ratio,
 )
-from drapenet.material import read_material
+from drapenet.export.material import read_material
 from sim.hinge_laws import HingeLaw, mean_modulus
 from sim.material import MICRO, NANO, Fabric, torque
 from sim.mesh import strip

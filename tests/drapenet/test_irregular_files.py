@@ -10,19 +10,19 @@ import torch
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.errors import InputError
-from data.captures import read_capture
-from data.fabrics import read_fabric_table
-from data.frames import read_array, read_exr, read_points
-from data.manifest import read_manifest
-from data.prior import load_prior
-from data.reading import read_picture
-from data.recordings import read_recording
-from data.scans import read_scan
-from data.shards import Shard
-from drapenet.checkpoint import load_state, read_header
-from drapenet.material import read_material
+from data.captures.capture import read_capture
+from data.captures.frames import read_array, read_exr, read_points
+from data.captures.pictures import read_picture
+from data.captures.rosbag import read_recording
+from data.captures.scans import read_scan
+from data.dataset.manifest import read_manifest
+from data.dataset.shards import Shard
+from data.fabrics.fabrics import read_fabric_table
+from data.fabrics.prior import load_prior
+from drapenet.batch.captures import entries_of
+from drapenet.export.material import read_material
+from drapenet.network.checkpoint import load_state, read_header
 from drapenet.refine.scans import read_cloud
-from drapenet.tree import entries_of
 from sim.scene import DISC_RIG
 
 

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
-from data.prior import load_prior
-from drapenet import joint
+from data.fabrics.prior import load_prior
 from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
-from drapenet.estimate import Estimate
+from drapenet.result import joint
+from drapenet.result.estimate import Estimate
 
 
 def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, str]) -> Estimate:

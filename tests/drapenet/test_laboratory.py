@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drapenet.laboratory import (
+from drapenet.result.laboratory import (
     GF_CM,
     INCLINE,
     KES_CURVATURES,

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.fabrics import to_theta
-from data.nuisances import Nuisances
-from data.setups import Setups
-from drapenet.maps import make_maps, maps_of_shard
-from drapenet.neighbours import change, moves
+from data.fabrics.fabrics import to_theta
+from data.fabrics.nuisances import Nuisances
+from data.render.setups import Setups
+from drapenet.network.dataset import make_maps, maps_of_shard
+from drapenet.network.extrapolated import change, moves
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
 from sim.scene import Rig

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from drapenet.calibration import LEVELS, covered, ranks
-from drapenet.posterior import Mixture, outputs_of
+from drapenet.network.calibration import LEVELS, covered, ranks
+from drapenet.network.posterior import Mixture, outputs_of
 
 
 @pytest.fixture

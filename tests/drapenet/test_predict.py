@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.captures import read_capture
-from data.fabrics import from_theta
-from drapenet.canonical import AZIMUTHS, ELEVATIONS, DrapeMap
-from drapenet.checkpoint import bundled, load_model, read_header
+from data.captures.capture import read_capture
+from data.fabrics.fabrics import from_theta
 from drapenet.inference import infer_capture
-from drapenet.predict import DRAWS, predict
+from drapenet.network.checkpoint import bundled, load_model, read_header
+from drapenet.network.predict import DRAWS, predict
+from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, DrapeMap
 from sim.material import is_admissible
 
 

@@ -10,12 +10,12 @@ import pytest
 from scipy import ndimage
 
 from common.errors import InputError
-from data.cameras import CameraRig
-from data.setups import Setups, SyntheticCapture
-from drapenet.canonical import drape_map
-from drapenet.placement import FILE, fit, main, specimen_placement
-from drapenet.quality import measure, quality_doubts, require_plate
-from drapenet.registration import locate_camera
+from data.render.cameras import CameraRig
+from data.render.setups import Setups, SyntheticCapture
+from drapenet.views.checks import measure, quality_doubts, require_plate
+from drapenet.views.pose import locate_camera
+from drapenet.views.radial_map import drape_map
+from drapenet.views.specimen_offset import FILE, fit, main, specimen_placement
 from sim.drape import drape
 from sim.material import Fabric
 from sim.scene import Rig
@@ -53,7 +53,7 @@ def test_coefficients_of_the_placement_are_written_to_out_alone(
     camera = locate_camera(sound.views, sound.intrinsics, RIG)
     found = drape_map(sound.views, camera, RIG, turns=sound.turns)
     placement = specimen_placement(found, RIG)
-    monkeypatch.setattr("drapenet.placement.FILE", out)  # is read once
+    monkeypatch.setattr("drapenet.views.specimen_offset.FILE", out)  # is read once
     assert specimen_placement(found, RIG) == placement
 
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from data.cameras import Camera, CameraRig
-from data.render import DepthRenderer
+from data.render.cameras import Camera, CameraRig
+from data.render.renderer import DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
-from drapenet.refine.guided import surface_positions
+from drapenet.refine.laid import surface_positions
 from drapenet.refine.objective import (
     Linearised,
     fit_nuisances,

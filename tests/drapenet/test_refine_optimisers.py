@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from drapenet.refine.optimisers import Limits, Status, minimise
-from studies.minimisers import METHODS
+from drapenet.refine.minimise import Limits, Status, minimise
+from experiments.papers.minimisers import METHODS
 
 DERIVATIVES = ("lm", "lbfgs")
 

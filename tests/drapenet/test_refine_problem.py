@@ -8,16 +8,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data.cameras import CameraRig
-from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
-from data.nuisances import NuisanceConfig, Nuisances
-from data.prior import load_prior
-from data.prior.gaussian import GaussianPrior
-from data.render import QUARTERS, DepthRenderer
-from drapenet.canonical import fused, side_direction
+from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
+from data.fabrics.nuisances import NuisanceConfig, Nuisances
+from data.fabrics.prior import load_prior
+from data.fabrics.prior.gaussian import GaussianPrior
+from data.render.cameras import CameraRig
+from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine import problem as problems
-from drapenet.refine.attraction import Springs, plane_springs
-from drapenet.refine.cloth import (
+from drapenet.refine.depth import DepthViews
+from drapenet.refine.minimise import Limits, Status, minimise
+from drapenet.refine.objective import Linearised
+from drapenet.refine.problem import Problem, laplace
+from drapenet.refine.search import CapturedViews, Round, search
+from drapenet.refine.springs import Springs, plane_springs
+from drapenet.refine.surface import RobustPositions
+from drapenet.refine.unknowns import (
     ALPHA_RANGE,
     LAWS,
     OFFSET,
@@ -27,18 +32,13 @@ from drapenet.refine.cloth import (
     Knowledge,
     cloth_moves,
 )
-from drapenet.refine.depth import DepthViews
-from drapenet.refine.objective import Linearised
-from drapenet.refine.optimisers import Limits, Status, minimise
-from drapenet.refine.problem import Problem, laplace
-from drapenet.refine.search import CapturedViews, Round, search
-from drapenet.refine.surface import RobustPositions
+from drapenet.views.radial_map import fused, side_direction
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
-from sim.newton import NewtonOptions
 from sim.scene import DISC_RIG, Rig
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.tangent import possible_contact
+from sim.solver.newton import NewtonOptions
 
 THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
 AWAY = THETA + np.array([0.3, -0.2, 0.2, 5e-4, -5e-4, 5e-4])

@@ -12,17 +12,17 @@ import pytest
 from scipy.interpolate import CloughTocher2DInterpolator
 
 from common.errors import InputError
-from data.fabrics import THETA_NAMES, fabric_from_theta, to_theta
-from drapenet.refine.attraction import plane_springs
-from drapenet.refine.cloth import Cloth
+from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from drapenet.refine.scans import flat_turn, read_cloud, read_shape, register, scan_capture
 from drapenet.refine.search import CapturedScan, search
+from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import CapturedShape, Cloud, fidelity
+from drapenet.refine.unknowns import Cloth
 from sim.drape import DrapeResult, drape
 from sim.mesh import vertex_normals
-from sim.newton import NewtonOptions
 from sim.scene import DISC_RIG
 from sim.sensitivity import follow
+from sim.solver.newton import NewtonOptions
 
 SETTLING = NewtonOptions(residual=1e-3, step=1e-3, max_iterations=300)
 THETA = to_theta(np.array([90e-6, 60e-6, 55e-6]), np.array([-150e-9, -80e-9, -90e-9]))

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from common.configs import read_option
-from data.cameras import CameraRig
-from data.captures import Capture
-from data.fabrics import THETA_NAMES, fabric_from_theta
-from data.render import QUARTERS, DepthRenderer
-from drapenet.estimate import Estimate
-from drapenet.refine import refined
-from drapenet.refine.cloth import LAWS, OFFSET, Cloth
-from drapenet.refine.optimisers import Status
+from data.captures.capture import Capture
+from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
+from data.render.cameras import CameraRig
+from data.render.renderer import QUARTERS, DepthRenderer
+from drapenet.refine import refine
+from drapenet.refine.minimise import Status
 from drapenet.refine.problem import Effort, Trial, Uncertainty
 from drapenet.refine.search import CapturedViews, Found
 from drapenet.refine.surface import Fidelity
+from drapenet.refine.unknowns import LAWS, OFFSET, Cloth
+from drapenet.result.estimate import Estimate
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
 from sim.scene import Rig
@@ -47,7 +47,7 @@ def capture_of(shape: DrapeResult) -> Capture:
 def run(
     shape: DrapeResult, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
     known: dict | None = None,
-) -> tuple[refined.Refined, dict]:
+) -> tuple[refine.Refined, dict]:
     """A refinement whose search finds ``shape`` with known uncertainties."""
     asked = {}
 
@@ -61,9 +61,9 @@ def run(
         return Found(trial, objective, start_value, Uncertainty(
             names, 0.01 * np.eye(len(names)), 1.0), shape, Effort(), 1.0, Status.CONVERGED, "")
 
-    monkeypatch.setattr(refined, "search", search)
+    monkeypatch.setattr(refine, "search", search)
     capture, camera = capture_of(shape), CameraRig.load().nominal()
-    result = refined.refined_capture(
+    result = refine.refined_capture(
         before("stiff", "bias", "soft"), capture, camera, turns=np.array(QUARTERS), seen=None,
         known=known or {}, settings=read_option("refine", "depth") | {"edge_mm": 8.0})
     return result, asked
@@ -111,6 +111,6 @@ def test_cloth_let_go_at_a_scan_stays_there(
     """After an interruption nothing was let go, so nothing is said."""
     found, _ = run(draped, monkeypatch)
     ended = replace(found.found, status=status)
-    doubts = refined._doubts(ended, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
+    doubts = refine._doubts(ended, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
                              scan=True)
     assert len(doubts) == (doubt is not None) and (doubt or "") in "".join(doubts)

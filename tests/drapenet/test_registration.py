@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.cameras import CameraRig
-from data.render import DepthRenderer
-from data.setups import Setups
-from drapenet.registration import camera_doubts, locate_camera
-from drapenet.resimulate import count_folds, radius_profile, silhouette_overlap
+from data.render.cameras import CameraRig
+from data.render.renderer import DepthRenderer
+from data.render.setups import Setups
+from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
+from drapenet.views.pose import camera_doubts, locate_camera
 from sim.scene import Rig
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from data.cameras import CameraRig
-from data.render import DepthRenderer
-from drapenet.canonical import drape_map
-from drapenet.resimulate import beside, turned
-from drapenet.shapes import drape_glb
+from data.render.cameras import CameraRig
+from data.render.renderer import DepthRenderer
+from drapenet.report.drape import beside, turned
+from drapenet.report.shapes import drape_glb
+from drapenet.views.radial_map import drape_map
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.scene import Rig

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from drapenet.canonical import AZIMUTHS, ELEVATIONS
 from drapenet.config import ModelConfig
-from drapenet.maps import Maps
-from drapenet.network import MapNet
-from drapenet.training import CaptureSet, validate
+from drapenet.network.dataset import Maps
+from drapenet.network.model import MapNet
+from drapenet.network.training import CaptureSet, validate
+from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS
 
 
 def shown(count: int, *, disc: bool, seed: int) -> Maps:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.speed.service import EXAMPLE, Service
+from experiments.speed.service import EXAMPLE, Service
 
 pytestmark = pytest.mark.browser
 FILES = [str(file) for file in (*sorted(EXAMPLE.glob("*.png")), EXAMPLE / "capture.yaml")]

@@ -16,10 +16,10 @@ from fastapi.testclient import TestClient
 from pebble import ProcessFuture
 
 from common.command import compose_config
-from data.captures import read_capture
-from drapenet.checkpoint import header_for
-from drapenet.export import TARGETS
+from data.captures.capture import read_capture
+from drapenet.export.formats import TARGETS
 from drapenet.inference import infer_capture
+from drapenet.network.checkpoint import header_for
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
 from drapenet.service.settings import Settings
@@ -91,7 +91,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
 
 
 def test_exports_can_be_fetched(client, finished, monkeypatch):
-    monkeypatch.setattr("drapenet.hinges.equivalent_modulus", None)  # no strips in this process
+    monkeypatch.setattr("drapenet.export.hinges.equivalent_modulus", None)  # no strips in this process
     for name, target in TARGETS.items():
         answer = client.get(f"/estimates/{finished['id']}/export/{name}")
         assert answer.status_code == 200, (name, answer.text)

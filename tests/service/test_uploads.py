@@ -13,7 +13,7 @@ import yaml
 from PIL import Image
 
 from common.command import compose_config
-from data.captures import read_capture
+from data.captures.capture import read_capture
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
 

@@ -12,7 +12,7 @@ from sim.drape import drape
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import TOPOLOGIES, coarse_to_fine
-from sim.newton import NewtonOptions, Status
+from sim.solver.newton import NewtonOptions, Status
 
 FABRICS = [Fabric(np.array(a) * 1e-6, -1.5e-3 * np.array(a) * 1e-6)
            for a in ([60, 40, 30], [150, 150, 150], [120, 90, 100])]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from benchmarks.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
-from benchmarks.physics.guides import LevelSides, TiedRows, guided
 from common.errors import InputError
+from experiments.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from experiments.physics.guides import LevelSides, TiedRows, guided
 from sim.cantilever import (
     aspect_ratio,
     elastica,
@@ -26,7 +26,7 @@ from sim.laws import Laws
 from sim.material import Fabric, torque
 from sim.membranes import Corotational
 from sim.mesh import strip
-from sim.state import State, moved
+from sim.solver.state import State, moved
 
 TRIANGULATIONS = {
     "alternating": {"diagonals": "alternating"},

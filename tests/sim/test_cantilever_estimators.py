@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of
 
-from benchmarks.physics.guides import guided
 from common.errors import InputError
+from experiments.physics.guides import guided
 from sim.cantilever.bezier import Bezier, fit_bezier
 from sim.cantilever.fabric import correct, estimate, fabric_of
 from sim.cantilever.regression import fit_law, moment_beyond, regress, torque_and_curvature

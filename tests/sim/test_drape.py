@@ -11,14 +11,14 @@ from sim.cloth import Cloth
 from sim.drape import drape
 from sim.energies.gravity import Gravity
 from sim.equilibrium import find_equilibrium
-from sim.initial import interpolate_positions
 from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
 from sim.mesh.specimens import make_specimen
-from sim.newton import NewtonOptions, Status
 from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene
 from sim.sensitivity import follow
+from sim.solver.newton import NewtonOptions, Status
+from sim.start import interpolate_positions
 
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 

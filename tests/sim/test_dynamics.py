@@ -5,14 +5,14 @@ import pytest
 from scipy.special import j0
 
 from sim.cloth import Cloth
-from sim.dynamics import Inertia, Motion
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.mesh.specimens import make_specimen
-from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Rig, Scene
+from sim.solver.dynamics import Inertia, Motion
+from sim.solver.newton import NewtonOptions, Status
 
 TIGHT = NewtonOptions(residual=1e-6, step=1e-4)
 LIMP = Fabric(np.full(3, 0.5e-6))

@@ -14,7 +14,7 @@ from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
-from sim.state import State, moved
+from sim.solver.state import State, moved
 
 ANISOTROPIC = Fabric(alpha=[98.8e-6, 23.5e-6, 21.2e-6], beta=[-247e-9, -58.8e-9, -53e-9])
 STIFFENING = Fabric(alpha=[20e-6, 30e-6, 10e-6], beta=[40e-9, 10e-9, 5e-9])

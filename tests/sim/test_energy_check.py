@@ -14,7 +14,7 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
-from sim.state import State, moved
+from sim.solver.state import State, moved
 
 MESH, HELD = strip(length=0.04, width=0.03, edge=0.01, clamp=0.01, diagonals="random", jitter=0.2)
 ACTIVE = ~HELD[MESH.faces].all(axis=1)

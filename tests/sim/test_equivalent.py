@@ -13,7 +13,7 @@ from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.scene import Scene
-from sim.state import State
+from sim.solver.state import State
 
 EDGE = 7.5e-3
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import sparse
 
 from common.errors import InputError
-from sim.linear import SparsePattern, available_solvers, make_solver
+from sim.solver.linear import SparsePattern, available_solvers, make_solver
 
 
 def chain(count: int = 40, k: int = 3, seed: int = 0):
@@ -163,7 +163,7 @@ def test_solutions_do_not_depend_on_libraries_loaded_before(rough):
 import hashlib, sys
 {first}
 import numpy as np
-from sim.linear import SparsePattern, make_solver
+from sim.solver.linear import SparsePattern, make_solver
 grid = np.arange(900).reshape(30, 30)
 cells = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]], -1).reshape(-1, 4)
 stencil = (3 * cells[:, :, None] + np.arange(3)).reshape(-1, 12)

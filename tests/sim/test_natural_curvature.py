@@ -10,9 +10,9 @@ from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
-from sim.newton import NewtonOptions
 from sim.scene import Scene
-from sim.state import State, moved
+from sim.solver.newton import NewtonOptions
+from sim.solver.state import State, moved
 
 FABRIC = Fabric(np.array([30e-6, 22e-6, 18e-6]), np.array([-60e-9, -40e-9, -30e-9]))
 CURVATURE = (12.0, -7.0, 4.0)

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from sim.linear import SparsePattern, make_solver
-from sim.newton import NewtonOptions, Status, minimise
+from sim.solver.linear import SparsePattern, make_solver
+from sim.solver.newton import NewtonOptions, Status, minimise
 
 
 class Function:
@@ -152,7 +152,7 @@ def test_a_minimum_is_proved_in_full_precision(monkeypatch):
         solver.solve = lambda rhs, *, rough=False: solved.append(rough) or solve(rhs, rough=rough)
         return solver
 
-    monkeypatch.setattr("sim.newton.make_solver", recording)
+    monkeypatch.setattr("sim.solver.newton.make_solver", recording)
     result = minimise(rosenbrock(), np.array([-1.2, 1.0]))
     assert result.positive_definite
     assert not calls[-1] and all(calls[:3])  # proved exactly, found roughly

@@ -10,7 +10,7 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig, Scene
-from sim.state import State, moved
+from sim.solver.state import State, moved
 
 RIG = Rig()
 

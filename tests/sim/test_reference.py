@@ -12,7 +12,7 @@ from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh.specimens import make_specimen
 from sim.scene import DISC_RIG, Rig, Scene
-from sim.state import moved
+from sim.solver.state import moved
 
 FABRICS = [Fabric([98.8e-6, 23.5e-6, 21.2e-6], [-247e-9, -58.8e-9, -53e-9]),
            Fabric([20e-6, 30e-6, 10e-6], [40e-9, 10e-9, 5e-9], density=0.2)]

@@ -11,14 +11,14 @@ from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.mesh.specimens import make_specimen
-from sim.newton import NewtonOptions, Status
 from sim.scene import Rig, Scene
 from sim.self_contact import (
     contact_distance,
     self_intersections,
     untangled,
 )
-from sim.state import State
+from sim.solver.newton import NewtonOptions, Status
+from sim.solver.state import State
 
 SOFT = Fabric(np.full(3, 4e-6))
 OPTIONS = NewtonOptions(residual=1e-4, step=1e-4)

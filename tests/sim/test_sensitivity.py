@@ -18,12 +18,12 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
-from sim.newton import NewtonOptions, Status
 from sim.scene import GRAVITY, Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
+from sim.solver.newton import NewtonOptions, Status
 
 TIGHT = NewtonOptions(residual=1e-9, step=1e-7)
 MODULI = ("log_alpha", "ratio")

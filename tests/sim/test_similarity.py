@@ -7,14 +7,14 @@ import pytest
 
 from sim.energies.hysteresis import Hysteresis
 from sim.equilibrium import find_equilibrium
-from sim.initial import initial_positions
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import OrthotropicStVK
 from sim.mesh.specimens import make_specimen
-from sim.newton import NewtonOptions
 from sim.scene import DISC_RIG, Rig, Scene
 from sim.similarity import similar
+from sim.solver.newton import NewtonOptions
+from sim.start import initial_positions
 
 FABRIC = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
 EXACT = NewtonOptions(residual=1e-9, step=1e-8)

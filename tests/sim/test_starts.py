@@ -6,11 +6,11 @@ import pytest
 from apps.drape_file import read_borrowed, write_drape
 from common.errors import InputError
 from sim.drape import drape
-from sim.initial import borrowed_positions, initial_positions, interpolate_positions
 from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline
 from sim.mesh.specimens import coarse_to_fine, make_specimen
 from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
+from sim.start import borrowed_positions, initial_positions, interpolate_positions
 
 
 def isotropic(alpha: float) -> Fabric:

@@ -1,0 +1,1 @@
+"""Captures of real drapes: reading, checking, segmentation."""

@@ -1,0 +1,266 @@
+"""Reading depth frames of a capture from files of several formats: m, 0 where depth is missing.
+
+``view_K.png`` (16-bit), ``view_K_0.png``, ``view_K_1.png`` and so on (several frames of one view),
+``view_K.npy`` and ``view_K.exr`` (metres), ``view_K.ply`` (points in camera axes, metres), or one
+recording (:mod:`data.captures.rosbag`). All views of a capture have the same format.
+"""
+
+import io
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.documents import read_bytes, require_regular, shown
+from common.errors import InputError, one_line
+from data.captures.pictures import (
+    MAX_FILE_BYTES,
+    MAX_PICTURE,
+    MAX_VIEWS,
+    MILLIMETRE,
+    dimensions,
+    join_views,
+    median_depth,
+    numbered,
+    read_picture,
+    require_size,
+)
+from data.captures.rosbag import SUFFIXES, read_recording
+from data.render.cameras import Intrinsics
+
+BACKGROUND = "background.png"
+RECORDING = "recording"
+SATURATED = 65535  # counts, written by cameras where depth is missing
+MAX_PIXELS = 64_000_000  # of all frames of one view
+MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
+MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
+KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
+"""File names of views by format; braces are replaced by numbers from 0."""
+UNSUPPORTED = {
+    ".tif": "save its depth as 16-bit PNG in millimetres",
+    ".tiff": "save its depth as 16-bit PNG in millimetres",
+    ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 frame_%d.png, and "
+            "keep one of each stop, view_0.png and so on",
+    ".r3d": "export its depth frames as npy in metres",
+}
+"""Remedies for files of other formats, by suffix."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Content of a folder of depth frames.
+
+    Attributes:
+        frames: (K, H, W) float32, m, one per view.
+        background: (H, W) float32, m, the empty scene; None without one.
+        intrinsics: stored in the files; None if there are none.
+        color: (K, H, W) uint8 grey, pictures of a board; None without them.
+    """
+
+    frames: np.ndarray
+    background: np.ndarray | None
+    intrinsics: Intrinsics | None = None
+    color: np.ndarray | None = None
+
+
+def read_frames(
+    folder: Path, unit: float | None, intrinsics_of: Callable[[int, int], Intrinsics],
+    size: tuple[int, int] | None,
+) -> Frames:
+    """Read the frames of a folder, in any of the supported formats.
+
+    Args:
+        unit: m per count; None: as stated in the files, or millimetres.
+        intrinsics_of: intrinsics as a function of width and height, px.
+        size: width and height of the picture to which point clouds are projected, px.
+
+    Raises:
+        InputError: no frames, two formats, a file that cannot be read or is too large.
+    """
+    names = sorted(file.name for file in folder.iterdir())
+    kind = _kind(folder, names)
+    counted, intrinsics = unit or MILLIMETRE, None
+    if kind == RECORDING:
+        frames, intrinsics = read_recording(folder / next(filter(_is_recording, names)), unit)
+    elif kind == "view_{}_{}.png":
+        frames = join_views({files[0]: _median(files) * counted
+                             for files in _bursts(folder, names)})
+    else:
+        if kind.endswith("ply") and size is None:
+            raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
+                             "capture.yaml, of the picture that the intrinsics are of")
+        reader = {
+            ".png": lambda file: read_counts(file) * counted,
+            ".npy": read_array, ".exr": read_exr,
+            ".ply": lambda file: read_points(file, intrinsics_of(*size))}[Path(kind).suffix]
+        frames = join_views({file: reader(file) for file in numbered(folder, kind)})
+    background = None
+    if BACKGROUND in names:
+        background = np.minimum(read_counts(folder / BACKGROUND) * counted,
+                                MAX_DEPTH).astype(np.float32)
+        if background.shape != frames.shape[1:]:
+            raise InputError(f"{folder / BACKGROUND} has {dimensions(background)} pixels, the "
+                             f"views have {dimensions(frames[0])}; take it with the same camera")
+    color = None
+    if any(re.fullmatch(r"color_\d+\.png", name) for name in names):
+        color = join_views({
+            file: _grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
+            for file in numbered(folder, "color_{}.png")})
+        if color.shape != frames.shape:
+            raise InputError(f"{folder}: there are {len(color)} color pictures of "
+                             f"{dimensions(color[0])} pixels but {len(frames)} views of "
+                             f"{dimensions(frames[0])}; give one color picture for each view, of "
+                             "the same size (the SDK's color aligned to depth)")
+    return Frames(np.minimum(frames, MAX_DEPTH).astype(np.float32), background, intrinsics, color)
+
+
+def read_counts(file: Path) -> np.ndarray:
+    """(H, W) counts of a 16-bit PNG, 0 where saturated."""
+    counts = read_picture(file, modes={"I;16", "I"}, kind="16-bit grey")
+    return np.where(counts >= SATURATED, 0, counts)
+
+
+def _grey(picture: np.ndarray) -> np.ndarray:
+    """A grey or colour picture as grey (H, W) uint8."""
+    return picture if picture.ndim == 2 else picture[..., :3].mean(axis=2).astype(np.uint8)
+
+
+def _is_recording(name: str) -> bool:
+    return Path(name).suffix.lower() in SUFFIXES
+
+
+def _kind(folder: Path, names: list[str]) -> str:
+    """One of :data:`KINDS`, or :data:`RECORDING`."""
+    found = [kind for kind in KINDS if any(_match(kind, name) for name in names)]
+    recordings = [name for name in names if _is_recording(name)]
+    examples = [*(kind.format(0, 0) for kind in found), *recordings]
+    if len(examples) > 1:
+        raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
+                         "kind of file, or one recording")
+    if examples:
+        return found[0] if found else RECORDING
+    for name in names:
+        if (ending := Path(name).suffix.lower()) in UNSUPPORTED:
+            raise InputError(f"{folder / name}: files of this kind are not read; "
+                             f"{UNSUPPORTED[ending]}")
+    return KINDS[0]  # numbered() reports that they are missing
+
+
+def _match(kind: str, name: str) -> re.Match | None:
+    return re.fullmatch(re.escape(kind).replace(r"\{\}", r"(\d+)"), name)
+
+
+def _bursts(folder: Path, names: list[str]) -> list[list[Path]]:
+    """Files of each view, view_K_J.png; K and J are numbered from 0."""
+    views = 1 + max(int(found[1]) for name in names if (found := _match(KINDS[1], name)))
+    if views > MAX_VIEWS:
+        raise InputError(f"{folder} has {views} views; a capture has at most {MAX_VIEWS}")
+    return [numbered(folder, f"view_{k}_{{}}.png", most=MAX_PIXELS) for k in range(views)]
+
+
+def _median(files: list[Path]) -> np.ndarray:
+    """Median (H, W) counts of a view's frames."""
+    frames: list[np.ndarray] = []
+    for file in files:
+        frames.append(read_counts(file))
+        if frames[-1].shape != frames[0].shape:
+            raise InputError(f"{file} has {dimensions(frames[-1])} pixels but {files[0].name} has "
+                             f"{dimensions(frames[0])}; all must have one size")
+        if len(files) * frames[0].size > MAX_PIXELS:
+            raise InputError(f"{file.parent}: a view has {len(files)} frames of "
+                             f"{dimensions(frames[0])} pixels; give at most "
+                             f"{MAX_PIXELS // frames[0].size}, leave the others out")
+    return median_depth(np.stack(frames))
+
+
+def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
+    """``depth``, m, with 0 for invalid values."""
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    _require_metres(depth[depth > 0], file)
+    return depth
+
+
+def _require_metres(depths: np.ndarray, file: Path) -> None:
+    if depths.size and (middle := float(np.median(depths))) > MAX_DEPTH:
+        raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
+                         "depth in metres")
+
+
+def read_array(file: Path) -> np.ndarray:
+    """Read depth (H, W), m, from a NumPy file of floating-point numbers."""
+    data = read_bytes(file, MAX_FILE_BYTES, "view")
+    wrong = f"{file} must hold one array (height, width) of floating-point numbers, depth in metres"
+    try:
+        depth = np.lib.format.read_array(io.BytesIO(data))
+    except Exception as error:  # a damaged header raises errors of tokenize and others
+        raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}: save it with "
+                         "numpy.save") from None
+    if depth.ndim != 2 or depth.dtype.kind != "f" or depth.itemsize > 8:
+        raise InputError(f"{wrong}; it holds {shown(depth.shape)} of {shown(str(depth.dtype))}")
+    require_size(file, *depth.shape[::-1])
+    return _metres(depth, file)
+
+
+def read_exr(file: Path) -> np.ndarray:
+    """Read depth (H, W), m, from an OpenEXR file: channel Z, or the only channel."""
+    import OpenEXR
+
+    require_regular(file, MAX_FILE_BYTES, "view")
+    try:
+        # The size is checked before the pixels are decoded.
+        with OpenEXR.File(str(file), header_only=True) as header:
+            window = header.header()["dataWindow"]
+            width, height = (int(n) for n in np.asarray(window[1]) - np.asarray(window[0]) + 1)
+        require_size(file, width, height)
+        with OpenEXR.File(str(file), separate_channels=True) as picture:
+            channels = {name: np.array(one.pixels) for name, one in picture.channels().items()}
+    except InputError:
+        raise
+    except Exception as error:  # the library has no error class
+        raise InputError(f"{file} is damaged or not an OpenEXR picture ({type(error).__name__}); "
+                         "export the view again") from None
+    name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)
+    if name is None and len(channels) != 1:
+        raise InputError(f"{file} has channels {shown(sorted(channels))}; give depth as channel Z")
+    return _metres(channels[name] if name else next(iter(channels.values())), file)
+
+
+def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
+    """Project a PLY of points in camera axes to depth (H, W), m, of the nearest point per pixel.
+
+    The points may be in any order; colours and triangles are not used.
+    """
+    import trimesh
+
+    data = read_bytes(file, 64 * MAX_POINTS, "view")
+    count = re.search(rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE)
+    if not data.startswith(b"ply") or not count:
+        raise InputError(f"{file} is not a PLY file; export the view again")
+    if int(count[1]) > MAX_POINTS:
+        raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
+                         f"{MAX_POINTS}: reduce the cloud")
+    try:
+        # From memory, so that files named in the PLY, such as textures, are not read.
+        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False,
+                              skip_materials=True)
+        points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    except Exception:  # trimesh's messages do not help the user
+        raise InputError(f"{file} is damaged or holds no points; export the view again") from None
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[(points[:, 2] > 0) & (points[:, 2] < math.inf)]
+    if not len(points):
+        raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
+                         "y down, z forward")
+    _require_metres(points[:, 2], file)
+    u = np.rint(intrinsics.fx * points[:, 0] / points[:, 2] + intrinsics.cx)
+    v = np.rint(intrinsics.fy * points[:, 1] / points[:, 2] + intrinsics.cy)
+    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+    if inside.mean() < 0.5:
+        raise InputError(f"{file}: {1 - inside.mean():.0%} of its points fall outside the picture "
+                         "of the intrinsics; give camera axes (x right, y down, z forward), metres")
+    depth = np.full((intrinsics.height, intrinsics.width), np.inf, np.float32)
+    np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), points[inside, 2])
+    return np.where(np.isfinite(depth), depth, np.float32(0.0))

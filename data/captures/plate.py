@@ -1,0 +1,288 @@
+"""Geometric detection of a drape tester's plate in frames of a full scene, and its diameter.
+
+The vertical is the normal of the table or, if no table is visible, a trial pitch of the camera. The
+plate is the horizontal patch that fills a disc of its radius and has cloth hanging around it.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from data.render.cameras import Intrinsics
+from data.render.renderer import import_open3d
+from sim.scene import DISC_RIG, SQUARE_RIG, Rig
+
+_MAX_DEPTH = 2.5  # m, of table and plate
+_MAX_POINTS = 60_000  # of the subsample in which the plate is searched
+_MIN_POINTS = 200
+_VOXEL, _PLANE_TOLERANCE = 8e-3, 8e-3  # m: grid of the points to which planes are fitted; noise
+_MAX_PLANES, _MIN_PLANE_SHARE = 4, 0.04  # planes that are fitted; share of the points
+_PITCHES = np.radians(np.arange(20.0, 60.0, 5.0))  # trial values if no table is visible
+_PITCH_RANGE = np.radians(10.0), np.radians(75.0)  # of the camera above a table
+_MAX_ROLL = np.radians(20.0)  # of a table in the picture
+_MAX_TABLE_TILT = np.radians(6.0)  # between table and plate
+TABLE_GAP = (0.08, 0.7)  # m, from the table to the plate
+_CELL = 6e-3  # m, of the grid in which a disc is searched
+_RING_WIDTH = 9e-3, 24e-3  # m beyond the rim, where few points should be as high as the plate
+_RING_PENALTY = 0.3  # of a full ring; small, because stiff cloth is nearly level there
+_HEM_RINGS = (0.1, 0.25), (0.25, 0.4)  # distances from the rim, relative to the longest overhang
+_SECTORS = 16  # of the half that faces the camera
+_DISTANCE_PENALTY = 1.0  # 1/m
+_MIN_SCORE = 0.7  # of a plate; a bare table reaches 0.2, a jar 0.5, a drape 1.0 to 1.5
+_REFINEMENTS = ((8e-3, 0.8), (4e-3, 0.75), (3e-3, 0.75), (3e-3, 0.75))
+"""Distance from the plane, m, and share of the radius within which points are fitted, by iteration.
+"""
+_LEVEL_TOLERANCE = 2e-3  # m from the plane, of the points whose centroid is the centre
+_CENTRE_OFFSET = 2.9e-3
+"""m, bias of this centroid towards the camera: more of the cloth that bends over the rim is visible
+on the near side."""
+_DIAMETERS = 0.055, 0.210  # m, of plates that are measured
+_RIM_SECTORS, _MIN_SECTORS = 24, 6  # around the plate; in which the rim must be seen
+_PROFILE_STEP, _PROFILE = 3e-3, 50  # m and number of steps, of the height over the radius
+_MIN_POINTS_OF_STEP = 3
+_FALLS = 1.5e-3, 0.75e-3  # m below the plate; the second for cloth that is nearly flat
+_TO_RIM = 0.75
+"""Distance from the rim to where the cloth has fallen by one of these, relative to that from there
+to where it has fallen by four times as much: 0.65 to 0.81 in simulated drapes (a parabola has 1).
+"""
+_RIM_ROUNDS = 4
+_MAX_RIM_SPREAD = 0.2  # of the diameter, between the quartiles of the sectors
+
+
+@dataclass(frozen=True)
+class Plate:
+    """The plate in camera axes.
+
+    Attributes:
+        centre: (3,) m, of its top.
+        normal: (3,) unit vector, up.
+        table: (4,) plane a, b, c, d with a x + b y + c z + d = height above it, m; None if no table
+            was found.
+    """
+
+    centre: np.ndarray
+    normal: np.ndarray
+    table: np.ndarray | None
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(4, 4) transform to the camera's axes from the plate's: x along the picture's rows, z up.
+        """
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = _axes(self.normal), self.centre
+        return pose
+
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """Transform points (..., 3), m, from camera axes to the plate's axes."""
+        return (points - self.centre) @ _axes(self.normal)
+
+
+def find_plate(points: np.ndarray, rig: Rig) -> Plate | None:
+    """Find the plate under the cloth in points (N, 3) of all frames, m, camera axes; None if there
+    is none.
+    """
+    points = points[points[:, 2] < _MAX_DEPTH]
+    sample = points[:: max(1, len(points) // _MAX_POINTS)]
+    if len(sample) < _MIN_POINTS:
+        return None
+    tables = _level_planes(sample)
+    best = max((_search(sample, plane[:3], rig) for plane in tables), key=_score, default=None)
+    if _score(best) < _MIN_SCORE:
+        trials = (np.array([0.0, -np.cos(pitch), -np.sin(pitch)]) for pitch in _PITCHES)
+        best = max((_search(sample, up, rig) for up in trials), key=_score)
+    if _score(best) < _MIN_SCORE:
+        return None
+    _, centre, normal = best
+    centre, normal = _refined(points, centre, normal, rig)
+    # Planes are sorted by size.
+    table = next((plane for plane in tables if plane[:3] @ normal > np.cos(_MAX_TABLE_TILT)
+                  and TABLE_GAP[0] < plane @ [*centre, 1.0] < TABLE_GAP[1]), None)
+    return Plate(centre, normal, table)
+
+
+def _axes(normal: np.ndarray) -> np.ndarray:
+    """Axes of the plate as columns (3, 3): right in the picture, away from the camera, up."""
+    right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    right /= max(np.linalg.norm(right), 1e-12)
+    return np.stack([right, np.cross(normal, right), normal], axis=1)
+
+
+def _level_planes(points: np.ndarray) -> list[np.ndarray]:
+    """Planes (4,), as :attr:`Plate.table`, that are horizontal for a plausible camera pose."""
+    open3d = import_open3d()
+    open3d.utility.random.seed(0)
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud = cloud.voxel_down_sample(_VOXEL)
+    total, found = len(cloud.points), []
+    for _ in range(_MAX_PLANES):
+        if len(cloud.points) < max(100, _MIN_PLANE_SHARE * total):
+            break
+        plane, inside = cloud.segment_plane(_PLANE_TOLERANCE, ransac_n=3, num_iterations=500)
+        cloud = cloud.select_by_index(inside, invert=True)
+        if len(inside) < _MIN_PLANE_SHARE * total:
+            break
+        plane = np.asarray(plane) * (1.0 if plane[3] > 0 else -1.0)  # the camera is above it
+        pitch = np.arcsin(np.clip(-plane[2], -1.0, 1.0))
+        if _PITCH_RANGE[0] < pitch < _PITCH_RANGE[1] and (
+                abs(np.arctan2(plane[0], -plane[1])) < _MAX_ROLL):
+            found.append(plane)
+    return found
+
+
+def _score(found: tuple[float, np.ndarray, np.ndarray] | None) -> float:
+    return found[0] if found else -np.inf
+
+
+def _search(
+    points: np.ndarray, up: np.ndarray, rig: Rig
+) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """Score, centre (3,) and ``up`` of the best candidate for the plate; None without candidates.
+    """
+    axes = _axes(up)
+    local = points @ axes
+    low = local.min(axis=0)
+    cells = np.floor((local - low) / _CELL).astype(int)
+    filled = np.unique(cells, axis=0)
+    counts = np.bincount(filled[:, 2])
+    area = np.pi * (rig.plate_radius / _CELL) ** 2
+    levels = np.flatnonzero(counts + np.append(counts[1:], 0) > area / 3)
+    inside, around = _kernels(rig.plate_radius)
+    shape = filled[:, 1::-1].max(axis=0) + 1
+    best = None
+    for level in levels:
+        patch = filled[(filled[:, 2] == level) | (filled[:, 2] == level + 1)]
+        grid = np.zeros(shape, np.float32)
+        grid[patch[:, 1], patch[:, 0]] = 1.0
+        grid = cv2.morphologyEx(grid, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        fit = cv2.filter2D(grid, -1, inside, borderType=cv2.BORDER_CONSTANT)
+        fit -= _RING_PENALTY * cv2.filter2D(grid, -1, around, borderType=cv2.BORDER_CONSTANT)
+        row, column = np.unravel_index(fit.argmax(), fit.shape)
+        middle = low + _CELL * np.array([column + 0.5, row + 0.5, level + 1.0])
+        # Nothing is between the camera and the cloth: of equal candidates, the nearer one.
+        score = float(fit[row, column]) + _hanging(local - middle, rig) - _DISTANCE_PENALTY * (
+            np.linalg.norm(middle))
+        if best is None or score > best[0]:
+            best = score, axes @ middle, up
+    return best
+
+
+def _kernels(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Filter kernels of a disc and of a ring around it on the grid, each with a sum of 1."""
+    size = int(np.ceil((radius + _RING_WIDTH[1]) / _CELL))
+    distance = _CELL * np.hypot(*np.mgrid[-size : size + 1, -size : size + 1])
+    disc = (distance <= radius).astype(np.float32)
+    ring = ((distance > radius + _RING_WIDTH[0])
+            & (distance < radius + _RING_WIDTH[1])).astype(np.float32)
+    return disc / disc.sum(), ring / ring.sum()
+
+
+def _hanging(local: np.ndarray, rig: Rig) -> float:
+    """Share of the sectors towards the camera in which points hang from the rim of a candidate.
+
+    ``local`` (N, 3), m, in the candidate's axes.
+    """
+    beyond, longest = np.hypot(local[:, 0], local[:, 1]) - rig.plate_radius, rig.overhang
+    distance = np.hypot(beyond, local[:, 2])
+    hanging = (beyond > 0) & (local[:, 2] < 0) & (local[:, 1] < 0)
+    seen = np.ones(_SECTORS, bool)
+    for near, far in _HEM_RINGS:  # both must have points: cloth has no gap from the rim on
+        ring = local[hanging & (distance > near * longest) & (distance < far * longest)]
+        sector = (np.arctan2(-ring[:, 1], ring[:, 0]) / np.pi * _SECTORS).astype(int)
+        seen &= np.bincount(sector, minlength=_SECTORS)[:_SECTORS] > 0
+    return float(seen.mean())
+
+
+def _refined(
+    points: np.ndarray, centre: np.ndarray, normal: np.ndarray, rig: Rig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Refine centre (3,) and normal (3,) iteratively with all points on the plate."""
+    points = points[np.linalg.norm(points - centre, axis=1) < 2 * rig.plate_radius]
+    for off, share in _REFINEMENTS:
+        offset = points - centre
+        above = offset @ normal
+        across = np.linalg.norm(offset - above[:, None] * normal, axis=1)
+        inner = (np.abs(above) < off) & (across < share * rig.plate_radius)
+        if inner.sum() < 10:
+            break
+        middle = points[inner].mean(axis=0)
+        normal = np.linalg.eigh(np.cov((points[inner] - middle).T))[1][:, 0]
+        normal = normal * -np.sign(normal @ middle)  # up is towards the camera
+        above = (points - middle) @ normal
+        level = np.abs(above) < _LEVEL_TOLERANCE
+        level &= np.linalg.norm(points - centre, axis=1) < 1.5 * rig.plate_radius
+        # Pixels are denser where the plate is nearer; z³ compensates for this on a plane.
+        weights = points[level, 2] ** 3
+        centre = weights @ points[level] / weights.sum()
+        centre = centre - ((centre - middle) @ normal) * normal
+    return centre + _CENTRE_OFFSET * _axes(normal)[:, 1], normal
+
+
+def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
+    """Diameter, m, of the plate under the cloth in frames (K, H, W), z-depth in m, 0 where it is
+    missing; None if it is not found.
+
+    Of the known testers' plates, one is found near every plate; its centre and size are corrected.
+    """
+    points = intrinsics.back_project(frames)[frames > 0]
+    measured = [_measured(points, rig) for rig in (DISC_RIG, SQUARE_RIG)]
+    spread, diameter = min((one for one in measured if one), default=(np.inf, 0.0))
+    if spread > _MAX_RIM_SPREAD * diameter or not _DIAMETERS[0] < diameter < _DIAMETERS[1]:
+        return None
+    return diameter
+
+
+def _measured(points: np.ndarray, rig: Rig) -> tuple[float, float] | None:
+    """Difference between quartiles over sectors, and median, of the diameter, m, of a plate that is
+    found as that of ``rig``.
+    """
+    plate = find_plate(points, rig)
+    if plate is None:
+        return None
+    centre, normal = plate.centre, plate.normal
+    for _ in range(_RIM_ROUNDS):
+        rim = _rim(Plate(centre, normal, None).local(points))
+        if len(rim) < _MIN_SECTORS:
+            return None
+        radius, shift = _circle(rim)
+        centre = centre + _axes(normal)[:, :2] @ shift
+        trial = replace(rig, plate_diameter=float(np.clip(2 * radius, *_DIAMETERS)))
+        centre, normal = _refined(points, centre, normal, trial)
+    low, middle, high = np.quantile(2 * np.linalg.norm(rim, axis=1), [0.25, 0.5, 0.75])
+    return float(high - low), float(middle)
+
+
+def _rim(local: np.ndarray) -> np.ndarray:
+    """Points (S, 2), m, of the rim in the sectors where it is seen, from ``local`` (N, 3), m, in
+    the plate's axes: extrapolated from two heights of the cloth that falls beyond it.
+    """
+    steps = (np.hypot(local[:, 0], local[:, 1]) / _PROFILE_STEP).astype(int)
+    near = (steps < _PROFILE) & (np.abs(local[:, 2]) < 8 * _FALLS[0])
+    angle = np.arctan2(local[near, 1], local[near, 0]) % (2 * np.pi)
+    sector = np.minimum((angle * _RIM_SECTORS / (2 * np.pi)).astype(int), _RIM_SECTORS - 1)
+    cell, shape = sector * _PROFILE + steps[near], (_RIM_SECTORS, _PROFILE)
+    counts = np.bincount(cell, minlength=_RIM_SECTORS * _PROFILE)
+    sums = np.bincount(cell, local[near, 2], minlength=len(counts))
+    heights = (sums / np.maximum(counts, 1)).reshape(shape)
+    known, rim = (counts >= _MIN_POINTS_OF_STEP).reshape(shape), []
+    for k in range(_RIM_SECTORS):
+        radius = _PROFILE_STEP * (np.flatnonzero(known[k]) + 0.5)
+        fallen = np.maximum.accumulate(-heights[k, known[k]])
+        for fall in _FALLS:
+            if len(fallen) and fallen[0] < fall / 2 and fallen[-1] > 4 * fall:
+                first, second = np.interp([fall, 4 * fall], fallen, radius)
+                middle = (k + 0.5) * 2 * np.pi / _RIM_SECTORS
+                rim.append((first - _TO_RIM * (second - first))
+                           * np.array([np.cos(middle), np.sin(middle)]))
+                break
+    return np.array(rim).reshape(-1, 2)
+
+
+def _circle(points: np.ndarray) -> tuple[float, np.ndarray]:
+    """Radius and centre (2,), m, of the circle through points (N, 2), m, without outliers."""
+    radii = np.linalg.norm(points, axis=1)
+    off = np.abs(radii - np.median(radii))
+    kept = points[off <= 4 * np.median(off) + 1e-3]
+    equations = np.column_stack([2 * kept, np.ones(len(kept))])
+    *centre, constant = np.linalg.lstsq(equations, np.square(kept).sum(axis=1), rcond=None)[0]
+    return float(np.sqrt(max(constant + np.square(centre).sum(), 0.0))), np.array(centre)

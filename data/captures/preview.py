@@ -1,0 +1,146 @@
+"""Convert depth frames to a capture, with the cloth cut out.
+
+    python -m data.captures.preview frames=FOLDER out=DIR
+    python -m data.captures.preview board=board.png
+
+FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md). Writes
+the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
+of the cloth, the plate's rim and its axes; last, the hems of all frames from above, one colour per
+frame, rotated back by turns_deg. Check it: where two colours do not coincide, or all are on one
+side, the turns of the table differ from those stated, or the cloth has moved.
+"""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from common.command import command
+from common.errors import InputError
+from common.files import folder_named, replace_file, require_folder
+from data.captures.board import SQUARE, board_picture
+from data.captures.capture import read_capture, write_capture
+from data.captures.cutout import CutOut, cut_out
+from data.render.cameras import Camera, Intrinsics
+from sim.scene import Rig
+
+DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
+PICTURE = "capture.png"
+_AXIS = 0.04  # m, length of the axes drawn
+_WIDTH = 4.8  # inches, width of a frame in the picture
+_RIM, _OUTLINE = "#ffc800", "#3cdc3c"
+_AXES = ("#ff3c3c", "#3cc83c", "#3c78ff")
+_VIEWS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#3c3c3c", "#a01414")
+"""Colours of Okabe and Ito, and two dark ones."""
+_FIELD = 1.02  # half height of the view from above, relative to the specimen's reach
+_SECTORS = 180  # of the hem from above, each with its outermost point
+_VISIBLE = np.radians(75.0)  # azimuth on either side of the camera in which a view shows the hem
+
+
+@dataclass
+class CaptureConfig:
+    """``configs/capture.yaml``."""
+
+    frames: str
+    out: str
+    board: str
+
+
+@command("capture", CaptureConfig, swept_out=".")
+def main(config: CaptureConfig) -> None:
+    """Cut out the cloth and write the capture and its picture, or write a board."""
+    if config.board:
+        replace_file(Path(config.board), board_picture())
+        print(f"board: {config.board}; print it on A4 at 100 %: squares of "
+              f"{1e3 * SQUARE:g} mm")
+        return
+    if not config.frames:
+        raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
+    out = folder_named(config.out)
+    require_folder(out)
+    capture = read_capture(config.frames)
+    cut = capture.cut or cut_out(capture.views, capture.intrinsics, capture.rig)
+    write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
+                  warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
+                  face=capture.face, depth_unit=DEPTH_UNIT)
+    replace_file(out / PICTURE, picture(cut, capture.intrinsics, capture.rig, turns=capture.turns))
+    for line in (*capture.warnings, *(() if capture.cut else ("the frames were cut out already",))):
+        print(f"note: {line}")
+    print(f"capture: {out}\npicture: {out / PICTURE}")
+
+
+def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray) -> bytes:
+    """PNG of the frames, two per row, and of the hems from above; ``turns`` (K,), rad."""
+    rows = -(-(len(cut.frames) + (cut.plate is not None)) // 2)
+    height = _WIDTH * intrinsics.height / intrinsics.width
+    figure = Figure(figsize=(2 * _WIDTH, rows * height), dpi=100)
+    panels = figure.subplots(rows, 2, squeeze=False).ravel()
+    figure.subplots_adjust(0, 0, 1, 1, 0, 0)
+    for panel in panels:
+        panel.set_axis_off()
+    seen = cut.frames[cut.masks]
+    near, far = (seen.min(), seen.max() + 0.3) if len(seen) else (0.0, 1.0)
+    black = far + 0.3 * (far - near)
+    for panel, frame, mask in zip(panels, cut.frames, cut.masks, strict=False):
+        # The largest depth is dark grey, unknown depth black.
+        panel.imshow(np.where(frame > 0, np.minimum(frame, far), black), cmap="gray_r", vmin=near,
+                     vmax=black, interpolation="nearest")
+        panel.autoscale(False)
+        if mask.any():
+            panel.contour(mask, [0.5], colors=_OUTLINE, linewidths=1)
+        if cut.plate is not None:
+            _draw_plate(panel, Camera(**vars(intrinsics), world_to_camera=cut.plate.pose), rig)
+    if cut.plate is not None:
+        _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _draw_plate(panel: Axes, camera: Camera, rig: Rig) -> None:
+    """Draw the plate's rim and axes."""
+    angle = np.linspace(0, 2 * np.pi, 90)
+    rim = rig.plate_radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    axes = [np.stack([np.zeros(3), _AXIS * axis]) for axis in np.eye(3)]
+    for points, colour in zip([rim, *axes], (_RIM, *_AXES), strict=True):
+        panel.plot(*camera.project(points)[0].T, color=colour, linewidth=1)
+
+
+def _draw_hems(
+    panel: Axes, cut: CutOut, intrinsics: Intrinsics, rig: Rig, turns: np.ndarray
+) -> None:
+    """Draw the hems of all views from above, rotated to the first view, x to the right."""
+    camera = np.linalg.inv(cut.plate.pose)[:2, 3]
+    for k, (view, turn) in enumerate(zip(cut.views, turns, strict=True)):
+        points = cut.plate.local(intrinsics.back_project(view)[view > 0])[:, :2]
+        back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        hem = _hem(points, np.arctan2(camera[1], camera[0])) @ back.T
+        label = f"view {k}: {np.degrees(turn):.4g}°"
+        panel.plot(*hem.T, color=_VIEWS[k % len(_VIEWS)], label=label)
+    panel.add_patch(Circle((0, 0), rig.plate_radius, fill=False, color="grey", label="plate's rim"))
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.set_ylim(-_FIELD * rig.reach, _FIELD * rig.reach)
+    panel.legend(title="hems from above", loc="upper left", frameon=False, fontsize=8,
+                 labelcolor="linecolor", alignment="left")
+
+
+def _hem(points: np.ndarray, towards: float) -> np.ndarray:
+    """The outermost (N, 2) of ``points`` (P, 2), m, in each sector around the plate's axis, NaN in
+    gaps; only sectors that face the camera, which is in the direction ``towards``, rad.
+    """
+    distance = np.linalg.norm(points, axis=1)
+    away = (np.arctan2(points[:, 1], points[:, 0]) - towards + np.pi) % (2 * np.pi) - np.pi
+    sector = np.floor(away / (2 * np.pi / _SECTORS)).astype(int)
+    order = np.lexsort((-distance, sector))
+    found, first = np.unique(sector[order], return_index=True)
+    outermost = order[first][np.abs((found + 0.5) * (2 * np.pi / _SECTORS)) < _VISIBLE]
+    gaps = np.flatnonzero(np.diff(sector[outermost]) > 1) + 1
+    return np.insert(points[outermost], gaps, np.nan, axis=0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Meshes of scanned drapes on the disc rig, and a check of their shape at the plate's rim."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from data.captures.arrays import read_arrays
+from sim.mesh import Mesh
+from sim.scene import Rig
+
+MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
+MAX_RIM_STEEPNESS = 0.85
+"""Of :func:`rim_steepness`. Scans of 216 simulated drapes with all nuisances have at most 0.76, the
+median is 0.36; straight lines from rim to hem have 0.94 or more."""
+_NEAR = (1e-3, 5e-3)  # m, from the rim
+_SECTORS, _MIN_SECTORS = 36, 12  # of azimuth, all and at least measured
+_PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
+_MAX_RADIUS_RATIO = 1.02  # largest radius of rest points over the specimen's radius
+_MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong units it exceeds 20
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scanned drape; z up, the support's top at z = 0, its axis through the origin.
+
+    Attributes:
+        name: of the file, without suffix.
+        positions: (V, 3) m.
+        rest: (V, 2) m, the same vertices on the flat specimen, whose centre is the origin.
+        faces: (F, 3) int64, counter-clockwise at rest.
+    """
+
+    name: str
+    positions: np.ndarray
+    rest: np.ndarray
+    faces: np.ndarray
+
+
+def read_scan(path: Path, rig: Rig) -> Scan:
+    """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
+
+    Raises:
+        InputError: not such a file, an invalid mesh, or a drape that is not placed on the support
+            of ``rig``.
+    """
+    keys = ("vertices", "rest", "faces")
+    arrays = read_arrays(path, keys, what="the scan",
+                         expected="an npz file with vertices, rest and faces; a raw mesh must end "
+                                  "in .ply or .obj")
+    if missing := [key for key in keys if key not in arrays]:
+        raise InputError(f"{path} is not a scan: it has no array '{missing[0]}'; "
+                         f"it needs {', '.join(keys)}")
+    positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
+    count = len(positions) if positions.ndim else 0
+    shapes = positions.shape == (count, 3) and rest.shape == (count, 2)
+    if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"{path}: arrays have the shapes {positions.shape}, {rest.shape} and "
+                         f"{faces.shape}; vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
+    if not 3 <= count <= MAX_SCAN_SIZE or not 1 <= len(faces) <= MAX_SCAN_SIZE:
+        raise InputError(f"{path} has {count} vertices and {len(faces)} triangles; a scan has 3 to "
+                         f"{MAX_SCAN_SIZE} vertices and at most as many triangles")
+    if faces.dtype.kind not in "iu":
+        raise InputError(f"{path}: faces have the type {faces.dtype}; they must be whole numbers")
+    if faces.min() < 0 or faces.max() >= count:
+        raise InputError(f"{path}: faces refer to the vertices {faces.min()} to {faces.max()}; "
+                         f"they are numbered from 0 to {count - 1}: export the mesh again")
+    if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
+        raise InputError(f"{path} has the same face twice; leave repeated faces out")
+    if not all(a.dtype.kind in "fiu" and np.isfinite(a).all() for a in (positions, rest)):
+        raise InputError(f"{path}: vertices and rest must be finite numbers")
+    scan = Scan(
+        name=path.stem,
+        positions=positions.astype(np.float64),
+        rest=rest.astype(np.float64),
+        faces=faces.astype(np.int64),
+    )
+    mesh = Mesh(scan.rest, scan.faces)
+    if not (mesh.areas > 0).all():
+        raise InputError(f"{path}: the corners of each face must run counter-clockwise on the flat "
+                         "specimen; reverse their order where they do not")
+    if not mesh.vertex_areas.all():
+        raise InputError(f"{path}: a vertex belongs to no face; leave such vertices out")
+    _check_placement(scan, path, rig)
+    return scan
+
+
+def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
+    """InputError for wrong units or axes, and for drapes that are not placed on the support."""
+    radius = np.linalg.norm(scan.rest, axis=1)
+    largest = rig.specimen_size / 2
+    if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
+        raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
+                         f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
+    draped, rest = (_edge_length(points, scan.faces) for points in (scan.positions, scan.rest))
+    if draped > _MAX_EDGE_RATIO * rest or rest > _MAX_EDGE_RATIO * draped:
+        raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
+                         f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
+    flat = scan.positions[radius < 0.9 * rig.plate_radius]
+    if not len(flat):
+        raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
+    if (off := np.abs(flat[:, 2]).max()) > _PLANE_TOLERANCE:
+        raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
+                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the "
+                         "support's top to z = 0, with z pointing up")
+    if scan.positions[:, 2].min() > -_PLANE_TOLERANCE:
+        raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
+
+
+def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
+    """Mean side length of the triangles, in the unit of ``points`` (V, 2 or 3)."""
+    sides = points[faces] - points[np.roll(faces, 1, axis=1)]
+    return float(np.linalg.norm(sides, axis=2).mean())
+
+
+def rim_steepness(points: np.ndarray, rig: Rig) -> float:
+    """Steepness of a surface just outside the plate's rim, over that of its outer half.
+
+    Steepness is the angle of chords below the plate, from the rim to the surface at the same
+    azimuth, averaged over sectors of azimuth. Cloth held by a plate leaves it horizontally, and its
+    slope grows over a length comparable with the bending length, so that the ratio is well below 1.
+    It is 1 for straight lines from rim to hem. Noise averages out, and gaps in the surface are
+    omitted.
+
+    Args:
+        points: (N, 3) m on the surface, z up, the plate's axis through the origin.
+
+    Returns:
+        The ratio; NaN if fewer than a third of the sectors have points both near the rim and in the
+        outer half.
+    """
+    radius = np.hypot(points[:, 0], points[:, 1])
+    plane = np.column_stack([points[:, :2], np.ones(len(points))])
+    on_plate = radius < 0.95 * rig.plate_radius
+    tilt = np.linalg.lstsq(plane[on_plate], points[on_plate, 2], rcond=None)[0]
+    outwards, drop = radius - rig.plate_radius, plane @ tilt - points[:, 2]
+    # Soft cloth may swing in under the plate.
+    hangs = (outwards > 0) | (drop > 2 * _NEAR[1])
+    distance, angle = np.hypot(outwards, drop), np.arctan2(drop, outwards)
+    turn = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
+    sector = np.floor(_SECTORS * turn).astype(int) % _SECTORS
+    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    means = np.full((2, _SECTORS), np.nan)
+    for row, (low, high) in zip(means, (_NEAR, (overhang / 2, np.inf)), strict=True):
+        chosen = hangs & (distance > low) & (distance < high)
+        count = np.bincount(sector[chosen], minlength=_SECTORS)
+        total = np.bincount(sector[chosen], angle[chosen], minlength=_SECTORS)
+        row[count > 0] = total[count > 0] / count[count > 0]
+    measured = np.isfinite(means).all(axis=0)
+    if measured.sum() < _MIN_SECTORS:
+        return np.nan
+    near, outer = means[:, measured].mean(axis=1)
+    return float(near / outer)
+
+
+def check_rim(points: np.ndarray, path: Path, rig: Rig) -> None:
+    """Refuse the surface of a scan that has a kink at the plate's rim, as no cloth held there does.
+
+    Args:
+        points: see :func:`rim_steepness`. path: of the scan, for the message.
+
+    Raises:
+        InputError: such a surface.
+    """
+    if (ratio := rim_steepness(points, rig)) > MAX_RIM_STEEPNESS:
+        low, high = (1e3 * one for one in _NEAR)
+        raise InputError(
+            f"{path}: {low:g} to {high:g} mm outside the plate's rim the surface is {ratio:.2f} "
+            f"times as steep as further out, at most {MAX_RIM_STEEPNESS:g} is possible for cloth "
+            "that a plate holds: it has a kink there; give the measured surface, not one computed "
+            f"from an outline, and a plate of {1e3 * rig.plate_radius:g} mm radius")

@@ -1,0 +1,289 @@
+"""HDF5 shards: the file format of simulated drapes (``docs/data_format.md``).
+
+A shard holds a fixed block of drapes, one row each in every array of :func:`fields`. A file's
+bytes depend only on its content: no times, machine names or random identifiers. Its first 512 bytes
+hold the checksum of the rest, so that any damaged bit is detected.
+"""
+
+import hashlib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from common.documents import read_bytes
+from common.errors import InputError, one_line
+from common.files import replace_file
+from data.dataset.manifest import SCHEMA_VERSION
+from data.fabrics.nuisances import NAMES
+from sim.scene import Rig
+
+SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
+LENGTH_UNIT = 1e-5  # m per count of stored coordinates
+ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
+COMPRESSION = 4  # gzip level
+MAX_SHARD_BYTES = 4 << 30  # bytes, of a file and of each of its arrays
+MAX_EXTENT = 1 << 20  # of an array along an axis
+MAX_FOLDS = 1000
+
+
+@dataclass(frozen=True)
+class Field:
+    """An array of a shard: type and shape of a drape's row, unit and meaning."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    unit: str
+    meaning: str
+
+
+COORDINATES = ("positions", "rest")
+"""Arrays with a row per vertex of a drape's mesh; in a file they are padded with zeros."""
+ORIGIN = "origin"
+"""The array with a row per triangle of a drape's mesh, padded with zeros."""
+FACES = "faces"
+"""The array of a shard's distinct triangulations, padded with zeros."""
+
+
+def fields(vertices: int, triangles: int) -> dict[str, Field]:
+    """The arrays of a shard with one row per drape.
+
+    Args:
+        vertices, triangles: V and F, of the drape's mesh or, for a shard, the largest ones.
+    """
+    return {
+        "index": Field("i8", (), "", "index of the drape in the dataset"),
+        "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
+        "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics.fabrics"),
+        "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
+        "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
+        "specimen": Field("S8", (), "", "square or disc"),
+        "specimen_size": Field("f8", (), "m", "nominal side of the square, diameter of the disc"),
+        "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),
+        "face": Field("i1", (), "", "1: the fabric's marked face is up; -1: down"),
+        "nuisances": Field("f8", (len(NAMES),), "SI", "see data.fabrics.nuisances"),
+        "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
+        "start": Field("S8", (), "", "initial state: lowered, sine, fold, ring or borrowed"),
+        "planned": Field("S8", (), "", "planned initial state; borrowing needs an earlier drape"),
+        "lender": Field("i8", (), "", "borrowed drape; -1 for another start"),
+        "seed": Field("i8", (), "", "seed of the mesh and the initial state"),
+        "offset": Field("f8", (2,), "m", "specimen's centre from the plate's axis: warp, weft"),
+        "status": Field("S24", (), "", "outcome of the solver"),
+        "message": Field("S160", (), "", "message of the solver"),
+        "residual": Field("f8", (), "a vertex's weight", "final force residual"),
+        "iterations": Field("i4", (), "", "Newton iterations"),
+        "drape_coefficient": Field("f8", (), "1", "of the drape; NaN unless converged"),
+        "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
+        "edge": Field("f8", (), "m", "edge length of the mesh at the plate's rim"),
+        "vertices": Field("i4", (), "", "number of vertices of the drape's mesh"),
+        "mesh": Field("i4", (), "", "index of the drape's triangulation in the shard"),
+        "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
+        "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
+        ORIGIN: Field("i2", (triangles, 3), "0.1 1/m", "curvature without friction, Sxx, Syy, Sxy"),
+    }
+
+
+def to_counts(coordinates: np.ndarray) -> np.ndarray:
+    """Convert coordinates, m, to int16 counts of :data:`LENGTH_UNIT`, of the same shape.
+
+    Raises:
+        OverflowError: a coordinate is not finite or too large for the type.
+    """
+    counts = np.rint(np.asarray(coordinates, dtype=np.float64) / LENGTH_UNIT)
+    limits = np.iinfo(np.int16)
+    if not ((counts >= limits.min) & (counts <= limits.max)).all():  # also for NaN
+        raise OverflowError(f"coordinates outside {limits.min * LENGTH_UNIT:g} to "
+                            f"{limits.max * LENGTH_UNIT:g} m")
+    return counts.astype(np.int16)
+
+
+SHARDS = "shard_*.h5"
+"""Pattern of :func:`shard_name`."""
+
+
+def shard_name(shard: int) -> str:
+    """File name of a shard."""
+    return f"shard_{shard:05d}.h5"
+
+
+def write_shard(
+    path: Path,
+    records: Sequence[Mapping[str, np.ndarray]],
+    *,
+    attributes: Mapping[str, str | int | float],
+) -> None:
+    """Write ``records`` to ``path`` in one step; several processes may write the same file.
+
+    A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
+
+    Raises:
+        InputError: the file cannot be written.
+        ValueError: a row does not have the shape given by :func:`fields`.
+    """
+    # In memory first, because HDF5 crashes if the disk is full.
+    memory = io.BytesIO()
+    libver = ("earliest", "v110")
+    with h5py.File(memory, "w", libver=libver, userblock_size=SEAL_SIZE) as file:
+        for name, value in attributes.items():
+            # Fixed-length text: variable-length text goes through a heap with unused bytes.
+            file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+        places, meshes = _distinct([record[FACES] for record in records])
+        rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
+        sizes = [(int(record["vertices"]), len(record[FACES])) for record in rows]
+        layouts = [fields(*size) for size in sizes]
+        for name, field in fields(*map(max, zip(*sizes, strict=True))).items():
+            for record, expected in zip(rows, layouts, strict=True):
+                if np.shape(record[name]) != expected[name].shape:
+                    raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
+                                     f"{expected[name].shape}")
+            _write_field(file, name, field, [record[name] for record in rows])
+        triangles = max(len(mesh) for mesh in meshes)
+        _write_field(file, FACES, Field("i4", (triangles, 3), "", ""), meshes)
+    content = memory.getbuffer()[SEAL_SIZE:]
+    replace_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
+
+
+def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
+    """Index of each triangulation among the distinct ones, and the distinct ones."""
+    places: dict[bytes, int] = {}
+    which = [places.setdefault(np.asarray(f, np.int32).tobytes(), len(places)) for f in faces]
+    return which, [faces[which.index(place)] for place in range(len(places))]
+
+
+def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray]) -> None:
+    """Write one array; shorter rows are padded with zeros."""
+    options = {}
+    if field.shape and np.prod(field.shape) > 64:
+        # A chunk is read at a time: the mesh of one drape.
+        options = {"chunks": (1, *field.shape), "compression": "gzip", "shuffle": True,
+                   "compression_opts": COMPRESSION}
+    data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
+    for i, row in enumerate(rows):
+        row = np.asarray(row).astype(field.dtype)
+        data[(i, slice(len(row))) if name in (*COORDINATES, ORIGIN, FACES) else i] = row
+    if field.unit:
+        data.attrs["unit"] = np.bytes_(field.unit.encode())
+
+
+def _seal(digest: str) -> bytes:
+    """Header of a shard whose remaining bytes have the SHA-256 ``digest``, as readable text."""
+    text = f"drapes, schema {SCHEMA_VERSION}, SHA-256 of all after byte {SEAL_SIZE}:\n{digest}\n"
+    return text.encode().ljust(SEAL_SIZE, b"\0")
+
+
+def _wrong_array(file: h5py.File) -> str:
+    """Name of the first array that is missing, has another type or shape, is too large or is stored
+    in another file; empty if there is none.
+    """
+    found = {name: file[name] for name in file
+             if isinstance(file.get(name, getlink=True), h5py.HardLink)
+             and isinstance(file[name], h5py.Dataset)}
+    sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
+    if [len(size) for size in sizes] != [1, 3, 3] or any(
+            extent > MAX_EXTENT for size in sizes for extent in size):
+        return "index, positions or faces"
+    (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
+    expected = {name: (field.dtype, (rows, *field.shape))
+                for name, field in fields(vertices, triangles).items()}
+    for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
+        array = found.get(name)
+        if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
+                or array.external or array.is_virtual
+                or array.nbytes > MAX_SHARD_BYTES
+                or np.prod(array.chunks or 0, dtype=float) > MAX_EXTENT * 3):
+            return name
+    return ""
+
+
+class Shard:
+    """A shard in memory, verified by its checksum.
+
+    Attributes:
+        path: of its file.
+        digest: SHA-256 of the file, hexadecimal.
+        attributes: of the file, by name.
+        storage: bytes on disk of each array's values, compressed.
+
+    Raises:
+        InputError: the file cannot be read, is truncated, damaged or of another schema version, or
+            is not a shard.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        data = read_bytes(self.path, MAX_SHARD_BYTES, "shard")
+        if data[:SEAL_SIZE] != _seal(hashlib.sha256(memoryview(data)[SEAL_SIZE:]).hexdigest()):
+            raise InputError(f"{self.path} is damaged or not a shard of schema version "
+                             f"{SCHEMA_VERSION}; generate it again")
+        self.digest = hashlib.sha256(data).hexdigest()
+        try:
+            with h5py.File(io.BytesIO(data), "r") as file:
+                wrong = _wrong_array(file)
+                if not wrong:
+                    self.attributes = {name: value.decode() if isinstance(value, bytes) else value
+                                       for name, value in file.attrs.items()}
+                    self._arrays = {name: file[name][:] for name in (*fields(0, 0), FACES)}
+                    self.storage = {name: rows.id.get_storage_size()
+                                    for name, rows in file.items()}
+        except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
+            # h5py's errors for an invalid structure.
+            raise InputError(f"{self.path} is damaged ({one_line(error)}); generate it again"
+                             ) from None
+        if wrong:
+            raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
+                             "docs/data_format.md; generate the shard again")
+
+    def require_valid(self) -> None:
+        """InputError for values out of range."""
+        column = {name: self.column(name) for name, field in fields(0, 0).items()
+                  if name not in (*COORDINATES, ORIGIN)}
+        done = column["status"] == "converged"
+        vertices, faces = column["vertices"], self._arrays[FACES]
+        valid = {
+            "theta": np.isfinite(column["theta"]).all(),
+            "specimen_size": (column["specimen_size"] > 0).all(),
+            "plate_diameter": (column["plate_diameter"] > 0).all(),
+            "nuisances": np.isfinite(column["nuisances"]).all(),
+            "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
+            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MAX_FOLDS)).all(),
+            "rejected": column["rejected"].min(initial=0) >= 0,
+            "vertices": ((vertices >= 3 * done)
+                         & (vertices <= self._arrays["positions"].shape[1])).all(),
+            "mesh": ((column["mesh"] >= 0) & (column["mesh"] < len(faces))).all(),
+            "faces": faces.min(initial=0) >= 0,
+        }
+        if valid["mesh"]:
+            largest = faces.max(axis=(1, 2), initial=0)
+            valid["faces"] &= (largest[column["mesh"]][done] < vertices[done]).all()
+        if wrong := [name for name, right in valid.items() if not right]:
+            raise InputError(f"{self.path}: {wrong[0]} has values that no drape has; generate the "
+                             "shard again")
+
+    def __len__(self) -> int:
+        return len(self._arrays["index"])
+
+    def column(self, name: str) -> np.ndarray:
+        """All rows (N, ...) of a field, as stored; text as str."""
+        rows = self._arrays[name]
+        return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
+
+    def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
+        vertices = slice(int(self._arrays["vertices"][row]))
+        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
+        faces = self._arrays[FACES][self._arrays["mesh"][row]]
+        return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
+
+    def origin(self, row: int) -> np.ndarray:
+        """Curvatures without friction (F, 3), 1/m, of a drape's triangles; see
+        :mod:`sim.energies.hysteresis`."""
+        faces = self._arrays[FACES][self._arrays["mesh"][row]]
+        return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
+
+    def rig(self, row: int) -> Rig:
+        """Nominal tester of a drape."""
+        return Rig(float(self._arrays["specimen_size"][row]),
+                   float(self._arrays["plate_diameter"][row]), self.column("specimen")[row])

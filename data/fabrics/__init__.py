@@ -1,0 +1,1 @@
+"""Distributions of fabrics and of the nuisances of their specimens."""

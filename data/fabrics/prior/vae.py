@@ -1,0 +1,268 @@
+"""A variational autoencoder as prior (Feng et al. 2022, section 5.1.3, Table 1).
+
+The model: latent variables z ~ N(0, 1); the six coordinates of a fabric ~ N(mean, sigma²),
+independent, where the decoder gives mean and sigma for z. The encoder's normal distribution
+q(z | fabric) is used in training and to estimate likelihoods. All but the training is NumPy in
+float64.
+"""
+
+import base64
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, PlainValidator
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+from scipy.special import logsumexp
+
+from data.fabrics.prior.base import Count, Stored, array, check_fabrics
+from data.fabrics.prior.coordinates import Coordinates
+
+if TYPE_CHECKING:
+    import torch
+
+BATCH = 16  # fabrics per step, as in the paper
+WEIGHT_DECAY = 1e-5  # as in the paper
+DRAWS = 8
+WARM_UP = 0.25  # share of the steps in which the weight of log p(z) / q(z | fabric) rises to 1
+
+DECIMALS = 12
+"""Decimals to which samples are rounded, so that they nearly always agree between machines whose
+libraries differ in the last bits."""
+
+CHUNK_SIZE = 16  # fabrics whose likelihood is estimated at a time, to limit memory
+
+@dataclass(frozen=True)
+class Architecture:
+    """Layer sizes and training schedule of an autoencoder.
+
+    Attributes:
+        hidden: units of the encoder's layers; the decoder has the reverse order.
+        latent: number of latent variables.
+        steps: number of training steps.
+        learning_rate: initial learning rate of Adam.
+    """
+
+    hidden: tuple[int, ...]
+    latent: int
+    steps: int = 2000
+    learning_rate: float = 2e-3
+
+
+ARCHITECTURES = {
+    "vae1": Architecture((2048, 1024, 512, 128), 64, steps=600, learning_rate=5e-4),
+    "vae2": Architecture((512, 256, 128, 32), 32, steps=1500, learning_rate=1e-3),
+    "vae3": Architecture((128, 32, 16), 8),
+    "vae4": Architecture((32, 16, 8), 4),
+}
+"""VAE-1 to VAE-4 of Table 1."""
+
+SIGMA_MIDDLE, SIGMA_REACH = -1.0, 1.5
+"""The log of sigma is middle + reach * tanh(output), so that sigma, relative to the standard
+deviation of the table, is between 0.08 and 1.65. This prevents overfitting and distant samples."""
+
+Layers = list[tuple[np.ndarray, np.ndarray]]
+
+
+def _layers(weights: dict[str, np.ndarray], name: str) -> Layers:
+    count = sum(key.startswith(f"{name}.") for key in weights) // 2
+    return [tuple(weights[f"{name}.{k}.{part}"].astype(np.float64) for part in ("weight", "bias"))
+            for k in range(count)]
+
+
+def run_layers(layers: Layers, values: np.ndarray) -> np.ndarray:
+    """Output (..., out) of the layers for values (..., in), with tanh between them."""
+    for weight, bias in layers[:-1]:
+        values = np.tanh(values @ weight.T + bias)
+    weight, bias = layers[-1]
+    return values @ weight.T + bias
+
+
+def _decoded(content: object) -> dict[str, np.ndarray]:
+    """Weights of an encoder and a decoder of matching sizes, from base64 of a safetensors file."""
+    try:
+        weights = load(base64.b64decode(content, validate=True))
+    except (TypeError, ValueError, SafetensorError):
+        raise ValueError("must be base64 of a safetensors file") from None
+    if not all(array.dtype == np.float32 and np.isfinite(array).all()
+               for array in weights.values()):
+        raise ValueError("give finite numbers of type float32")
+    try:
+        encoder, decoder = (_layers(weights, name) for name in ("encoder", "decoder"))
+        latent = len(run_layers(encoder, np.zeros(6))) // 2
+        fits = latent and run_layers(decoder, np.zeros(latent)).shape == (12,)
+    except (IndexError, KeyError, TypeError, ValueError):
+        fits = False
+    if not fits or len(weights) != 2 * (len(encoder) + len(decoder)):
+        raise ValueError("must be those of an encoder and a decoder of 6 numbers")
+    return weights
+
+
+def _wrong_spread(spread: np.ndarray) -> str:
+    return "" if 0 < spread[0] <= spread[1] else "give two positive numbers in order"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VaePrior(Stored):
+    """A trained autoencoder.
+
+    Attributes:
+        coordinates: of its input and output.
+        shift: every latent variable of a sample has a mean drawn from [-shift, shift] ...
+        spread: ... and a standard deviation drawn from this range (section 5.1.3, last
+            paragraph), so that samples extend beyond the measured fabrics.
+        fabrics: number of fabrics it was fitted to.
+        weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0,
+            1, ..., the last of which gives the mean and the log variance of z (2 L); the same for
+            "decoder", which ends in means and sigmas (12). Float32, with tanh between layers.
+    """
+
+    coordinates: Coordinates
+    shift: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.5
+    spread: array(2, check=_wrong_spread) = (0.8, 1.2)
+    fabrics: Count
+    weights: Annotated[dict[str, np.ndarray], PlainValidator(_decoded)] = field(repr=False)
+    kind: ClassVar[str] = "vae"
+
+    @classmethod
+    def fit(cls, theta: np.ndarray, *, architecture: Architecture = ARCHITECTURES["vae4"],
+            seed: int = 0) -> "VaePrior":
+        """Train on the distinct fabrics theta (F, 6); ``seed`` as in :func:`train`."""
+        theta = check_fabrics(theta, least=20)
+        coordinates, points = Coordinates.fit(theta)
+        return cls(coordinates=coordinates, fabrics=len(theta),
+                   weights=train(points, architecture, seed))
+
+    @cached_property
+    def encoder(self) -> Layers:
+        """Weight and bias of each layer, float64."""
+        return _layers(self.weights, "encoder")
+
+    @cached_property
+    def decoder(self) -> Layers:
+        """Weight and bias of each layer, float64."""
+        return _layers(self.weights, "decoder")
+
+    @property
+    def latent(self) -> int:
+        """Number of latent variables."""
+        return self.decoder[0][0].shape[1]
+
+    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw theta (n, 6), admissible or not, from the widened latent distribution."""
+        points = np.empty((n, 6))
+        for point in points:  # one by one, so that the first samples do not depend on n
+            # abs: NumPy refuses the range from 0.0 to -0.0.
+            mean = rng.uniform(-abs(self.shift), abs(self.shift), self.latent)
+            z = mean + rng.uniform(*self.spread, self.latent) * rng.standard_normal(self.latent)
+            middle, log_sigma = self._likelihood(z)
+            point[:] = middle + np.exp(log_sigma) * rng.standard_normal(6)
+        return np.round(self.coordinates.decode(points), DECIMALS)
+
+    def log_likelihood(
+        self, theta: np.ndarray, *, draws: int = 100, seed: int = 0
+    ) -> np.ndarray:
+        """Log density (n,) of theta (n, 6), per unit of theta, as an importance-weighted bound.
+
+        The logarithm of the mean of p(theta, z) / q(z | theta) over ``draws`` values of z: its
+        expectation is below the true value and approaches it with their number. It is computed for
+        z ~ N(0, 1), without the widening of :meth:`sample`. ``seed`` determines the draws.
+        """
+        theta = np.atleast_2d(theta)
+        points = self.coordinates.encode(theta)
+        rng = np.random.default_rng(seed)
+        chunks = [points[i:i + CHUNK_SIZE] for i in range(0, len(points), CHUNK_SIZE)]
+        bound = [self._bound(chunk, rng.standard_normal((len(chunk), draws, self.latent)))
+                 for chunk in chunks]
+        return np.concatenate(bound) + self.coordinates.log_volume(theta)
+
+    def posterior(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation (n, L) of q(z | fabric) for standardised ``points`` (n, 6).
+        """
+        mean, log_variance = np.split(run_layers(self.encoder, points), 2, axis=-1)
+        return mean, np.exp(0.5 * log_variance)
+
+    def _bound(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """The bound (n,) for coordinates (n, 6), from standard normal noise (n, draws, L)."""
+        mean, deviation = self.posterior(points)
+        z = mean[:, None] + deviation[:, None] * noise
+        middle, log_sigma = self._likelihood(z)
+        # log p(z) - log q(z | fabric), the factors of 2 pi cancelled ...
+        terms = 0.5 * (noise**2 - z**2).sum(axis=-1) + np.log(deviation).sum(axis=-1)[:, None]
+        # ... and log p(fabric | z).
+        white = (points[:, None] - middle) * np.exp(-log_sigma)
+        terms -= (0.5 * white**2 + log_sigma).sum(axis=-1)
+        return logsumexp(terms, axis=1) - 3 * np.log(2 * np.pi) - np.log(noise.shape[1])
+
+    def _likelihood(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and log sigma (..., 6) of the coordinates for latent variables (..., L)."""
+        middle, output = np.split(run_layers(self.decoder, z), 2, axis=-1)
+        return middle, SIGMA_MIDDLE + SIGMA_REACH * np.tanh(output)
+
+    def as_dict(self) -> dict:
+        """All parameters, in JSON types; the weights as base64 of a safetensors file."""
+        return super().as_dict() | {
+            "weights": base64.b64encode(save(self.weights)).decode("ascii")}
+
+
+def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:
+    """Train an autoencoder (see :class:`VaePrior`) on points (F, 6); return its weights.
+
+    Adam maximises the importance-weighted bound on the likelihood with ``DRAWS`` latent vectors per
+    fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more latent variables
+    collapse. The weight of the ratio of p(z) to q(z | fabric) rises from 0 to 1, and the learning
+    rate follows a cosine.
+
+    Args:
+        seed: of initial weights, batches and all noise.
+    """
+    import torch  # imported late: reading and sampling do not need it
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # sums do not depend on the machine's number of cores
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return _train(torch.tensor(points, dtype=torch.float32), architecture)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _train(points: "torch.Tensor", architecture: Architecture) -> dict[str, np.ndarray]:
+    import torch
+
+    hidden, latent = architecture.hidden, architecture.latent
+    encoder, decoder = (
+        torch.nn.Sequential(*[part for sizes in pairwise(widths)
+                              for part in (torch.nn.Linear(*sizes), torch.nn.Tanh())][:-1])
+        for widths in ([6, *hidden, 2 * latent], [latent, *reversed(hidden), 12]))
+    optimiser = torch.optim.Adam(
+        [*encoder.parameters(), *decoder.parameters()], lr=architecture.learning_rate,
+        weight_decay=WEIGHT_DECAY, fused=True)
+    steps = architecture.steps
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for step in range(steps):
+        batch = points[torch.randint(len(points), (BATCH,))]
+        mean, log_variance = encoder(batch).chunk(2, dim=-1)
+        draws = torch.randn(DRAWS, *mean.shape)
+        z = mean + torch.exp(0.5 * log_variance) * draws
+        middle, output = decoder(z).chunk(2, dim=-1)
+        log_sigma = SIGMA_MIDDLE + SIGMA_REACH * torch.tanh(output)
+        white = (batch - middle) * torch.exp(-log_sigma)
+        log_ratio = 0.5 * (draws**2 - z**2 + log_variance).sum(dim=-1)
+        weight = min(1.0, (step + 1) / math.ceil(WARM_UP * steps))
+        terms = weight * log_ratio - (0.5 * white**2 + log_sigma).sum(dim=-1)
+        loss = -torch.logsumexp(terms, dim=0).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    weights = {}
+    for name, network in (("encoder", encoder), ("decoder", decoder)):
+        for k, layer in enumerate(network[::2]):
+            weights |= {f"{name}.{k}.weight": layer.weight, f"{name}.{k}.bias": layer.bias}
+    return {name: value.detach().numpy().copy() for name, value in weights.items()}

@@ -1,0 +1,1 @@
+"""Synthetic depth images of drapes."""

@@ -1,0 +1,120 @@
+"""Captures in a tree of folders or a CSV list, and the folders of their results."""
+
+import itertools
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.documents import read_table, shown
+from common.errors import InputError, one_line
+from data.captures.capture import CAPTURE_FILES
+
+COLUMNS = ("fabric", "sample", "capture")
+"""Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""
+MAX_NAME_LENGTH = 80  # characters, of a folder of results
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A capture of a specimen of a fabric.
+
+    Attributes:
+        fabric, sample, capture: names given by the user; ``sample`` may be empty.
+        path: of its folder.
+        place: folder of its results, relative to the output folder.
+    """
+
+    fabric: str
+    sample: str
+    capture: str
+    path: Path
+    place: Path
+
+
+def entries_of(source: Path) -> list[Entry]:
+    """The captures of a tree FABRIC/SAMPLE/CAPTURE or of a CSV list, in a fixed order.
+
+    In a tree, every folder that contains a file and no folders is a capture; faults are reported
+    when it is read. FABRIC/CAPTURE and CAPTURE alone are trees, too.
+
+    Raises:
+        InputError: neither a tree nor a list, not readable, or without captures.
+    """
+    if source.is_dir():
+        if any((source / mark).exists() for mark in CAPTURE_FILES):
+            raise InputError(f"{source} is one capture: give capture={source}, or the folder of "
+                             "the fabrics")
+        named = list(_of_tree(source))
+    elif source.exists():
+        named = list(_of_list(source))
+    else:
+        raise InputError(f"captures={source} does not exist; give the folder of the fabrics, or a "
+                         "CSV list")
+    if not named:
+        raise InputError(f"{source} holds no captures: folders FABRIC/SAMPLE/CAPTURE with "
+                         "capture.yaml and view_0.png in them")
+    taken: dict[tuple[str, ...], tuple[str, ...]] = {}
+    return [Entry(*names, path, _place(names, taken)) for names, path in named]
+
+
+def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
+    try:
+        for folder, inside, files in os.walk(root, onerror=_stop, followlinks=True):
+            here = Path(folder).resolve()  # links to a parent folder would recurse
+            inside[:] = sorted(name for name in inside if not name.startswith(".")
+                               and not here.is_relative_to(Path(folder, name).resolve()))
+            parts = Path(folder).relative_to(root).parts
+            marked = any(mark in files for mark in CAPTURE_FILES)
+            if marked:
+                inside.clear()
+            elif inside or not any(not name.startswith(".") for name in files):
+                continue
+            if parts:
+                yield (parts[0], "/".join(parts[1:-1]), parts[-1]), Path(folder)
+    except OSError as error:
+        raise InputError(f"{root} cannot be read ({one_line(error)}); check the "
+                         "permissions") from None
+
+
+def _stop(error: OSError) -> None:
+    raise error
+
+
+def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
+    header, rows = read_table(file, "list")
+    if missing := {"fabric", "capture"} - set(header):
+        raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
+                         f"{','.join(COLUMNS)}")
+    for line, row in rows:
+        cells = dict(zip(header, row, strict=False))
+        fabric, sample, capture = (cells.get(name, "").strip() for name in COLUMNS)
+        if not fabric or not capture:
+            raise InputError(f"{file}, line {line}: fabric={shown(fabric)} and "
+                             f"capture={shown(capture)} must both be given")
+        yield (fabric, sample, capture), file.parent / capture
+
+
+def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
+    """Unique folder of results of a capture with these names, inside the output folder."""
+    place: tuple[str, ...] = ()
+    for depth, name in enumerate(names, start=1):
+        if not name:
+            continue
+        # Number names that differ only in characters or case that file systems do not distinguish.
+        owner, plain = tuple(names[:depth]), plain_name(name)
+        for number in itertools.count(1):
+            here = (*place, plain if number == 1 else f"{plain}-{number}")
+            key = tuple(part.casefold() for part in here)
+            # Folders of captures are never shared, those of fabrics and samples are.
+            if key not in taken or (taken[key] == owner and depth < len(names)):
+                break
+        taken[key], place = owner, here
+    return Path(*place)
+
+
+def plain_name(name: str) -> str:
+    """``name`` as a folder name without characters special to file systems, URLs or shells."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:MAX_NAME_LENGTH]
+    return plain or "unnamed"

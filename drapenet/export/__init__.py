@@ -1,0 +1,1 @@
+"""Files for simulators and design tools."""

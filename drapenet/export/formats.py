@@ -1,0 +1,314 @@
+"""Export of an estimate to files of other tools.
+
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
+    python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
+    python -m drapenet.export to=list
+
+``docs/exports.md`` describes quantities, units, relations and sources for each tool, and what is
+lost. A tool with one modulus per direction gets alpha, or the secant of the torque at a stated
+curvature.
+"""
+
+import io
+import json
+import pprint
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.command import command
+from common.errors import InputError
+from common.files import replace_file, require_file, require_folder
+from drapenet.config import ExportConfig
+from drapenet.convention import WARP_WEFT
+from drapenet.export.material import Material, read_material
+from drapenet.result.table import csv_number, csv_table, interval_columns
+from sim.hinge_laws import ARCSIM, mean_modulus
+from sim.material import BIAS, WARP, WEFT, torque
+
+CLO = 1e9  # g·mm²/s² per N·m
+MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
+BROWZWEAR = 1e7  # dyn·cm per N·m
+PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
+STYLE3D = 3.0  # Newton's quadratic hinges: plate of modulus 3 ke
+ARCSIM_CURVATURES = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
+"""1/m, of ARCSim's table: theta l/(A0 + A1) is twice the number that its columns count in steps of
+5/m (``dde.cpp``, ``bending_stiffness``); it is constant beyond the last column."""
+CURVE = np.linspace(0.0, 400.0, 81)  # 1/m, of the torque's table
+
+
+@dataclass(frozen=True)
+class Target:
+    """An export format.
+
+    Attributes:
+        file: usual name.
+        tool, lost: for display; what is missing from the file or approximated.
+        write: from material and file name to the files' bytes by name, the named file first.
+    """
+
+    file: str
+    tool: str
+    lost: str
+    write: Callable[[Material, str], dict[str, bytes]]
+
+
+def _json(content: object) -> bytes:
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _clo_bending(material: Material) -> np.ndarray:
+    """(3,) bending stiffness in CLO's unit, g·mm²/s²."""
+    return np.minimum(material.modulus * CLO, MAX_CLO)
+
+
+def _jfab(material: Material, name: str) -> dict[str, bytes]:
+    warp, bias, weft = _clo_bending(material).tolist()
+    label = material.name
+    physical = {
+        "enFabricType": 0, "fBuK": weft, "fBvK": warp, "fBhK": bias,
+        "fDensity": 1e-3 * material.density,
+        # CLO's defaults for missing keys; they are not identifiable from a drape.
+        "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
+        "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5,
+        "fHK": 1e4, "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4,
+        "listNonlinearSuK": [], "listNonlinearSvK": [], "listNonlinearHK": [],
+        "qsPhysicalPropertyName": label, "qsPhysicalPropertyNameUTF8": label,
+    }
+    return {name: _json({"qsFabricName": label, "qsFabricNameUTF8": label,
+                         "uiFabricVersion": 100, "uiVersion": 100, "mapPhysical": physical,
+                         "drapenet": material.about})}
+
+
+def _u3m(material: Material, name: str) -> dict[str, bytes]:
+    warp, _, weft = (material.modulus * BROWZWEAR).tolist()
+    label, moment = material.name, material.written
+    measured = f"{Path(name).stem}.fab.json"
+    weight = round(1e3 * material.density, 6)
+    bend = {"length": repr(warp), "width": repr(weft)}
+    physics = {"schema": "1.1", "raw_data": None, "custom": {
+        "browzwear": {"version": "1.1", "name": label, "bend": bend, "mass": repr(weight)},
+        "drapenet": material.about}}
+    identity = uuid.UUID(bytes=bytes.fromhex(material.identity[:32]), version=4)
+    main = {"schema": "1.1", "custom": None, "material": {
+        "id": str(identity), "name": label, "description": "bending from a drape",
+        "created": moment, "modified": moment, "front": None, "back": None, "side": None,
+        "metadata": None, "physics": {
+            "thickness": None, "weight": weight, "devices": {"fab": measured},
+            "composition": None, "material_type": None, "construction": None}}}
+    return {name: _json(main), measured: _json(physics)}
+
+
+def _usd(material: Material, name: str) -> dict[str, bytes]:
+    from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    label = Tf.MakeValidIdentifier(material.name)
+    shade = UsdShade.Material.Define(stage, f"/{label}").GetPrim()
+    shade.SetDisplayName(material.name)
+    stage.SetDefaultPrim(shade)
+    shade.AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
+    shade.AddAppliedSchema("CloFabricAPI")
+    shade.CreateAttribute("physics:surfaceBendStiffness", Sdf.ValueTypeNames.Float).Set(
+        mean_modulus(material.modulus))
+    warp, bias, weft = _clo_bending(material).tolist()
+    primvars = UsdGeom.PrimvarsAPI(shade)
+    for key, value in (("bendingWarp", warp), ("bendingWeft", weft), ("bendingBiasLeft", bias),
+                       ("bendingBiasRight", bias), ("density", 1e-3 * material.density)):
+        primvars.CreatePrimvar(f"clo:{key}", Sdf.ValueTypeNames.FloatArray,
+                               UsdGeom.Tokens.constant).Set([value])
+    shade.SetCustomDataByKey("drapenet", json.dumps(material.about, ensure_ascii=False))
+    return {name: stage.GetRootLayer().ExportToString().encode()}
+
+
+def _arcsim(material: Material, name: str) -> dict[str, bytes]:
+    alpha, beta = (part * material.ratio for part in (material.alpha, material.beta))
+    kappa = np.maximum(ARCSIM_CURVATURES, 1e-9)
+    secants = torque(kappa, alpha[:, None], beta[:, None]) / kappa
+    rows = secants / ARCSIM  # over the curvature: 4 alpha + 4 beta kappa
+    # Rows are indexed by the edge's direction in material axes; cloth bends across the edge.
+    return {name: _json({"density": material.density,
+                         "bending": rows[[WEFT, BIAS, WARP]].tolist(),
+                         "drapenet": material.about_hinges})}
+
+
+def _ppf(material: Material, name: str) -> dict[str, bytes]:
+    warp, _, weft = (material.modulus * material.ratio / (PPF * material.density)).tolist()
+    base = min(warp, weft)
+    lines = [f"# {line}" for line in json.dumps(material.about_hinges, indent=1).splitlines()]
+    lines += ["# bend-warp and bend-weft are added to bend; one of them is 0",
+              f"bend = {base!r}", f"bend-warp = {warp - base!r}", f"bend-weft = {weft - base!r}",
+              f"shell_density = {material.density!r}"]
+    return {name: ("\n".join(lines) + "\n").encode()}
+
+
+def _newton(material: Material, name: str) -> dict[str, bytes]:
+    modulus = material.modulus * material.ratio
+    content = {"density_kg_m2": material.density, "alpha_N_m": modulus.tolist(),
+               "edge_aniso_ke": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
+               "about": material.about_hinges}
+    text = _NEWTON.replace("{MATERIAL}", pprint.pformat(content, width=96, sort_dicts=False))
+    return {name: text.encode()}
+
+
+_NEWTON = '''"""A fabric for Newton (1.8), from an estimate of drapenet.
+
+SolverStyle3D: newton.solvers.style3d.add_cloth_mesh(builder, ..., edge_aniso_ke=
+MATERIAL["edge_aniso_ke"]), with the panel's x along the weft and y along the warp.
+
+SolverVBD: add the flat cloth (add_cloth_mesh or add_cloth_grid), then call set_bending(builder)
+before builder.color() and builder.finalize().
+"""
+
+import numpy as np
+
+MATERIAL = {MATERIAL}
+
+
+def set_bending(builder, warp=(1.0, 0.0, 0.0)):
+    """Give every edge of the flat cloth in ``builder`` its stiffness, 2 alpha / (h0 + h1), in N.
+
+    alpha is that across the edge, h are the heights of its triangles; ``warp`` is a unit vector.
+    """
+    points = np.array([tuple(point) for point in builder.particle_q])
+    warp_modulus, bias, weft = MATERIAL["alpha_N_m"]
+    for k, (first, second, start, end) in enumerate(np.array(builder.edge_indices)):
+        if min(first, second) < 0:
+            continue
+        edge = points[end] - points[start]
+        edge /= np.linalg.norm(edge)
+        height = sum(np.linalg.norm(np.cross(edge, points[apex] - points[start]))
+                     for apex in (first, second))
+        c = 1 - 2 * (edge @ np.asarray(warp)) ** 2  # cosine of twice the angle of bending
+        alpha = bias + max(c, 0) * (warp_modulus - bias) + max(-c, 0) * (weft - bias)
+        damping = builder.edge_bending_properties[k][1]
+        builder.edge_bending_properties[k] = (2 * alpha / height, damping)
+'''
+
+
+def _neutral(material: Material, name: str) -> dict[str, bytes]:
+    return {name: _json({
+        "schema": "drapenet-material", "schema_version": 1,
+        "directions": ["warp", "bias", "weft"], "alpha_N_m": material.alpha.tolist(),
+        "beta_N_m2": material.beta.tolist(), "density_kg_m2": material.density,
+        "drapenet": material.about})}
+
+
+def _table(material: Material, name: str) -> dict[str, bytes]:
+    rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
+             **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
+             "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
+            for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
+                                         strict=True)]
+    return {name: csv_table(rows).encode()}
+
+
+def _torque(material: Material, name: str) -> dict[str, bytes]:
+    curves = 1e3 * torque(CURVE, material.alpha[:, None], material.beta[:, None])
+    stream = io.StringIO()
+    np.savetxt(stream, np.column_stack([CURVE, curves.T]), fmt="%.6g", delimiter=",", comments="",
+               header="curvature_1_m,torque_warp_mN,torque_bias_mN,torque_weft_mN")
+    return {name: stream.getvalue().encode()}
+
+
+TARGETS = {
+    "jfab": Target(
+        "fabric.jfab", "CLO, Marvelous Designer",
+        "β; stretch, shear, thickness and friction, which get CLO's defaults; not opened in CLO",
+        _jfab),
+    "u3m": Target("fabric.u3m", "Browzwear, U3M 1.1",
+                  "bias, β, stretch; not opened in VStitcher", _u3m),
+    "usd": Target("fabric.usda", "USD: Unreal (CLO's schema), AOUSD deformables",
+                  "β; the proposal's names may change; not opened in Unreal", _usd),
+    "arcsim": Target(
+        "arcsim.json", "ARCSim",
+        "β beyond 40 m⁻¹, and at negative angles, where ARCSim extrapolates the table and cloth of "
+        "β < 0 stiffens; add `stretching` and damping yourself", _arcsim),
+    "newton": Target("newton_fabric.py", "Newton 1.8",
+                     "β; Style3D's own law between the directions", _newton),
+    "ppf": Target("ppf.toml", "ppf-contact-solver",
+                  "β; bias, which is the mean of warp and weft there", _ppf),
+    "json": Target("material.json", "any", "nothing", _neutral),
+    "csv": Target("material.csv", "spreadsheets", "origin and warnings; the name is kept", _table),
+    "torque": Target("torque.csv", "tools with a curve", "intervals", _torque),
+}
+ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
+           "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
+           "vbd": "newton"}
+"""Names of programs that are accepted for a target."""
+NOT_OFFERED = {"blender", "houdini", "vellum", "mujoco", "physx", "omniverse", "libuipc", "c-ipc",
+               "diffcloth"}
+"""Programs without an export, for reasons given in ``docs/exports.md``."""
+
+
+def table() -> str:
+    """:data:`TARGETS` as text: name, usual file and tool of each."""
+    return "\n".join(f"{name:<8}{t.file:<18}{t.tool}" for name, t in TARGETS.items())
+
+
+def targets_named(words: str, key: str = "to") -> list[str]:
+    """Parse ``words``, the value of ``key``: names of targets with commas, or ``all``.
+
+    Raises:
+        InputError: an unknown name, or none.
+    """
+    if words == "all":
+        return list(TARGETS)
+    names = [word.strip().lower() for word in words.strip("[]").split(",")]
+    for name in names:
+        if name in NOT_OFFERED:
+            raise InputError(f"{key}={name}: not offered, for the reason given in docs/exports.md "
+                             "under 'Not offered'; drape.glb, beside the estimate, holds the drape")
+        if name not in TARGETS and name not in ALIASES:
+            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)} or all")
+    return list(dict.fromkeys(ALIASES.get(name, name) for name in names))
+
+
+def export(material: Material, name: str, out: Path) -> list[Path]:
+    """Write a target's file to ``out`` and its further files beside it; returns all paths."""
+    files = TARGETS[name].write(material, out.name)
+    for file, data in files.items():
+        replace_file(out.parent / file, data)
+    return [out.parent / file for file in files]
+
+
+def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:
+    """Write the targets ``names`` to a folder, under their usual file names."""
+    return [path for name in names for path in export(material, name,
+                                                      folder / TARGETS[name].file)]
+
+
+@command("export", ExportConfig)
+def main(config: ExportConfig) -> None:
+    """Write the files, and print their names."""
+    if config.to == "list":
+        print(table())
+        return
+    if not config.estimate:
+        raise InputError("estimate= is missing; give an estimate.json: estimate=FILE")
+    if not config.to:
+        raise InputError(f"to= is missing; give one of {', '.join(TARGETS)} or all")
+    names, path = targets_named(config.to), Path(config.estimate)
+    material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
+                             edge=1e-3 * config.edge_mm, name=config.name)
+    if len(names) == 1 and config.out and not Path(config.out).is_dir():
+        require_file(Path(config.out))
+        written = export(material, names[0], Path(config.out))
+    else:
+        folder = Path(config.out or (path if path.is_dir() else path.parent))
+        require_folder(folder)
+        written = export_all(material, names, folder)
+    for file in written:
+        print(file)
+    for warning in material.about["warnings"]:
+        print(f"warning: {warning}")
+
+
+if __name__ == "__main__":
+    main()

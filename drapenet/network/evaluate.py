@@ -1,0 +1,219 @@
+"""Evaluation of a checkpoint: errors and interval coverage on unseen fabrics.
+
+    python -m drapenet.network.evaluate [rig=NAME] [checkpoint=FILE] [drapes=N] [fabrics=TABLE.csv]
+
+Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes,
+renders captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time:
+mesh, sensor, pose, views, membrane, hysteresis, softness. Drapes and maps are cached in ``out``, so
+that an interrupted evaluation can be resumed. Errors are root mean squares, over drapes and
+directions, of the posterior's mean in units of the training fabrics' standard deviation; their
+intervals are from a bootstrap over fabrics.
+"""
+
+import common.interrupt  # noqa: F401
+
+# isort: split
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from common.command import command, compose_config
+from common.ctrl_c import deferred
+from common.errors import InputError
+from common.files import folder_named, replace_json, require_folder
+from data.dataset.generate import generate_dataset
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import SOFT
+from data.dataset.simulate import DatasetConfig
+from data.fabrics.fabrics import read_fabric_table
+from data.fabrics.nuisances import NuisanceConfig
+from data.fabrics.prior.table import TablePrior
+from drapenet.config import EvaluateConfig
+from drapenet.network.calibration import covered, inside, ranks, rms_with_interval
+from drapenet.network.checkpoint import Header, bundled, load_model, read_header
+from sim.scene import Rig
+
+if TYPE_CHECKING:
+    from drapenet.network.dataset import Maps
+    from drapenet.network.model import MapNet
+
+REDUCTION = 5  # divides the number of drapes for all conditions but "as trained"
+_BATCH_SIZE = 64  # captures
+_FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
+_HIGH_HYSTERESIS = 0.25  # share of the loading torque
+
+Rows = Callable[["Maps"], np.ndarray]
+"""(N,) bool: the captures that a cell uses."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of the matrix.
+
+    Attributes:
+        drapes: dataset, a key of :func:`datasets`.
+        setups: replacements for entries of the set-ups trained on.
+        known: whether the membrane is given to the network.
+        rows: selects captures; None: all.
+    """
+
+    drapes: str = "as trained"
+    setups: dict[str, Any] = field(default_factory=dict)
+    known: bool = False
+    rows: Rows | None = None
+
+
+def _views(count: int) -> dict[str, Any]:
+    return {"views": tuple(float(k == count) for k in range(1, 9))}
+
+
+def _fixed(name: str, value: float) -> dict[str, Any]:
+    return {name: (value, value)}
+
+
+CELLS: dict[str, Cell] = {
+    "as trained": Cell(),
+    "without nuisances": Cell("none", {**_views(4), "sensors": {"smooth": 1.0}}, known=True),
+    "finer mesh": Cell("finer mesh"),
+    **{f"sensor {name}": Cell(setups={"sensors": {name: 1.0}})
+       for name in ("smooth", "paper", "tof")},
+    **{f"views {count}": Cell(setups=_views(count)) for count in (1, 2, 4, 8)},
+    **{f"pitch {degrees}°": Cell(setups=_fixed("pitch", np.radians(degrees)))
+       for degrees in (25, 50)},
+    **{f"distance {metres} m": Cell(setups=_fixed("distance", metres)) for metres in (0.4, 0.7)},
+    "membrane x 3": Cell("membrane x 3"),
+    "membrane / 3": Cell("membrane / 3"),
+    "hysteresis above 25 %": Cell(
+        rows=lambda maps: maps.nuisance("hysteresis") > _HIGH_HYSTERESIS),
+    "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
+}
+
+
+def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
+    """Configurations of the matrix's datasets, derived from ``base``, drapes as trained on."""
+    real = base.sampling.nuisances
+    middle = float(np.sqrt(np.prod(real.membrane)))
+    few = replace(base, drapes=-(-base.drapes // REDUCTION))
+
+    def other(nuisances: NuisanceConfig) -> DatasetConfig:
+        return replace(few, sampling=replace(base.sampling, nuisances=nuisances))
+
+    return {
+        "as trained": base,
+        "none": other(NuisanceConfig()),
+        "finer mesh": replace(few, edge=_FINE_EDGE),
+        **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
+           for sign, value in (("x", 3 * middle), ("/", middle / 3))},
+    }
+
+
+def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> dict[str, Any]:
+    """Errors and coverage on captures of unseen fabrics.
+
+    Args:
+        network: of ``header``, in evaluation mode.
+        known: whether the network is given the membrane.
+    """
+    with deferred():  # importing torch takes seconds; input errors come first
+        from drapenet.network.predict import sample_targets
+        from drapenet.network.targets import MODULI
+        from drapenet.network.training import CaptureSet
+
+    disc = header.rig.specimen == "disc"
+    captures = CaptureSet(maps, disc=disc, scale=header.scale)
+    truth, means, places = captures.truth, [], []
+    for rows, batch in captures.in_order(_BATCH_SIZE, known=known):
+        samples = sample_targets(network, header, batch)
+        means.append(samples.mean(axis=0)[:, :MODULI])
+        places.append(ranks(samples, truth[rows])[:, :MODULI])
+    spread = header.scale.std[:MODULI]
+    errors = (np.concatenate(means) - truth[:, :MODULI]) / spread
+    places = np.concatenate(places)
+    return {
+        "log_alpha": rms_with_interval(errors[:, :3], maps.fabric),
+        "beta_over_alpha": rms_with_interval(errors[:, 3:], maps.fabric),
+        "prior": {"log_alpha": float(np.std(truth[:, :3] / spread[:3], axis=0).mean()),
+                  "beta_over_alpha": float(np.std(truth[:, 3:6] / spread[3:], axis=0).mean())},
+        "inside": {level: {"mean": mean, "each": each.round(3).tolist()} for (level, mean), each
+                   in zip(inside(places).items(), covered(places), strict=True)},
+        "captures": len(maps), "drapes": len(np.unique(maps.index)),
+    }
+
+
+def require_unseen(header: Header, generation: dict) -> None:
+    """Check that a dataset's configuration gives none of a checkpoint's training fabrics.
+
+    Args:
+        generation: :meth:`data.dataset.simulate.DatasetConfig.as_dict`.
+
+    Raises:
+        InputError: both datasets have the same seed and prior.
+    """
+    training = header.dataset.generation
+    # A fabric depends on the prior, the seed and its index only.
+    if (generation["prior"] == training["prior"]
+            and generation["sampling"]["seed"] == training["sampling"]["seed"]):
+        raise InputError(f"seed={training['sampling']['seed']} is that of the training set with "
+                         "the same prior, so these fabrics are not unseen; choose another seed")
+
+
+@command("evaluate", EvaluateConfig)
+def main(config: EvaluateConfig) -> None:
+    """Evaluate all cells, print their results and write ``evaluation.json``."""
+    with deferred():
+        from drapenet.network.dataset import make_maps
+
+    header = read_header(config.checkpoint or bundled(Rig.from_name(config.rig)))
+    out = folder_named(config.out) / header.rig.name
+    require_folder(out)
+    network = load_model(header)
+    base = make_config(header, drapes=config.drapes, seed=config.seed)
+    cells = CELLS
+    if config.fabrics:
+        base = replace(base, prior=TablePrior(read_fabric_table(config.fabrics).theta),
+                       sampling=replace(base.sampling, soft_share=0.0))
+        cells = {name: CELLS[name] for name in ("as trained", "without nuisances")}
+        out = out / Path(config.fabrics).stem
+    require_unseen(header, base.as_dict())
+    results = {}
+    few = -(-base.drapes // (REDUCTION * base.drapes_per_shard))  # shards for other set-ups
+    for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
+        folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
+        generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
+        maps = make_maps(folder, folder, rig=header.rig,
+                         setups=replace(header.setups, **cell.setups),
+                         captures=config.captures, seed=config.seed,
+                         workers=config.workers, shards=few if cell.setups else None)
+        if cell.rows is not None:
+            maps = maps.chosen(cell.rows(maps))
+        if not len(maps):
+            continue
+        results[name] = judge(network, header, maps, known=cell.known)
+        tqdm.write(format_cell(name, results[name]))
+    replace_json(out / "evaluation.json", {"checkpoint": header.identity, "cells": results})
+    print(f"written to {out / 'evaluation.json'}")
+
+
+def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
+    """Configuration of new drapes, generated as the training set of a checkpoint was."""
+    words = [f"drapes={drapes}", f"seed={seed}", f"dataset.testers=[{header.rig.name}]",
+             "dataset=specimens", "nuisances=real",
+             f"edge_mm={header.dataset.generation['solver']['edge_mm']}"]
+    return config_from_options(compose_config("generate", words, schema=Options))
+
+
+def format_cell(name: str, result: dict[str, Any]) -> str:
+    """Result of one cell as a line of text."""
+    inside = result["inside"]
+    return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
+            f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, "
+            f"inside 68 %: {inside['68%']['mean']:.3f}, "
+            f"inside 90 %: {inside['90%']['mean']:.3f}, n {result['captures']}")
+
+
+if __name__ == "__main__":
+    main()

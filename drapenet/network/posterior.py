@@ -1,0 +1,74 @@
+"""Posterior of the moduli as a mixture of Gaussians.
+
+The network's last layer gives the parameters of a mixture with full covariances over the
+standardised targets (:mod:`drapenet.network.targets`); training maximises the likelihood of the true
+targets.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch.nn.functional import softplus
+
+_MIN_DIAGONAL = 1e-2  # minimum of a factor's diagonal; standardised targets
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Mixtures of K Gaussians over T targets, one for each of N captures.
+
+    Attributes:
+        logits: (N, K) of the components' weights, not normalised.
+        means: (N, K, T).
+        factors: (N, K, T, T) lower triangular factors of the precisions, factor factorᵀ.
+    """
+
+    logits: torch.Tensor
+    means: torch.Tensor
+    factors: torch.Tensor
+
+    @classmethod
+    def of_outputs(cls, outputs: torch.Tensor, *, components: int, targets: int) -> "Mixture":
+        """Mixture of a network's outputs (N, :func:`outputs_of`)."""
+        entries = targets * (targets + 1) // 2
+        parts = outputs.view(len(outputs), components, 1 + targets + entries)
+        logits, means, entries = parts.split([1, targets, entries], dim=2)
+        rows, columns = torch.tril_indices(targets, targets, device=outputs.device)
+        factors = outputs.new_zeros(*means.shape, targets)
+        factors[..., rows, columns] = torch.where(
+            rows == columns, softplus(entries) + _MIN_DIAGONAL, entries)
+        return cls(logits[..., 0], means, factors)
+
+    def log_likelihood(self, targets: torch.Tensor) -> torch.Tensor:
+        """(N,) log density at targets (N, T)."""
+        gap = targets[:, None] - self.means
+        white = torch.einsum("nkji,nkj->nki", self.factors, gap)
+        volume = self.factors.diagonal(dim1=2, dim2=3).log().sum(dim=2)
+        each = (volume - 0.5 * white.square().sum(dim=2)
+                - gap.shape[2] / 2 * math.log(2 * math.pi))
+        return torch.logsumexp(each + self.logits.log_softmax(dim=1), dim=1)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """(N, T) mean of the mixture."""
+        return (self.logits.softmax(dim=1)[..., None] * self.means).sum(dim=1)
+
+    def sample(self, count: int, generator: torch.Generator) -> torch.Tensor:
+        """(count, N, T) draws; mixture and generator must be on the CPU."""
+        shares = self.logits.softmax(dim=1)
+        chosen = torch.multinomial(shares, count, replacement=True, generator=generator).T
+        every = torch.arange(len(shares))
+        white = torch.randn(count, *self.means[:, 0].shape, 1, generator=generator)
+        moved = torch.linalg.solve_triangular(
+            self.factors[every, chosen].transpose(-1, -2), white, upper=True)
+        return self.means[every, chosen] + moved[..., 0]
+
+    def cpu(self) -> "Mixture":
+        """The mixture in float32 on the CPU."""
+        return Mixture(*(part.float().cpu() for part in (self.logits, self.means, self.factors)))
+
+
+def outputs_of(*, components: int, targets: int) -> int:
+    """Number of parameters of a mixture."""
+    return components * (1 + targets + targets * (targets + 1) // 2)

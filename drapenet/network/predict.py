@@ -1,0 +1,87 @@
+"""Posterior samples from maps of captures by the network.
+
+Rotated by a symmetry of its specimen, or reflected, a drape is an equally likely drape of the same
+fabric. The posterior is the mixture of the network's posteriors for eight such maps, which is wider
+where they disagree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from data.fabrics.fabrics import from_theta
+from drapenet.network.checkpoint import Header
+from drapenet.network.dataset import compressed
+from drapenet.network.model import Batch, MapNet
+from drapenet.network.targets import MODULI, Symmetry
+from drapenet.views.radial_map import DrapeMap
+from sim.material import is_admissible
+
+DRAWS = 500
+"""Samples of each of the eight posteriors."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Samples of one capture's posterior.
+
+    Attributes:
+        theta: (S, 6) at 300 g/m² along one yarn direction, the bias, the other yarn direction.
+        axis: (S,) direction of the former yarns in the first view, rad.
+        impossible: share of all samples that is not admissible and was removed.
+    """
+
+    theta: np.ndarray
+    axis: np.ndarray
+    impossible: float
+
+    @classmethod
+    def possible(cls, theta: np.ndarray, axis: np.ndarray) -> "Draws":
+        """The admissible ones of samples theta (S, 6) and axis (S,); all if none is."""
+        possible = is_admissible(*from_theta(theta))
+        kept = possible if possible.any() else ~possible
+        return cls(theta[kept], axis[kept], float(1 - possible.mean()))
+
+
+@torch.no_grad()
+def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
+    """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.network.targets`), not standardised.
+
+    ``network``: of ``header``, in evaluation mode.
+    """
+    symmetry, many = Symmetry.all(), len(batch.known)
+    disc = len(header.scale.mean) > MODULI
+    drawn = []
+    for k in range(len(symmetry.cells)):
+        shown = Symmetry(symmetry.cells[k].expand(many), symmetry.mirror[k].expand(many))
+        mixture = batch.turned(shown).through(network).cpu()
+        samples = mixture.sample(DRAWS, torch.Generator().manual_seed(k)).double()
+        targets = torch.from_numpy(header.scale.decode(samples.numpy()))
+        drawn += [shown.undone(part, disc=disc) for part in targets]
+    return torch.stack(drawn).numpy()
+
+
+def predict(
+    network: MapNet, header: Header, maps: Sequence[DrapeMap], *,
+    membrane: float | None = None,
+) -> list[Draws]:
+    """Posterior samples of each capture.
+
+    Args:
+        network: of ``header``, in evaluation mode.
+        membrane: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
+    """
+    given = np.full(len(maps), membrane, np.float32)  # None is NaN
+    batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)
+    samples = sample_targets(network, header, batch)
+    return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]
+
+
+def _draws(targets: np.ndarray, zero: float) -> Draws:
+    """Draws of targets (S, T) for a map that begins at ``zero``, rad."""
+    axis = np.full(len(targets), zero)
+    if targets.shape[1] > MODULI:
+        axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
+    return Draws.possible(targets[:, :MODULI], axis)

@@ -1,0 +1,114 @@
+"""Targets of the network: the moduli along the specimen's yarns.
+
+A square is cut along its yarns and its map begins at a side: its six targets are theta
+(:mod:`data.fabrics.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a disc are
+not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns first,
+and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
+single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for equal
+yarns, where the direction of the stiffer ones jumps by a right angle.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from drapenet.convention import FIRST, SECOND, SWAPPED
+from drapenet.views.radial_map import AZIMUTHS
+
+MODULI = 6  # the first targets; a disc has two more
+
+
+def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray:
+    """Targets (N, 6), or (N, 8) of discs, not standardised.
+
+    Args:
+        theta: (N, 6).
+        warp: (N,) azimuth of the warp in the map, rad.
+    """
+    if not disc:
+        odd = np.rint(warp / (np.pi / 2)).astype(int) % 2 == 1
+        return np.where(odd[:, None], theta[:, SWAPPED], theta)
+    soft = theta[:, FIRST] < theta[:, SECOND]
+    sorted_theta = np.where(soft[:, None], theta[:, SWAPPED], theta)
+    psi = warp + soft * (np.pi / 2)
+    weight = np.tanh(np.abs(theta[:, FIRST] - theta[:, SECOND]))
+    return np.column_stack([sorted_theta, weight * np.cos(2 * psi), weight * np.sin(2 * psi)])
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """Rotations and reflections of maps that give equally likely captures.
+
+    Attributes:
+        cells: (N,) int, azimuth cells by which the map is rotated; quarter turns for squares.
+        mirror: (N,) bool, whether it is reflected at azimuth 0 before.
+    """
+
+    cells: torch.Tensor
+    mirror: torch.Tensor
+
+    @classmethod
+    def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
+        """Draw ``count`` random symmetries."""
+        cells = rng.integers(AZIMUTHS, size=count) if disc else (
+            rng.integers(4, size=count) * (AZIMUTHS // 4))
+        return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
+
+    @classmethod
+    def all(cls) -> "Symmetry":
+        """The eight symmetries of a square, over which estimates are averaged."""
+        cells = torch.arange(4).repeat(2) * (AZIMUTHS // 4)
+        return cls(cells, torch.arange(8) >= 4)
+
+    def of_maps(self, maps: torch.Tensor) -> torch.Tensor:
+        """Apply to maps (N, AZIMUTHS, ELEVATIONS)."""
+        azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
+        azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
+        return maps[torch.arange(len(maps))[:, None], azimuth.to(maps.device)]
+
+    def of_targets(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
+        """Apply to targets (N, T)."""
+        if not disc:
+            odd = (self.cells // (AZIMUTHS // 4)) % 2 == 1
+            return torch.where(odd[:, None], targets[:, SWAPPED], targets)
+        axis = torch.complex(targets[:, 6], torch.where(self.mirror, -1.0, 1.0) * targets[:, 7])
+        axis = axis * torch.exp(2j * self.cells * (2 * torch.pi / AZIMUTHS))
+        return torch.column_stack([targets[:, :MODULI], axis.real, axis.imag]).to(targets)
+
+    def undone(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
+        """The inverse of :meth:`of_targets`."""
+        back = torch.where(self.mirror, self.cells, -self.cells)  # a reflection is its own inverse
+        return Symmetry(back, self.mirror).of_targets(targets, disc=disc)
+
+
+@dataclass(frozen=True)
+class TargetScale:
+    """Standardisation of the targets.
+
+    Attributes:
+        mean, std: (T,) float64, in the targets' units.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+    @staticmethod
+    def fit(targets: np.ndarray, *, disc: bool) -> "TargetScale":
+        """Scale of a training set's targets (N, T), invariant under the symmetries: equal for both
+        yarns of squares, with zero mean for directions on discs.
+        """
+        mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
+        if disc:
+            mean[MODULI:], std[MODULI:] = 0.0, std[MODULI:].mean()
+        else:
+            mean, std = (mean + mean[SWAPPED]) / 2, (std + std[SWAPPED]) / 2
+        return TargetScale(mean, std)
+
+    def encode(self, targets: np.ndarray) -> np.ndarray:
+        """Standardised targets (..., T)."""
+        return (targets - self.mean) / self.std
+
+    def decode(self, standardised: np.ndarray) -> np.ndarray:
+        """Targets (..., T), not standardised."""
+        return standardised * self.std + self.mean

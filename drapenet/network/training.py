@@ -1,0 +1,217 @@
+"""Captures, batches, validation and metadata of ``train.py``.
+
+Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state
+at the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
+finished epochs, and a resumed run gives the same weights as an uninterrupted one.
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from common.errors import InputError
+from common.provenance import release
+from data.dataset.manifest import finished_manifest, only_tester
+from data.dataset.splits import split_by_fabric
+from data.render.setups import Setups
+from drapenet.config import ModelConfig, TrainConfig
+from drapenet.network.calibration import inside, ranks
+from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.model import Batch, MapNet
+from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
+from sim.material import REFERENCE_DENSITY
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+    from tqdm import tqdm
+
+_VALIDATION_BATCH = 128
+_MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
+
+
+def choose_device(config: TrainConfig) -> torch.device:
+    """Set threads and reproducible kernels; return the device.
+
+    Raises:
+        InputError: CUDA is requested but not available, or an unknown device.
+    """
+    if config.threads > 0:
+        torch.set_num_threads(config.threads)
+    torch.backends.cudnn.benchmark = False
+    torch.backends.cudnn.deterministic = True
+    if config.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if config.device not in ("cpu", "cuda"):
+        raise InputError(f"unknown device '{config.device}'; use auto, cpu or cuda")
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("no CUDA device is available; use device=cpu")
+    return torch.device(config.device)
+
+
+class CaptureSet:
+    """Maps of captures with standardised targets.
+
+    Args:
+        maps: of captures of one rig.
+        disc: whether specimens are discs.
+        scale: of the targets; None: fitted to these captures.
+
+    Attributes:
+        truth: (N, T) targets, not standardised.
+    """
+
+    def __init__(self, maps: Maps, *, disc: bool, scale: TargetScale | None = None) -> None:
+        self.maps, self.disc = maps, disc
+        self.truth = targets_of(maps.theta, maps.warp, disc=disc)
+        self.scale = scale or TargetScale.fit(self.truth, disc=disc)
+        self.targets = torch.from_numpy(self.scale.encode(self.truth)).float()
+
+    def __len__(self) -> int:
+        return len(self.maps)
+
+    def network(self, config: ModelConfig) -> dict:
+        """Arguments of :class:`drapenet.network.model.MapNet` for these captures."""
+        few = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
+        return {**asdict(config), "targets": self.targets.shape[1],
+                "distance": round(float(few.mean()), 4), "spread": round(float(few.std()), 4)}
+
+    def batch(
+        self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
+    ) -> Batch:
+        """The captures of ``rows``.
+
+        Args:
+            rows: (N,) int.
+            revealed: (N,) bool, whether the membrane is given to the network.
+            symmetry: rotations and reflections to apply.
+        """
+        maps, targets = self.maps, self.targets[rows]
+        if symmetry is not None:
+            targets = symmetry.of_targets(targets, disc=self.disc)
+        given = np.where(revealed, maps.nuisance("membrane")[rows], np.nan)
+        batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], given, targets)
+        return batch if symmetry is None else batch.turned(symmetry)
+
+    def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
+        """Rows and captures in order, without symmetries, in batches of at most ``size``;
+        ``known``: whether the membrane is given.
+        """
+        for rows in np.array_split(np.arange(len(self)), -(-len(self) // size)):
+            yield rows, self.batch(rows, revealed=np.full(len(rows), known))
+
+    def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
+        """All captures in random order with random symmetries, in batches of ``size``; a function
+        of (seed, epoch). An incomplete last batch is dropped.
+        """
+        rng = np.random.default_rng([seed, epoch])
+        order = rng.permutation(len(self))
+        for start in range(0, len(self) - size + 1, size):
+            revealed = rng.integers(2, size=size) > 0
+            symmetry = Symmetry.draw(size, disc=self.disc, rng=rng)
+            yield self.batch(order[start : start + size], revealed=revealed, symmetry=symmetry)
+
+
+def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
+    """Training and validation captures, of different fabrics, computed if missing; and the
+    dataset's manifest.
+
+    Raises:
+        InputError: no finished dataset, too few drapes, or invalid set-ups.
+    """
+    manifest = finished_manifest(config.data)
+    rig = only_tester(config.data, manifest)
+    disc = rig.specimen == "disc"
+    maps = make_maps(config.data, Path(config.maps), rig=rig,
+                     setups=Setups.from_config(config.setup), captures=config.captures,
+                     seed=config.seed, neighbours=config.neighbours, workers=config.workers)
+    shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
+    split = split_by_fabric(maps.fabric, fractions=shares)
+    unseen = maps.chosen((split == "validation") & ~maps.moved)
+    training = maps.chosen(split == "train")
+    if config.fabrics:
+        training = training.chosen(
+            np.isin(training.fabric, np.unique(training.fabric)[: config.fabrics]))
+    if len(training) < config.optim.batch_size or not len(unseen):
+        raise InputError(f"{config.data} has {len(training)} captures to train on and "
+                         f"{len(unseen)} to validate with, but needs at least "
+                         f"{config.optim.batch_size} (optim.batch_size) and 1: generate more "
+                         "drapes, lower optim.batch_size or change "
+                         f"validation_fraction={config.validation_fraction:g}")
+    known = CaptureSet(training, disc=disc)
+    return known, CaptureSet(unseen, disc=disc, scale=known.scale), manifest
+
+
+@torch.no_grad()
+def validate(network: MapNet, captures: CaptureSet) -> dict:
+    """Metrics of the network on ``captures``, with unknown nuisances and without symmetries.
+
+    Returns:
+        ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
+        of the means, standardised; ``inside`` (:func:`drapenet.network.calibration.inside`); ``samples``,
+        the number of captures.
+    """
+    network.eval()
+    losses, errors, places = [], [], []
+    for _, batch in captures.in_order(_VALIDATION_BATCH):
+        mixture = batch.through(network).cpu()
+        losses.append(-mixture.log_likelihood(batch.targets))
+        draws = mixture.sample(400, torch.Generator().manual_seed(0))
+        errors.append((draws.mean(dim=0) - batch.targets)[:, :MODULI])
+        places.append(ranks(draws.numpy(), batch.targets.numpy())[:, :MODULI])
+    squares = torch.cat(errors).double().square()
+    return {
+        "loss": torch.cat(losses).double().mean().item(),
+        "rmse_log_alpha": squares[:, :3].mean().sqrt().item(),
+        "rmse_beta_over_alpha": squares[:, 3:].mean().sqrt().item(),
+        "inside": inside(np.concatenate(places)),
+        "samples": len(captures),
+    }
+
+
+def log_metrics(
+    board: "SummaryWriter", bar: "tqdm", metrics: dict, *, epoch: int, train_loss: float,
+    rate: float,
+) -> None:
+    """Write an epoch's metrics to TensorBoard and to the progress bar."""
+    board.add_scalar("loss/train", train_loss, epoch)
+    board.add_scalar("loss/validation", metrics["loss"], epoch)
+    board.add_scalar("learning_rate", rate, epoch)
+    for name in ("rmse_log_alpha", "rmse_beta_over_alpha"):
+        board.add_scalar(f"validation/{name}", metrics[name], epoch)
+    for level, share in metrics["inside"].items():
+        board.add_scalar(f"validation_inside/{level}", share, epoch)
+    bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.2f}, "
+                        f"validation {metrics['loss']:.2f}, "
+                        f"log alpha {metrics['rmse_log_alpha']:.3f}, "
+                        f"beta/alpha {metrics['rmse_beta_over_alpha']:.3f}")
+
+
+def describe(
+    config: TrainConfig, training: CaptureSet, manifest: dict, metrics: dict, epoch: int
+) -> dict:
+    """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
+    theta = training.maps.theta
+    low, high = np.quantile(theta, [0.01, 0.99], axis=0)
+    return {
+        "rig": only_tester(config.data, manifest).name,
+        "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
+        "model": training.network(config.model),
+        "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
+        # Of theta in the dataset's order: warp, bias, weft.
+        "fabrics": {"low": low.tolist(), "high": high.tolist(),
+                    "deviation": theta.std(axis=0).tolist()},
+        "dataset": {
+            "sha256": manifest["hash"],
+            "drapes": len(np.unique(training.maps.index)),
+            "fabrics": len(np.unique(training.maps.fabric)),
+            "generation": manifest["config"],
+        },
+        "validation": metrics,
+        "epochs": epoch + 1,
+        "config": config.defining(),
+        "versions": {"project": release(), "torch": torch.__version__},
+    }

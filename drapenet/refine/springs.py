@@ -1,0 +1,190 @@
+"""Simulated cloth pulled onto captured points.
+
+Springs pull vertices towards the planes through their nearest captured points. Points with a
+similar normal are preferred, so that the two sides of a fold are distinguished. The cloth's
+energy determines the shape where no view shows it. Released, such a drape keeps the captured folds
+unless its fabric cannot hold them.
+"""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drapenet.refine.laid import surface_positions
+from sim.drape import DrapeResult, drape_result, scene_on
+from sim.energies.base import Energy
+from sim.energies.hinges import Hinges, hinge_angles
+from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.laws import Laws
+from sim.material import REFERENCE_DENSITY, Fabric
+from sim.mesh import adjacency, smooth, vertex_normals
+from sim.mesh.specimens import coarse_to_fine, make_specimen
+from sim.scene import Rig, Scene
+from sim.solver.newton import NewtonOptions
+from sim.solver.state import State
+from sim.start import interpolate_positions
+
+_COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
+MAX_HINGE_ANGLE = 1.5
+"""rad; vertices of hinges of the first mesh that are bent more are smoothed. Otherwise soft fabrics
+laid on narrow folds intersect themselves, or the minimisation fails."""
+_SMOOTHINGS = 50
+PULLS = (3.0, 10.0, 10.0)
+"""Force of the springs at a distance of 1 mm, over the cloth's weight, in turn."""
+REACH = 0.02  # m, maximum distance of a vertex from its captured point
+NORMAL_LENGTH = 0.03  # m, weight of the normals' difference in the distance
+OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # loose: an initial guess
+
+
+class Springs(Energy):
+    """Springs from vertices to planes: sum of ½ k (n·(x - c))²; one element per vertex.
+
+    Args:
+        vertices: (N,) that are pulled.
+        targets: (N, 3) m, c; normals: (N, 3), n; stiffness: (N,) N/m, k.
+    """
+
+    def __init__(
+        self, vertices: np.ndarray, targets: np.ndarray, normals: np.ndarray, stiffness: np.ndarray
+    ) -> None:
+        self.dofs = 3 * vertices[:, None] + np.arange(3)
+        self._targets, self._normals, self._stiffness = targets, normals, stiffness
+
+    def _distance(self, q: np.ndarray) -> np.ndarray:
+        return (self._normals * (q[self.dofs] - self._targets)).sum(1)
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * float(self._stiffness @ self._distance(q) ** 2)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return (self._stiffness * self._distance(q))[:, None] * self._normals
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return (self._stiffness[:, None, None]
+                * self._normals[:, :, None] * self._normals[:, None, :])
+
+
+def captured_shape(
+    fabric: Fabric,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    rig: Rig,
+    edge: float,
+) -> DrapeResult:
+    """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
+
+    Args:
+        points, normals: (N, 3) m and (N, 3), specimen's axes.
+        edge: m, of the mesh at the rim (:func:`sim.mesh.specimens.make_specimen`); coarser meshes
+            give initial guesses.
+
+    Returns:
+        The state under the springs, an initial guess and not an equilibrium of the fabric; its
+        ``status`` is that of the last minimisation.
+    """
+    laws, simulated = Laws(), fabric.at_density(REFERENCE_DENSITY)
+    coarse = None
+    began = time.perf_counter()
+    for level in coarse_to_fine(edge):
+        last = level == edge
+        specimen = make_specimen(rig, edge=level)
+        rest = specimen.mesh.rest
+        scene = scene_on(specimen, rig)
+        if coarse is None:
+            positions = surface_positions(rest, points, rig)
+        else:
+            positions = interpolate_positions(*coarse, rest)
+        positions[specimen.held] = rig.place(rest[specimen.held])
+        if coarse is None:
+            positions = smoothed(scene, positions)
+        found = pulled(
+            scene, simulated, scene.state(positions), points, normals,
+            laws=laws if last else laws.softened(_COARSE_MEMBRANE),
+            pulls=PULLS[:2] if coarse is None else PULLS[-2:])
+        coarse = rest, found.state.positions
+    return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began)
+
+
+def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    """Smooth positions (V, 3), m, around hinges bent beyond :data:`MAX_HINGE_ANGLE`.
+
+    Their free vertices move repeatedly half-way to the mean of their neighbours.
+    """
+    mesh, x = scene.mesh, positions.copy()
+    adjacent = adjacency(mesh)
+    hinges = Hinges(mesh, scene.active)
+    for _ in range(_SMOOTHINGS):
+        bent = np.abs(hinge_angles(x.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
+        if not bent.any():
+            break
+        moving = np.zeros(len(x), dtype=bool)
+        moving[hinges.corners[bent]] = True
+        moving &= ~scene.held
+        smooth(x, moving, adjacent)
+    return x
+
+
+def pulled(
+    scene: Scene,
+    fabric: Fabric,
+    state: State,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    laws: Laws,
+    pulls: Sequence[float],
+) -> Equilibrium:
+    """Equilibrium of ``state`` under springs to ``points`` (N, 3), m, with unit normals (N, 3).
+
+    Nearest points are updated for each of ``pulls``.
+    """
+    for pull in pulls:
+        near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
+        springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))
+        found = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs], options=OPTIONS)
+        state = found.state
+    return found
+
+
+def nearest_points(
+    scene: Scene, positions: np.ndarray, points: np.ndarray, normals: np.ndarray, *, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The free vertices near a captured surface, (N,), and the captured point of each, (N,).
+
+    Args:
+        positions: (V, 3) m, of the vertices.
+        points, normals: (M, 3) m and (M, 3) of the surface.
+        reach: m, maximum distance.
+    """
+    tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
+    free = np.flatnonzero(~scene.held)
+    own = vertex_normals(positions, scene.mesh.faces)[free]
+    distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
+    near = distance < reach
+    return free[near], nearest[near]
+
+
+def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
+    """Springs from each free vertex to the tangent plane at its position on a surface.
+
+    Vertices may slide along the surface, where their positions are most uncertain.
+
+    Args:
+        positions: (V, 3) m, of the surface. pull: as for :func:`spring_stiffness`.
+    """
+    free = np.flatnonzero(~scene.held)
+    return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
+                   spring_stiffness(scene, free, pull))
+
+
+def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
+    """Stiffness (N,), N/m, of springs at ``vertices`` (N,).
+
+    Args:
+        pull: force at a distance of 1 mm, over the cloth's weight at the reference density.
+    """
+    weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
+    return pull / 1e-3 * weight

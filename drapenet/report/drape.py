@@ -1,0 +1,186 @@
+"""Simulates the drape of an estimate and compares it with the capture.
+
+A fabric has many drapes, and which of them a specimen takes is random. A few drapes of the estimate
+are simulated; the one that fits the captured silhouettes best is shown beside the capture. The
+mirror image of a drape is an equally likely drape of the same fabric, at no cost.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.render.cameras import Camera
+from data.render.renderer import QUARTERS, DepthRenderer
+from sim.drape import DrapeResult, drape
+from sim.laws import Laws
+from sim.material import Fabric
+from sim.measures import drape_coefficient, folds_around
+from sim.scene import Rig
+
+TURNS = 48  # orientations tried in the fit
+FIT_WIDTH = 120  # pixels, width of the images compared in it
+EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
+PROFILE_HEIGHT, PROFILE_BAND = -0.04, 0.016  # m above the plate, of radius profiles, and around it
+BINS = 180  # of a radius profile
+MIN_OVERLAP = 0.7
+"""Of the silhouettes. Correct captures have at least 0.82 (0.74 on a coarse mesh), those with
+a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
+STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
+
+
+@dataclass(frozen=True)
+class Resimulation:
+    """A simulated drape of the estimate, compared with the captured one.
+
+    Attributes:
+        views: (K, H, W) of the simulated drape, z-depth, m.
+        profiles: radius profiles (BINS,), m, captured and simulated.
+        folds: captured and simulated.
+        overlap: mean intersection over union of the silhouettes.
+        statuses: of all simulated drapes, in the order of :data:`STARTS`.
+        drape: the one shown, possibly before reflection.
+        positions: (V, 3) m, of the one shown, in the orientation of the first view.
+    """
+
+    views: np.ndarray
+    profiles: tuple[np.ndarray, np.ndarray]
+    folds: tuple[int, int]
+    overlap: float
+    statuses: tuple[str, ...]
+    drape: DrapeResult
+    positions: np.ndarray
+
+    @property
+    def doubts(self) -> list[str]:
+        """One line if the silhouettes overlap too little."""
+        if self.overlap >= MIN_OVERLAP:
+            return []
+        return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
+                "the captured one: check the pictures, their intrinsics and the tester; if they "
+                "are right, the fabric is unlike those trained on"]
+
+    def as_dict(self) -> dict:
+        """Drape coefficient, folds, overlap and statuses in JSON's types."""
+        coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
+        return {"drape_coefficient_percent": round(100 * coefficient, 1),
+                "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
+                "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
+
+
+def resimulate(
+    fabric: Fabric,
+    views: np.ndarray,
+    camera: Camera,
+    *,
+    rig: Rig,
+    edge: float,
+    drapes: int,
+    turns: Sequence[float],
+    laws: Laws | None = None,
+) -> Resimulation | None:
+    """Simulate drapes of ``fabric`` and fit them to a capture; None if none converges.
+
+    Args:
+        fabric: stiff along warp.
+        views: (K, H, W) captured z-depth, m, as ``camera`` saw them.
+        edge: m, at the rim of the specimen's mesh.
+        turns: (K,) rad, how far the table had turned in each view.
+        drapes: number to simulate, at most that of :data:`STARTS`.
+        laws: of cloth of 300 g/m²; None: the defaults.
+    """
+    step = max(1, round(camera.width / FIT_WIDTH))
+    captured = views[:, ::step, ::step] > 0
+    small = camera.resized(captured.shape[2], captured.shape[1])
+    best, statuses = None, []
+    for start, seed in STARTS[:drapes]:
+        result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
+        statuses.append(result.status.value)
+        if not result.converged:
+            continue
+        for side in (1, -1):
+            renderer = DepthRenderer(result.positions * [side, 1, 1], result.faces)
+            overlap, orientation = _fit_orientation(renderer, small, captured, turns)
+            if best is None or overlap > best[0]:
+                best = overlap, renderer, orientation, side, result
+    if best is None:
+        return None
+    _, renderer, orientation, side, result = best
+    return beside(views, renderer.views(camera, orientation, turns), camera, turns=turns,
+                  drape=result, positions=turned(result.positions * [side, 1, 1], orientation),
+                  statuses=statuses)
+
+
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    """Points (N, 3), m, turned by ``angle``, rad, about the table's axis, counter-clockwise."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def beside(
+    views: np.ndarray, simulated: np.ndarray, camera: Camera, *, turns: Sequence[float],
+    drape: DrapeResult, positions: np.ndarray, statuses: Sequence[str],
+) -> Resimulation:
+    """Compare a drape, whose views (K, H, W) are ``simulated``, with the captured ``views``; other
+    arguments as for :class:`Resimulation`.
+    """
+    profiles = tuple(radius_profile(v, camera, turns=turns) for v in (views, simulated))
+    return Resimulation(
+        views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
+        overlap=silhouette_overlap(views, simulated), statuses=tuple(statuses), drape=drape,
+        positions=positions)
+
+
+def radius_profile(
+    views: np.ndarray, camera: Camera, *, turns: Sequence[float] = QUARTERS
+) -> np.ndarray:
+    """Distance (BINS,), m, of the cloth from the axis by azimuth, at :data:`PROFILE_HEIGHT`.
+
+    Cloth that faces the camera has the largest weight. NaN where no view shows cloth.
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0.
+        camera: of all of them (:func:`drapenet.views.pose.locate_camera`).
+        turns: (K,) rad, how far the table had turned in each view.
+    """
+    total, weight = np.zeros((2, BINS))
+    for turn, view in zip(turns, views, strict=True):
+        points = camera.cloth_points(view)
+        band = points[np.abs(points[:, 2] - PROFILE_HEIGHT) < PROFILE_BAND / 2]
+        azimuth = np.arctan2(band[:, 1], band[:, 0])
+        facing = np.maximum(-np.sin(azimuth), 0) ** 4  # the camera is at -y
+        bin_of = np.floor((azimuth - turn) / (2 * np.pi) * BINS).astype(int) % BINS
+        np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
+        np.add.at(weight, bin_of, facing)
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
+
+
+def count_folds(profile: np.ndarray) -> int:
+    """Number of outward folds of a radius profile (bins,), which may have gaps."""
+    known = np.flatnonzero(np.isfinite(profile))
+    if len(known) < len(profile) // 2:
+        return 0
+    filled = np.interp(np.arange(len(profile)), known, profile[known], period=len(profile))
+    return len(folds_around(filled, len(profile) / 90))
+
+
+def silhouette_overlap(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean intersection over union of the cloth in views (K, H, W) and (K, H, W)."""
+    a, b = first > 0, second > 0
+    union = (a | b).sum(axis=(1, 2))
+    return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))
+
+
+def _fit_orientation(
+    renderer: DepthRenderer, camera: Camera, captured: np.ndarray, turns: Sequence[float]
+) -> tuple[float, float]:
+    """Largest overlap with silhouettes (K, H, W) and the orientation, rad, that gives it."""
+    step = 2 * math.pi / TURNS
+    # All views are rotations by whole steps, so each is rendered once.
+    views = [renderer.view(camera, turn * step) for turn in range(TURNS)]
+    after = np.rint(np.asarray(turns) / step).astype(int)
+    overlaps = [silhouette_overlap(captured, np.stack([views[k] for k in (turn + after) % TURNS]))
+                for turn in range(TURNS)]
+    turn = int(np.argmax(overlaps))
+    return overlaps[turn], turn * step

@@ -1,0 +1,157 @@
+"""``report.png``: the capture, the estimated bending laws and the simulated drape; ``torque.svg``:
+the bending laws alone.
+"""
+
+import io
+import math
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from drapenet.convention import COLOURS
+from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
+from drapenet.result.content import interval_table, torque_samples
+from drapenet.result.estimate import Estimate
+from drapenet.result.table import with_interval
+
+MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
+CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
+
+
+def draw_report(
+    estimate: Estimate,
+    views: np.ndarray,
+    resimulation: Resimulation | None,
+    *,
+    title: str,
+) -> bytes:
+    """The report as a PNG file.
+
+    Args:
+        views: (K, H, W) captured z-depth, m.
+        resimulation: None if no simulated drape converged.
+    """
+    figure = Figure(figsize=(13, 12.5), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.1)
+    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))
+    simulated = np.zeros_like(views) if resimulation is None else resimulation.views
+    window = _window(np.concatenate([views, simulated]))
+    limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
+    rows = ["captured", "simulated with the estimate",
+            "captured (grey), simulated (line)"]
+    pictures = upper.subplots(len(rows), len(views), squeeze=False)
+    for axes in pictures.flat:
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+    for axes, label in zip(pictures[:, 0], rows, strict=True):
+        axes.set_ylabel(label)
+    for k in range(len(views)):
+        captured, drape = views[window][k], simulated[window][k]
+        pictures[0, k].set_title(f"view {k}")
+        image = _depth(pictures[0, k], captured, limits)
+        _depth(pictures[1, k], drape, limits)
+        _silhouettes(pictures[2, k], captured, drape)
+    upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
+    grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
+    _torques(lower.add_subplot(grid[0]), estimate)
+    _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
+    _figures(lower.add_subplot(grid[2]), estimate, resimulation)
+    figure.suptitle(title, fontsize=14, parse_math=False)
+    if estimate.warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in estimate.warnings),
+                         x=0.01, ha="left", fontsize=9, parse_math=False)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=100)
+    return picture.getvalue()
+
+
+def draw_torques(estimate: Estimate) -> bytes:
+    """Torque over curvature of the three directions as SVG, with text elements."""
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "drapenet"}):
+        figure = Figure(figsize=(6.5, 4), layout="constrained")
+        _torques(figure.subplots(), estimate)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="svg", transparent=True,
+                       metadata={"Date": None, "Creator": None})
+    return picture.getvalue()
+
+
+def _window(views: np.ndarray) -> tuple[slice, slice, slice]:
+    """Slices (view, row, column) of views (N, H, W) that contain the cloth, with a small margin."""
+    cloth = (views > 0).any(axis=0)
+    slices = [slice(None)]
+    for axis in (1, 0):
+        places = np.flatnonzero(cloth.any(axis=axis))
+        slices.append(slice(max(places[0] - 6, 0), places[-1] + 7))
+    return tuple(slices)
+
+
+def _depth(axes: Axes, view: np.ndarray, limits: tuple[float, float]) -> AxesImage:
+    """Draw a depth image (H, W), m; ``limits`` of the colours in mm."""
+    millimetres = np.where(view > 0, view * 1e3, np.nan)
+    return axes.imshow(millimetres, cmap="viridis_r", vmin=limits[0], vmax=limits[1])
+
+
+def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> None:
+    picture = np.ones((*captured.shape, 3))
+    picture[captured > 0] = 0.78
+    axes.imshow(picture)
+    if simulated.any():
+        axes.contour(simulated > 0, levels=[0.5], colors=[SIMULATED], linewidths=1.2)
+
+
+def _torques(axes: Axes, estimate: Estimate) -> None:
+    curvature = np.linspace(0, MAX_CURVATURE, 100)
+    for k, (name, colour) in enumerate(zip(estimate.names, COLOURS, strict=True)):
+        curves = torque_samples(estimate, k, curvature) * 1e3
+        axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, label=name)
+        axes.fill_between(curvature, *np.quantile(curves, [0.16, 0.84], axis=0), color=colour,
+                          alpha=0.15, lw=0)
+    axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, MAX_CURVATURE),
+             ylim=(0, None))
+    axes.set_title("torque of a bent strip; shaded: 68 % interval", fontsize=10)
+    axes.legend(frameon=False, loc="upper left")
+
+
+def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
+    """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
+    axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
+                   fontsize=10)
+    axes.tick_params(labelsize=7)
+    largest = 80.0
+    if resimulation is not None:
+        azimuth = np.linspace(0, 2 * np.pi, len(resimulation.profiles[0]) + 1)
+        for profile, folds, name, colour in zip(
+            resimulation.profiles, resimulation.folds, ("captured", "simulated"),
+            (CAPTURED, SIMULATED), strict=True,
+        ):
+            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
+                      label=f"{name}: {folds} folds")
+        largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
+    angle, certainty = estimate.axis, estimate.certainty
+    axes.plot([angle, angle + math.pi], [largest, largest], color=COLOURS[0], lw=2.5,
+              alpha=max(0.15, 2 * certainty - 1),
+              label=f"{estimate.names[0]} yarns (probability {certainty:.2f})")
+    axes.set_ylim(0, largest)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
+
+
+def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
+    lines = [f"at {estimate.density * 1e3:g} g/m², median and 68 % interval"]
+    for name, moduli in interval_table(estimate, estimate.density).items():
+        for quantity, unit in (("alpha_uN_m", "µN·m"), ("beta_nN_m2", "nN·m²")):
+            middle, interval = with_interval(moduli[quantity])
+            lines.append(f"{name:5} {quantity.partition('_')[0]:5} {middle:>7} ({interval}) {unit}")
+    lines.append("")
+    if resimulation is None:
+        lines.append("no simulated drape converged")
+    else:
+        captured, simulated = resimulation.folds
+        lines += [f"folds: {captured} captured,", f"       {simulated} simulated",
+                  f"silhouettes overlap {resimulation.overlap:.0%}"]
+    axes.text(0, 0.95, "\n".join(lines), family="monospace", fontsize=9, va="top",
+              transform=axes.transAxes)
+    axes.axis("off")

@@ -1,0 +1,89 @@
+"""``drape.glb``: the captured surface and the simulated drape in one scene.
+
+Metres, y up, origin at the plate's centre; x to the right in the first view, z towards the camera.
+Nodes: ``captured``, ``simulated``, ``support``.
+"""
+
+import numpy as np
+import trimesh
+from trimesh.visual.material import PBRMaterial
+
+from data.render.cameras import Camera
+from drapenet.report.drape import Resimulation, turned
+from drapenet.views.radial_map import DrapeMap
+from sim.mesh import vertex_normals
+from sim.scene import Rig
+
+MAX_POINTS = 16_000  # of the captured surface, all views together
+MAX_JUMP = 6e-3  # m, range of depths within a triangle
+_COLUMN = 0.13  # m, height of the support that is drawn
+_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows: z up to y up
+_COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
+
+
+def drape_glb(
+    views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, drape: Resimulation | None
+) -> bytes:
+    """The scene as binary glTF.
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0.
+        camera: with its estimated pose; found: the views' map, for the table's turns.
+        drape: None if no simulated drape converged; the node is omitted then.
+    """
+    scene = trimesh.Scene()
+    _add(scene, "captured", *captured_surface(views, camera, found))
+    if drape is not None:
+        _add(scene, "simulated", drape.positions, drape.drape.faces)
+    column = trimesh.creation.cylinder(radius=0.985 * rig.plate_radius, height=_COLUMN, sections=64)
+    _add(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces, flat=True)
+    return scene.export(file_type="glb", include_normals=True)
+
+
+def captured_surface(
+    views: np.ndarray, camera: Camera, found: DrapeMap
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3), m, in the orientation of the first view, and triangles (F, 3) between pixels.
+
+    Views are not merged where they overlap. Arguments as for :func:`drape_glb`.
+    """
+    count = (views > 0).sum()
+    step = max(1, int(np.ceil(np.sqrt(count / MAX_POINTS))))
+    small = views[:, ::step, ::step]
+    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    points, faces, before = [], [], 0
+    for view, full, turn in zip(small, views, found.turns, strict=True):
+        world = (camera.back_project(full)[::step, ::step] - shift) @ rotation
+        cloth = view > 0
+        number = np.full(view.shape, -1)
+        number[cloth] = before + np.arange(cloth.sum())
+        faces.append(_between(number, view))
+        points.append(turned(world[cloth] - [*found.centre, 0.0], -turn))
+        before += cloth.sum()
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def _between(number: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Triangles (F, 3) between neighbouring pixels: ``number`` (H, W) of each, -1 for none."""
+    corners = [np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:]]
+    found = []
+    for trio in ((0, 1, 2), (0, 2, 3)):
+        numbers = np.stack([number[corners[k]] for k in trio], axis=-1)
+        depths = np.stack([depth[corners[k]] for k in trio], axis=-1)
+        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < MAX_JUMP)])
+    return np.concatenate(found)
+
+
+def _add(
+    scene: trimesh.Scene, name: str, points: np.ndarray, faces: np.ndarray, *, flat: bool = False
+) -> None:
+    """Add a surface (V, 3), (F, 3), z up, to a scene; ``flat``: without smooth normals."""
+    mesh = trimesh.Trimesh(points @ _UP, faces, process=False)
+    if flat:
+        mesh.unmerge_vertices()
+    else:
+        mesh.vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
+    mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(
+        name=name, baseColorFactor=(*_COLOURS[name], 255), metallicFactor=0.0, roughnessFactor=0.9,
+        doubleSided=True))
+    scene.add_geometry(mesh, node_name=name, geom_name=name)

@@ -1,0 +1,1 @@
+"""The estimate of a fabric, and the files that hold it."""

@@ -1,0 +1,1 @@
+"""The views of a capture: camera pose, turns, radial map, checks."""

@@ -1,0 +1,198 @@
+"""Plausibility checks of captures.
+
+A wrong intrinsic, a wrong depth unit or a wrong mask changes moduli by 20 to 40 % and still gives
+a plausible drape. The checks use that cloth does not stretch, the plate is flat, and all views show
+the same cloth. Few correct simulated captures exceed the limits (``python -m experiments faults``).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_erosion, binary_fill_holes, label
+
+from common.errors import InputError
+from data.render.cameras import Camera
+from drapenet.views.pose import INNER_SHARE
+from drapenet.views.radial_map import DrapeMap, disagreement
+from drapenet.views.specimen_offset import specimen_placement
+from sim.scene import Rig
+
+_PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
+_CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
+MAX_LOG_SCALE = 0.05  # of the logarithm of the scale
+REFUSED_LOG_SCALE = 0.15  # of the same; beyond, the views are refused
+MAX_OFFSET = 11.5e-3  # m
+MAX_BULGE = 0.35e-3  # m
+MAX_OFF_PLATE = 0.1  # of the points over the plate's middle; images rotated by 90° have 0.2
+MAX_DISAGREEMENT = 3.5e-3  # m
+MAX_HOLES_SHARE = 0.05
+MAX_HOLE_PIXELS = 150  # pixels
+MAX_CUT_SHARE = 0.25
+MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
+MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
+RAYS = "depth is the length of the ray; give depth along the optical axis"
+MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Quality measures of a capture; NaN if too little is visible.
+
+    Attributes:
+        log_scale, offset: logarithm of the drape's size over the possible one, and distance of the
+            specimen's centre from the plate's axis, m (:mod:`drapenet.views.specimen_offset`).
+        bulge: m, height of the middle of the cloth on the plate over its edge.
+        off_plate: share of the points over the plate's middle that are off its plane.
+        disagreement: m, between views of the same cloth.
+        misread: explanation of a disagreement with its remedy; empty if there is none.
+        holes: share of the cloth's pixels that have no depth; hole: pixels of the largest.
+        cut: share of a view's border that has the same depth, maximum over views.
+        pixel: m, size of a pixel on the plate.
+    """
+
+    log_scale: float
+    offset: float
+    bulge: float
+    off_plate: float
+    disagreement: float
+    misread: str
+    holes: float
+    hole: int
+    cut: float
+    pixel: float
+
+
+def measure(
+    views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, *, turns: np.ndarray
+) -> Quality:
+    """Measure the quality of a capture.
+
+    Args:
+        views: (K, H, W) z-depth, m, background 0.
+        camera: with its pose estimated from the plate.
+        found: the views' map.
+        turns: (K,) rad, nominal turns of the table.
+    """
+    clouds = [camera.cloth_points(view) for view in views]
+    gap = disagreement(clouds, turns, rig)
+    missing = [binary_fill_holes(view) & ~view for view in views > 0]
+    log_scale, offset = specimen_placement(found, rig) if len(views) > 1 else (np.nan, np.nan)
+    bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
+    return Quality(
+        log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
+        misread=_misread(views, camera, clouds, turns, rig, gap),
+        holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
+        hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
+        cut=max(_cut(view) for view in views),
+        pixel=float(np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx))
+
+
+def _misread(
+    views: np.ndarray, camera: Camera, clouds: list[np.ndarray], turns: np.ndarray, rig: Rig,
+    gap: float,
+) -> str:
+    """The alternative reading of the views that reduces their disagreement most; empty if none
+    reduces it by :data:`MIN_IMPROVEMENT`.
+    """
+    if not np.isfinite(gap):
+        return ""
+    readings = {"the table turned the other way, or the pictures are mirrored; give turns_deg, "
+                "number the views backwards, or switch off the mirroring": -turns}
+    count = len(views)
+    for later in range(1, count):
+        stayed = turns.copy()
+        stayed[later] = turns[later - 1]
+        readings[f"the table did not turn before view {later}; take it again"] = stayed
+        for earlier in range(later):
+            if count <= MAX_SWAPPED_VIEWS or later == earlier + 1:
+                swapped = turns.copy()
+                swapped[[earlier, later]] = turns[[later, earlier]]
+                readings[f"views {earlier} and {later} are swapped; number them as they were taken"
+                         ] = swapped - swapped[0]
+    distinct: dict[str, np.ndarray] = {}
+    for name, other in readings.items():  # four quarter turns backwards are views 1 and 3 swapped
+        if not any(np.allclose(np.exp(1j * other), np.exp(1j * known))
+                   for known in distinct.values()):
+            distinct[name] = other
+    gaps = {name: disagreement(clouds, other, rig) for name, other in distinct.items()}
+    along = views / np.linalg.norm(camera.directions(), axis=2)
+    gaps[RAYS] = disagreement([camera.cloth_points(view) for view in along], turns, rig)
+    name = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
+    return name if gap > MIN_IMPROVEMENT * gaps[name] else ""
+
+
+def quality_doubts(quality: Quality) -> list[str]:
+    """One line for each exceeded limit: quantity, limit, remedy."""
+    q, doubts = quality, []
+    if abs(q.log_scale) > MAX_LOG_SCALE:
+        doubts.append(f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can "
+                      f"be (sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and "
+                      "scale, fx and fy, the specimen's size and the cut-out")
+    if q.offset > MAX_OFFSET:
+        doubts.append(f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis "
+                      f"(at most {1e3 * MAX_OFFSET:g} mm): place it on the plate again")
+    if abs(q.bulge) > MAX_BULGE:
+        doubts.append(f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
+                      f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the "
+                      "length of the ray; check the lens's distortion")
+    if q.misread:
+        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
+                      f"cloth, but fit better by a factor of more than {MIN_IMPROVEMENT:g} if "
+                      f"{q.misread}")
+    elif q.disagreement > MAX_DISAGREEMENT:
+        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
+                      f"cloth (sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check "
+                      "turns_deg, fx and fy, and that the cloth did not move")
+    if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS:
+        doubts.append(f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole "
+                      f"(sound captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): "
+                      "change exposure, light or distance")
+    if q.cut > MAX_CUT_SHARE:
+        doubts.append(f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: "
+                      f"up to {MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the "
+                      "cloth; cut it out by geometry or colour")
+    if q.pixel > MAX_PIXEL:
+        doubts.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
+                      f"{1e3 * MAX_PIXEL:g} mm): move the camera nearer")
+    return doubts
+
+
+def require_plate(quality: Quality) -> None:
+    """Raise InputError if the views cannot show cloth on a plate."""
+    if abs(quality.log_scale) > REFUSED_LOG_SCALE:
+        raise InputError(
+            f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "
+            f"(limit {REFUSED_LOG_SCALE:.0%}, and cloth does not stretch); check depth unit and "
+            "scale, fx and fy, the tester, and that the pictures are upright")
+    if quality.off_plate > MAX_OFF_PLATE:
+        raise InputError(
+            f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
+            f"{1e3 * _PLATE_TOLERANCE:g} mm off its plane (limit {MAX_OFF_PLATE:.0%}), so what was "
+            "found is not a drape on a plate; check that the pictures are upright, neither turned "
+            "nor mirrored, that all show the cloth, and the tester; python -m data.captures.preview shows "
+            "what was cut out")
+
+
+def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
+    """Bulge of the cloth on the plate, m, from edge to middle of a fitted paraboloid, and the share
+    of points (N, 3), m, over the plate that are off its plane.
+    """
+    reach = INNER_SHARE * rig.plate_radius
+    over = points[np.hypot(points[:, 0], points[:, 1]) < reach]
+    flat = np.abs(over[:, 2]) < _PLATE_TOLERANCE
+    x, y, z = over[flat].T
+    if len(z) < 30:
+        return np.nan, 1.0
+    design = np.column_stack([np.ones(len(z)), x, y, (x**2 + y**2) / reach**2])
+    return -float(np.linalg.lstsq(design, z, rcond=None)[0][3]), 1.0 - float(flat.mean())
+
+
+def _cut(view: np.ndarray) -> float:
+    """Maximum share of a view's border whose depths are within :data:`_CUT_TOLERANCE`."""
+    cloth = binary_fill_holes(view > 0)
+    border = cloth & ~binary_erosion(cloth) & (view > 0)
+    depths = np.sort(view[border])
+    if len(depths) < 20:
+        return np.nan
+    last = np.searchsorted(depths, depths + _CUT_TOLERANCE, side="right") - np.arange(len(depths))
+    return float(last.max() / len(depths))

@@ -1,0 +1,163 @@
+"""Accuracy of the cloth mask, the plate and the turns found in uncropped scenes.
+
+Drapes of fabrics from the prior are rendered in synthetic scenes (:mod:`data.render.scenes`) with table,
+column, wall and clutter of three densities, with three sensors per camera pose. The turns of the
+table deviate from 90 degrees by up to 5 degrees. Targets: :data:`TARGETS`. The shift of log alpha
+compares raw frames with a perfect cut-out, in posterior standard deviations. A perfect cut-out has
+the true mask without the pixels in which a time-of-flight sensor mixes cloth and background; the
+"true mask" includes these pixels.
+
+Depth errors of the sensor shift and tilt the measured plate. Therefore errors of the centre are
+given across the line of sight, and along it after subtraction of the mean depth error; the tilt is
+also compared with that of the plane through the pixels that show the plate.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from data.captures.capture import Capture
+from data.captures.cutout import CutOut, cut_out
+from data.render.renderer import QUARTERS
+from data.render.scenes import CLUTTER, RawScene, raw_scene
+from drapenet.convention import LINEAR
+from drapenet.network.checkpoint import bundled, read_header
+from drapenet.views.pose import locate_camera
+from drapenet.views.radial_map import drape_map
+from experiments.common import ESTIMATOR_SOURCES, Config, Result, run_cases, table
+from experiments.known import known_drape
+from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
+
+SENSORS = ("smooth", "paper", "tof")
+MIN_BLENDED_ERROR = 8e-3  # m, smallest depth error of a pixel that mixes cloth and background
+MAX_TURN_ERROR = 5.0  # degrees, largest deviation of a turn
+TARGETS = {"iou": (0.985, 0.96), "across_mm": 1.5, "tilt_deg": 0.3, "turn_deg": 0.7, "shift": 1 / 3}
+
+
+def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, seed: int,
+         estimated: bool) -> dict:
+    """Errors of one capture; ``failed`` has the message if no cloth was found."""
+    tester = Rig.from_name(rig)
+    _, shape = known_drape(number, rig=tester, nuisances="none", edge_mm=edge_mm, seed=seed)
+    rng = np.random.default_rng([seed, number, SENSORS.index(sensor)])
+    errors = rng.uniform(-MAX_TURN_ERROR, MAX_TURN_ERROR, len(QUARTERS))
+    turns = np.array(QUARTERS) + np.radians(errors)
+    turns -= turns[0]
+    scene = raw_scene(shape.positions, shape.faces, rng, rig=tester, turns=turns, sensor=sensor,
+                      clutter=clutter)
+    intrinsics = scene.camera.intrinsics
+    try:
+        cut = cut_out(scene.frames, intrinsics, tester)
+    except InputError as error:
+        return {"failed": str(error)}
+    empty = cut_out(scene.frames, intrinsics, tester, scene.background)
+    found = {"failed": "", "iou": overlap(cut.masks, scene.cloth),
+             "iou_background": overlap(empty.masks, scene.cloth), "doubts": list(cut.doubts),
+             "column_mm": 1e3 * scene.column,
+             "column_found_mm": 1e3 * cut.column if cut.column else None,
+             **plate_errors(cut, scene, tester)}
+    perfect = np.where(scene.cloth & ~blended(scene, sensor), scene.frames, np.float32(0.0))
+    for name, views in (("turn_deg", cut.views), ("turn_perfect_deg", perfect)):
+        camera = locate_camera(views, intrinsics, tester)
+        measured = drape_map(views, camera, tester, turns=np.array(QUARTERS)).turns
+        found[name] = float(np.degrees(np.abs(measured - turns)).max())
+    if estimated:
+        found["shift"] = posterior_shifts(cut.views, perfect, scene, tester)
+        masked = np.where(scene.cloth, scene.frames, np.float32(0.0))
+        found["shift_true_mask"] = posterior_shifts(masked, perfect, scene, tester)
+    return found
+
+
+def blended(scene: RawScene, sensor: str) -> np.ndarray:
+    """Mask (K, H, W) of pixels at the edge of the cloth whose depth mixes cloth and background."""
+    error = scene.frames - scene.clean
+    seen = scene.cloth & (scene.frames > 0)
+    return seen & (np.abs(error - np.median(error[seen])) > MIN_BLENDED_ERROR) & (sensor == "tof")
+
+
+def overlap(masks: np.ndarray, truth: np.ndarray) -> list[float]:
+    """Intersection over union of masks (K, H, W) and true masks, for each frame."""
+    both, either = (part.sum(axis=(1, 2)) for part in (masks & truth, masks | truth))
+    return (both / either).tolist()
+
+
+def plate_errors(cut: CutOut, scene: RawScene, rig: Rig) -> dict:
+    """Errors of the plate's centre, mm, and normal, degrees."""
+    pose, points = scene.camera.world_to_camera, scene.camera.back_project(scene.frames)
+    centre, up = pose[:3, 3], pose[:3, 2]
+    sight = centre / np.linalg.norm(centre)
+    error = cut.plate.centre - centre
+    along = float(error @ sight)
+    # Pixels that show the flat plate according to the noise-free depth.
+    true = (scene.camera.back_project(scene.clean) - centre) @ pose[:3, :3]
+    top = scene.cloth & (scene.clean > 0) & (scene.frames > 0) & (
+        np.hypot(true[..., 0], true[..., 1]) < 0.75 * rig.plate_radius) & (true[..., 2] > -2e-3)
+    bias = float(np.median((scene.frames - scene.clean)[top]) / sight[2])
+    shown = points[top][np.abs((scene.frames - scene.clean)[top] - bias) < 0.01]
+    measured = np.linalg.eigh(np.cov(shown.T))[1][:, 0]
+    return {"across_mm": 1e3 * float(np.linalg.norm(error - along * sight)),
+            "along_mm": 1e3 * (along - bias), "bias_mm": 1e3 * bias,
+            "tilt_deg": angle(cut.plate.normal, up), "tilt_sensor_deg": angle(measured, up),
+            "tilt_from_shown_deg": angle(cut.plate.normal, measured)}
+
+
+def angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Angle, degrees, between two unit vectors (3,), ignoring their signs."""
+    return float(np.degrees(np.arccos(min(1.0, abs(float(one @ other))))))
+
+
+def posterior_shifts(
+    views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: Rig
+) -> list[float]:
+    """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
+    from drapenet.inference import infer_capture
+
+    header, samples = read_header(bundled(rig)), []
+    for one in (views, perfect):
+        capture = Capture(one, scene.camera.intrinsics, np.array(QUARTERS), REFERENCE_DENSITY,
+                          None, rig, Path(), ())
+        samples.append(infer_capture(capture, header).estimate.samples[:, LINEAR])
+    found, ideal = samples
+    return (np.abs(found.mean(axis=0) - ideal.mean(axis=0)) / ideal.std(axis=0)).tolist()
+
+
+def run(config: Config) -> Result:
+    """Evaluate all captures; print a table by sensor and clutter."""
+    settings = {key: config[key] for key in ("rig", "edge_mm", "seed")}
+    densities = list(CLUTTER)
+    cases = {f"{sensor}_{k}": {
+        "number": k, "sensor": sensor, "clutter": densities[(k + shift) % len(densities)],
+        "estimated": k < config["estimated"], **settings}
+        for shift, sensor in enumerate(SENSORS) for k in range(config["poses"])}
+    results = run_cases(case, cases, folder=Path(config["cases"]) / config["rig"],
+                        workers=config["workers"], sources=ESTIMATOR_SOURCES)
+    groups = {"all": list(results)} | {
+        name: [key for key in results if cases[key][kind] == name]
+        for kind, names in (("sensor", SENSORS), ("clutter", densities)) for name in names}
+    summary = {name: summarise([results[key] for key in keys]) for name, keys in groups.items()
+               if keys}
+    print(table(["", "captures", "failed", "IoU median", "worst", "with background: worst",
+                 "across, mm", "worst", "tilt, °", "worst", "from shown: worst", "turn, °", "worst",
+                 "log alpha, sd",
+                 "true mask"],
+                [[name, one["captures"], one["failed"], *one["iou"], one["iou_background"][1],
+                  *one["across_mm"], *one["tilt_deg"], one["tilt_from_shown_deg"][1],
+                  *one["turn_deg"], one["shift"][0], one["shift_true_mask"][0]]
+                 for name, one in summary.items()]))
+    return Result({"targets": TARGETS, "summary": summary, "cases": results})
+
+
+def summarise(results: list[dict]) -> dict:
+    """Median and worst case of each error over captures; 'n/a' without values."""
+    done = [one for one in results if not one["failed"]]
+    found = {"captures": len(results), "failed": len(results) - len(done)}
+    for name in ("iou", "iou_background", "across_mm", "along_mm", "tilt_deg", "tilt_sensor_deg",
+                 "tilt_from_shown_deg", "turn_deg", "turn_perfect_deg", "shift", "shift_true_mask"):
+        values = np.abs(np.concatenate([np.atleast_1d(one[name]) for one in done if name in one]
+                                       or [np.zeros(0)]))
+        worst = np.min if name.startswith("iou") else np.max
+        found[name] = [float(np.median(values)), float(worst(values))] if len(values) else [
+            "n/a", "n/a"]
+    return found

@@ -1,0 +1,161 @@
+"""Posterior bound: the smallest possible error of moduli estimated from four depth views.
+
+Bounds of the six moduli (:mod:`experiments.estimation.bound`) for fabrics from the prior ``vae``,
+each draped twice: with nuisances from configs/nuisances/real.yaml, and without any. The nominal
+camera takes four depth views of 240 × 180 pixels. In every row the rotation and offset of the
+specimen and the camera pose are unknown. A row is the root mean square, over fabrics and the three
+directions, of the smallest standard deviation of an estimate that uses the distributions of moduli
+and nuisances.
+
+Depths have a standard deviation of 1 mm, and one pixel in a hundred is an independent measurement.
+The local errors of ``sensor=smooth`` are 1.0 mm and correlated such that one pixel in twenty is
+independent; the remaining factor is a margin for errors common to all pixels of a view, which have
+no columns.
+"""
+
+import numpy as np
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from common.command import compose_config
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import SamplingConfig, Stream, plan_drape, stream
+from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
+from data.fabrics.nuisances import NAMES, Nuisances
+from data.fabrics.prior import load_prior
+from data.render.cameras import CameraRig
+from data.render.setups import Setups
+from experiments.common import Config, Result, label_log_axes, table
+from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
+from sim.drape import drape
+from sim.scene import Rig
+
+MM = 1e3
+MODULI = {"log_alpha": slice(0, 3), "beta_over_alpha": slice(3, 6)}
+NO_NUISANCES = "no nuisances"
+ALL_KNOWN, ALL_UNKNOWN = "all nuisances known", "all nuisances unknown"
+PLOTTED = (NO_NUISANCES, ALL_KNOWN, ALL_UNKNOWN)
+MEASURABLE = ("membrane", "hysteresis")
+"""Nuisances that laboratories measure by KES."""
+
+
+def sampling_config(seed: int) -> SamplingConfig:
+    """Sampling of fabrics and specimens as in a dataset, without extra soft fabrics."""
+    words = ["dataset=specimens", "dataset.soft_share=0", "nuisances=real", f"seed={seed}"]
+    return config_from_options(compose_config("generate", words, schema=Options)).sampling
+
+
+def unknowns(config: SamplingConfig) -> dict[str, dict[str, float]]:
+    """Unknown parameters of each row for drapes with nuisances, with their standard deviations."""
+    pose = dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf)
+    pose |= dict.fromkeys(SPECIMEN[1:], config.drift)
+    spread, setup = config.nuisances.deviations, Setups.load()
+    table_and_focal = dict(zip(SETUP, (*[setup.turn] * 3, setup.focal), strict=True))
+    rest = {name: spread[name] for name in NAMES if name not in MEASURABLE}
+    return {
+        ALL_KNOWN: pose,
+        **{name: pose | {name: spread[name]} for name in NAMES},
+        f"all but {' and '.join(MEASURABLE)}": pose | rest,
+        ALL_UNKNOWN: pose | spread,
+        f"{ALL_UNKNOWN}, turntable and focal length too": pose | spread | table_and_focal,
+    }
+
+
+def bounds_of_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pixels: float) -> dict:
+    """Bounds (6,) of fabric ``index`` by row; None if a drape has no derivatives."""
+    config, prior = sampling_config(seed), load_prior("gaussian").covariance
+    plan = plan_drape(index, config=config, prior=load_prior("vae"))
+    fabric, rows = fabric_from_theta(plan.theta), unknowns(config)
+    turn = 2 * np.pi * float(stream(seed, Stream.VIEWS, index).random())
+    case = {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
+            "bounds": {}, "messages": []}
+    ideal = {NO_NUISANCES: rows[ALL_KNOWN]}
+    for nuisances, cases in ((Nuisances(), ideal), (plan.nuisances, rows)):
+        result = drape(fabric, rig=nuisances.rig(Rig()), edge=1e-3 * edge_mm, start=plan.start,
+                       seed=plan.seed, offset=tuple(plan.offset), laws=nuisances.laws)
+        found = depth_information(result, CameraRig.load().nominal(), nuisances=nuisances,
+                                  orientation=turn, noise=noise_mm / MM,
+                                  pixels_per_measurement=pixels)
+        if not found.ok:
+            case["messages"].append(found.message)
+        case["bounds"] |= {
+            name: bounds(found.posterior(prior, unknown)).tolist() if found.ok else None
+            for name, unknown in cases.items()}
+    return case
+
+
+def summarise(cases: list[dict], spread: np.ndarray) -> dict[str, dict[str, float]]:
+    """Root mean squares over fabrics and directions by row.
+
+    Args:
+        spread: (6,) standard deviations of theta over fabrics, the unit of "standardised" values.
+    """
+    def rms(values: np.ndarray) -> dict[str, float]:
+        return {name: float(np.sqrt((values[:, part] ** 2).mean()))
+                for name, part in MODULI.items()}
+
+    summary = {}
+    for row in cases[0]["bounds"]:
+        found = np.array([case["bounds"][row] for case in cases])
+        summary[row] = rms(found) | {
+            f"standardised_{name}": value for name, value in rms(found / spread).items()}
+    return summary
+
+
+def run(config: Config) -> Result:
+    """Compute the bounds; print the table."""
+    settings = {key: config[key] for key in ("seed", "edge_mm", "noise_mm", "pixels")}
+    cases = [bounds_of_fabric(k, **settings) for k in tqdm(range(config["fabrics"]), unit="fabric")]
+    spread = load_prior("gaussian").deviation
+    failed = [message for case in cases for message in case.pop("messages")]
+    complete = [case for case in cases if None not in case["bounds"].values()]
+    report = {
+        "parameters": THETA_NAMES,
+        "nuisances": NAMES,
+        "spread": spread.tolist(),
+        "without_derivatives": failed,
+        "rms": summarise(complete, spread) if complete else {},
+        "fabrics": [case | {"bounds": {row: case["bounds"][row] for row in PLOTTED}}
+                    for case in complete],
+    }
+    if failed:
+        print("without derivatives:", "; ".join(failed))
+    if not complete:
+        return Result(report)
+    print_table(report)
+    return Result(report, draw(report))
+
+
+def print_table(report: dict) -> None:
+    """Print the table and the two bounds that estimators are compared with."""
+    print(table(
+        ["unknown, with moduli and pose", "log alpha", "beta/alpha, mm",
+         "log alpha, of the spread", "beta/alpha, of the spread"],
+        [[name, row["log_alpha"], MM * row["beta_over_alpha"],
+          row["standardised_log_alpha"], row["standardised_beta_over_alpha"]]
+         for name, row in report["rms"].items()]))
+    for name in (NO_NUISANCES, ALL_UNKNOWN):
+        row = report["rms"][name]
+        print(f"posterior bound: log alpha {row['standardised_log_alpha']:.3f}, beta/alpha "
+              f"{row['standardised_beta_over_alpha']:.3f} of the spread over fabrics ({name})")
+
+
+def draw(report: dict) -> Figure:
+    """Plot the bounds of the fabrics in a report against their stiffness."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    theta = np.array([case["theta"] for case in report["fabrics"]])
+    stiffness = 1e6 * np.exp(theta[:, :3].mean(axis=1))
+    spread = np.array(report["spread"])
+    for axis, (name, part) in zip(figure.subplots(1, 2), MODULI.items(), strict=True):
+        for row, mark in zip(PLOTTED, "o^s", strict=True):
+            values = np.array([case["bounds"][row] for case in report["fabrics"]])[:, part]
+            axis.loglog(stiffness, np.sqrt(((values / spread[part]) ** 2).mean(axis=1)), mark,
+                        ms=3, label=row)
+        axis.axhline(1.0, color="0.5", lw=0.8, ls="--")
+        axis.set_ylim(0.02, 1.5)
+        label_log_axes(axis.xaxis, axis.yaxis)
+        axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
+        axis.set_title(f"bound of {'log α' if name == 'log_alpha' else 'β/α'}, "
+                       "of the spread over fabrics", fontsize=9)
+        axis.legend(fontsize=7, frameon=False)
+    return figure

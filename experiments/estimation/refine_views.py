@@ -1,0 +1,188 @@
+"""Refinement of captures of known fabrics.
+
+Fabrics from the prior are draped on a finer mesh than that of the refinement, captured, and
+estimated by the network and by the refinement; both posteriors are compared with the truth. With
+``variation=real`` specimens and captures have all nuisances. With ``none`` the specimen is ideal,
+and the sensor ``smooth`` takes four views at exact quarter turns, with true intrinsics, an exact
+cut-out and a random camera pose.
+"""
+
+import math
+import time
+from dataclasses import replace
+from itertools import compress
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from common.configs import read_option
+from data.captures.capture import Capture
+from data.fabrics.nuisances import NAMES
+from data.render.cameras import CameraRig
+from data.render.setups import Setups
+from drapenet.convention import LINEAR, RATIO, SWAPPED
+from drapenet.network.calibration import inside, ranks
+from drapenet.network.checkpoint import bundled, read_header
+from experiments.common import (
+    ESTIMATOR_SOURCES,
+    Config,
+    Result,
+    label_log_axes,
+    load_arrays,
+    run_cases,
+    table,
+)
+from experiments.comparison import same_folds
+from experiments.known import CLEAN, known_drape
+from sim.drape import drape
+from sim.material import MICRO, REFERENCE_DENSITY
+from sim.measures import fold_outline
+from sim.scene import Rig
+
+METHODS = ("network", "refined")
+
+
+def case(
+    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
+) -> dict:
+    """Estimate one capture with the network and with the refinement."""
+    from drapenet.inference import infer_capture
+    from drapenet.refine.refine import refined_capture
+    from drapenet.result.estimate import make_estimate
+
+    tester = Rig.from_name(rig)
+    plan, shape = known_drape(number, rig=tester, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
+    setups = Setups.load("real")
+    if nuisances == "none":
+        setups = replace(setups, **CLEAN)
+    seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
+                          nominal=CameraRig.load(tester))
+    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
+                      Path(), ())
+    header = read_header(bundled(tester))
+    known = {"membrane": 200.0} if nuisances == "none" else {}
+    inferred = infer_capture(capture, header, **known)
+    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
+    fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
+             if nuisances == "none" else {})
+    began = time.perf_counter()
+    settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
+    refined = refined_capture(estimate, capture, camera, turns=found.turns, seen=None, known=fixed,
+                              settings=settings)
+    seconds = time.perf_counter() - began
+    estimates = {"network": estimate}
+    if refined is not None and refined.draws is not None:
+        estimates["refined"] = make_estimate(refined.draws, capture=capture, header=header)
+    first = drape(estimate.fabric, rig=tester, seed=number)
+    outlines = [fold_outline(d.positions, d.rest, tester) for d in (shape, first)]
+    arrays = {}
+    for name in METHODS:  # without an improvement the refined estimate is that of the network
+        one = estimates.get(name, estimate)
+        # The first yarn direction of the estimate is the nearer of the true warp and weft.
+        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        arrays[name] = one.samples if along else one.samples[:, SWAPPED]
+    specimen = along_warp(refined.content["specimen"] if refined else {}, along)
+    return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
+            "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
+            "views": len(seen.views), "gained": "refined" in estimates,
+            "status": refined.found.status.value if refined else "none",
+            "spread": estimate.spread.tolist(), "arrays": arrays}
+
+
+def along_warp(specimen: dict, along: bool) -> dict:
+    """Entry ``specimen`` of ``estimate.json`` with warp and weft swapped unless ``along`` warp."""
+    other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
+    return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
+
+
+def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
+    """Root mean square errors and estimated deviations of the natural curvatures, by name.
+
+    In units of their spread over specimens.
+    """
+    from drapenet.refine.refine import specimen_spread
+
+    deviations = specimen_spread().deviations
+    found = {}
+    for name in ("curl_warp", "curl_weft"):
+        label = f"{name}_per_m"
+        rows = [(r["specimen"][label], r["nuisances"][NAMES.index(name)]) for r in results
+                if label in r["specimen"]]
+        if rows:
+            error = np.array([one["median"] - truth for one, truth in rows])
+            size = np.array([np.diff(one["interval_68"])[0] / 2 for one, _ in rows])
+            found[name] = {kind: float(np.sqrt(np.square(values).mean()) / deviations[name])
+                           for kind, values in (("error", error), ("estimated", size))}
+    return found
+
+
+def posterior_errors(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
+    """Errors of posterior means, and coverage of intervals.
+
+    Args:
+        truth: (N, 6) theta.
+        samples: posterior samples (S, 6) of each capture.
+    """
+    errors = np.stack([s.mean(axis=0) for s in samples]) - truth
+    places = np.concatenate([ranks(s[:, None], t[None])
+                             for s, t in zip(samples, truth, strict=True)])
+    return {
+        "log_alpha": float(np.sqrt(np.square(errors[:, LINEAR]).mean())),
+        "log_alpha_median": float(np.median(np.abs(errors[:, LINEAR]))),
+        "log_alpha_worst_fabric": float(np.abs(errors[:, LINEAR]).mean(axis=1).max()),
+        "beta_over_alpha_mm": 1e3 * float(np.sqrt(np.square(errors[:, RATIO]).mean())),
+        "inside": inside(places),
+        "fabrics": len(truth),
+    }
+
+
+def run(config: Config) -> Result:
+    """Refine all captures; print the table."""
+    folder = Path(config["cases"]) / config["variation"]
+    settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
+    settings["nuisances"] = config["variation"]
+    results = run_cases(case, {f"views_{k}": {"number": k, **settings}
+                               for k in range(config["fabrics"])},
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
+    truth = np.array([r["theta"] for r in results.values()])
+    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in METHODS}
+    other = np.array([r["other_folds"] for r in results.values()])
+    groups = {"all": np.ones(len(truth), bool), "other folds": other}
+    summary = {
+        group: {way: posterior_errors(truth[rows], list(compress(samples[way], rows)))
+                for way in METHODS}
+        for group, rows in groups.items() if rows.any()}
+    seconds = np.array([r["seconds"] for r in results.values()])
+    specimen = nuisance_errors(list(results.values()))
+    print(table(
+        ["", "fabrics", "log alpha", "median", "worst fabric", "beta/alpha, mm", "inside 50 %",
+         "68 %", "90 %"],
+        [[f"{group}, {way}", f["fabrics"], f["log_alpha"], f["log_alpha_median"],
+          f["log_alpha_worst_fabric"], f["beta_over_alpha_mm"], *f["inside"].values()]
+         for group, ways in summary.items() for way, f in ways.items()]))
+    print(f"median {np.median(seconds):.1f} s, 90th percentile {np.quantile(seconds, 0.9):.1f} s; "
+          f"{sum(not r['gained'] for r in results.values())} refinements without improvement")
+    for name, f in specimen.items():
+        print(f"{name}: error {f['error']:.2f} of its spread, estimated {f['estimated']:.2f}")
+    return Result({"summary": summary, "specimen": specimen,
+                   "seconds": {"median": float(np.median(seconds)),
+                               "largest": float(seconds.max())}, "cases": results},
+                  draw(truth, samples))
+
+
+def draw(truth: np.ndarray, samples: dict[str, list[np.ndarray]]) -> Figure:
+    """Plot estimated against true alpha."""
+    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
+    axis = figure.subplots()
+    for name, colour in zip(METHODS, ("0.6", "C1"), strict=True):
+        found = np.exp([s[:, LINEAR].mean(axis=0) for s in samples[name]]) / MICRO
+        for k, marker in enumerate("os^"):
+            axis.plot(np.exp(truth[:, k]) / MICRO, found[:, k], marker, color=colour, ms=4,
+                      label=f"{name}, {('warp', 'bias', 'weft')[k]}")
+    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="estimated [µN·m]")
+    label_log_axes(axis.xaxis, axis.yaxis)
+    ends = np.array(axis.get_xlim())
+    axis.plot(ends, ends, color="k", lw=0.8)
+    axis.legend(fontsize=7, frameon=False)
+    return figure

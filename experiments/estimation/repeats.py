@@ -1,0 +1,138 @@
+"""Joint estimates of several drapes of one fabric.
+
+Each fabric from the prior is draped several times, with another specimen, start and capture each
+time. The captures are estimated one by one, and the first 1, 2, ... of a fabric jointly
+(:mod:`drapenet.result.joint`). The errors of two captures of one fabric are correlated, because they
+share membrane, hysteresis and natural curvature; ``drapenet.result.joint.SHARED`` is this correlation.
+The bound (:mod:`experiments.estimation.bound`) is computed for the same drapes, also for the
+curvature.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from common.command import compose_config
+from data.captures.capture import Capture
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import plan_drape
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior
+from data.render.cameras import CameraRig
+from data.render.setups import Setups
+from drapenet.convention import LINEAR, SWAPPED, WARP_WEFT
+from drapenet.network.checkpoint import bundled, read_header
+from drapenet.result.estimate import Estimate
+from drapenet.result.joint import SHARED, joined
+from experiments.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases, table
+from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
+from experiments.estimation.refine_views import posterior_errors
+from sim.drape import drape
+from sim.material import REFERENCE_DENSITY
+from sim.scene import Rig
+
+COUNTS = (1, 2, 5)
+CURL_NUISANCES = ("curl_warp", "curl_weft")
+CLOTH_NUISANCES = ("membrane", "shear", "hysteresis", *CURL_NUISANCES)
+"""Nuisances of the fabric; the others are of the specimen."""
+
+
+def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, seed: int) -> dict:
+    """Estimate all drapes of one fabric; samples along the true warp, bias and weft."""
+    from drapenet.inference import estimate_capture
+    from experiments.estimation.bound import depth_information
+
+    words = ["nuisances=real", f"dataset.testers=[{rig}]", f"seed={seed}", "dataset.soft_share=0",
+             f"dataset.starts_per_fabric={drapes}"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    tester, setups = Rig.from_name(rig), Setups.load("real")
+    header, camera = read_header(bundled(tester)), CameraRig.load(tester)
+    arrays = {}
+    for index in range(number * drapes, (number + 1) * drapes):
+        plan = plan_drape(index, config=config.sampling, prior=config.prior)
+        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(tester),
+                      edge=1e-3 * truth_mm, start=plan.start, seed=plan.seed,
+                      offset=tuple(plan.offset), laws=plan.nuisances.laws)
+        if not shape.converged:
+            continue
+        seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, index]),
+                              nominal=camera)
+        capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
+                          Path(str(index)), ())
+        one = estimate_capture(capture, header, refine=refined, drapes=0).estimate
+        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        found = depth_information(shape, camera.nominal(), nuisances=plan.nuisances,
+                                  orientation=seen.orientation)
+        arrays[f"samples_{index}"] = one.samples if along else one.samples[:, SWAPPED]
+        arrays[f"fisher_{index}"] = found.fisher
+    return {"theta": plan.theta.tolist(), "spread": one.spread.tolist(), "names": found.names,
+            "arrays": arrays}
+
+
+def bound(names: list[str], fisher: list[np.ndarray]) -> np.ndarray:
+    """Smallest standard deviations (6 + S,) of theta and of :data:`CLOTH_NUISANCES`, the latter in
+    units of their spread; curvatures without their small part of the specimen."""
+    from drapenet.refine.refine import specimen_spread
+    from drapenet.refine.unknowns import DRIFT
+
+    setups, deviations = Setups.load("real"), specimen_spread().deviations
+    known = dict.fromkeys((SPECIMEN[0], *CAMERA), math.inf) | deviations
+    known |= dict.fromkeys(SPECIMEN[1:], DRIFT)
+    known |= dict(zip(SETUP, (*[setups.turn] * 3, setups.focal), strict=True))
+    found = joint_covariance(
+        [Information(tuple(names), one, 0, True, "") for one in fisher],
+        np.linalg.inv(load_prior("gaussian").covariance),
+        separate={name: value for name, value in known.items() if name not in CLOTH_NUISANCES},
+        shared={name: deviations[name] for name in CLOTH_NUISANCES})
+    return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in CLOTH_NUISANCES)]
+
+
+def correlation(errors: list[np.ndarray]) -> np.ndarray:
+    """Correlation (6,) of the errors of two captures of one fabric.
+
+    Args:
+        errors: (n, 6) of each fabric.
+    """
+    pairs = np.concatenate([np.einsum("ik,jk->ijk", one, one)[~np.eye(len(one), dtype=bool)]
+                            for one in errors])
+    return pairs.mean(axis=0) / np.square(np.concatenate(errors)).mean(axis=0)
+
+
+def run(config: Config) -> Result:
+    """Estimate all fabrics; print the table."""
+    settings = {key: config[key] for key in ("rig", "drapes", "refined", "truth_mm", "seed")}
+    folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
+    results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
+                               for k in range(config["fabrics"])},
+                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
+    truth = np.array([r["theta"] for r in results.values()])
+    arrays = [load_arrays(folder, name) for name in results]
+    samples, fisher = ([[own[k] for k in own if k.startswith(kind)] for own in arrays]
+                       for kind in ("samples", "fisher"))
+    errors = [np.stack([s.mean(axis=0) for s in own]) - theta
+              for own, theta in zip(samples, truth, strict=True)]
+    shared = correlation(errors)
+    summary = {}
+    for count in (n for n in COUNTS if n <= config["drapes"]):
+        chosen = [k for k, own in enumerate(samples) if len(own) >= count]
+        together = [joined([Estimate(s, WARP_WEFT, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
+                            for s in samples[k][:count]], [str(i) for i in range(count)]).samples
+                    if count > 1 else samples[k][0] for k in chosen]
+        summary[count] = posterior_errors(truth[chosen], together)
+        names = results[f"fabric_{chosen[0]}"]["names"]
+        least = [bound(names, fisher[k][:count]) for k in chosen]
+        least = np.sqrt(np.nanmean(np.square(least), axis=0))
+        summary[count] |= {
+            "bound": float(np.sqrt(np.square(least[LINEAR]).mean())),
+            "curl": float(least[-len(CURL_NUISANCES):].mean())}
+    print(table(
+        ["captures", "fabrics", "log alpha", "relative to one", "bound", "relative to one",
+         "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "curvature, bound"],
+        [[count, f["fabrics"], f["log_alpha"], f["log_alpha"] / summary[1]["log_alpha"],
+          f["bound"], f["bound"] / summary[1]["bound"], f["beta_over_alpha_mm"],
+          *f["inside"].values(), f["curl"]] for count, f in summary.items()]))
+    print("bound of the curvature in units of its spread; correlation of the errors of two "
+          f"captures of a fabric: log alpha {shared[LINEAR].mean():.2f}, beta/alpha "
+          f"{shared[3:].mean():.2f} (SHARED = {SHARED:g})")
+    return Result({"correlation": shared.tolist(), "summary": summary})

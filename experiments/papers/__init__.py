@@ -1,0 +1,1 @@
+"""Replications of published experiments: ``python -m experiments.papers NAME``; see docs/studies.md."""

@@ -1,0 +1,179 @@
+"""Effect of faults of the set-up on estimates, and their detection (002, section 7.3.2)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import ndimage
+
+from data.render.setups import SyntheticCapture
+from drapenet.convention import LINEAR
+from experiments.common import ESTIMATOR_SOURCES
+from experiments.papers.captured import (
+    capture_drape,
+    drape_specimen,
+    ideal_setups,
+    infer,
+    rms,
+    specimen,
+    spread,
+)
+from experiments.papers.study import Report, Study, run_fabrics
+
+Rng = np.random.Generator
+Fault = Callable[[SyntheticCapture, float, Rng], SyntheticCapture]
+
+
+def _scale_focal_length(found: SyntheticCapture, percent: float, rng: Rng) -> SyntheticCapture:
+    scale = 1 + percent / 100
+    return replace(found, intrinsics=replace(found.intrinsics, fx=found.intrinsics.fx * scale,
+                                             fy=found.intrinsics.fy * scale))
+
+
+def _quantise(found: SyntheticCapture, mm: float, rng: Rng) -> SyntheticCapture:
+    return replace(found, views=(np.rint(found.views / (1e-3 * mm)) * 1e-3 * mm).astype(np.float32))
+
+
+def _erode_mask(found: SyntheticCapture, pixels: float, rng: Rng) -> SyntheticCapture:
+    views = found.views.copy()
+    for view in views:
+        view[(view > 0) & ~ndimage.binary_erosion(view > 0, iterations=int(pixels))] = 0.0
+    return replace(found, views=views)
+
+
+def _add_holes(found: SyntheticCapture, percent: float, rng: Rng) -> SyntheticCapture:
+    lost = rng.random(found.views.shape) < percent / 100
+    return replace(found, views=np.where(lost, np.float32(0.0), found.views))
+
+
+SENSORS = ("smooth", "paper", "tof")
+SETUP_FAULTS: dict[str, tuple[str, tuple[float, ...], Callable[[float], dict[str, Any]]]] = {
+    "pitch": ("°", (20, 25, 50, 55, 60), lambda v: {"pitch": (np.radians(v),) * 2}),
+    "distance": ("m", (0.35, 0.4, 0.7, 0.8, 1.0), lambda v: {"distance": (v, v)}),
+    "turn": ("° (deviation)", (1, 2.5, 5, 10), lambda v: {"turn": np.radians(v)}),
+    "sensor": ("", (1, 2, 3), lambda v: {"sensors": {SENSORS[int(v) - 1]: 1.0}}),
+}
+"""Faults of set-ups by name: unit, values, and changes of the set-up for a value."""
+CAPTURE_FAULTS: dict[str, tuple[str, tuple[float, ...], Fault]] = {
+    "focal length": ("%", (-10, -5, -2, 2, 5, 10), _scale_focal_length),
+    "depth steps": ("mm", (1, 2, 4, 8), _quantise),
+    "mask too small": ("pixels", (1, 2, 4, 6), _erode_mask),
+    "holes": ("% of pixels", (5, 20, 50), _add_holes),
+}
+"""Faults added to a finished capture, by name: unit, values and function."""
+OFFSET_FAULT = ("off-centre", "mm", (2, 5, 10, 20))
+SIZE_FAULT = ("specimen too large", "mm", (-5, -2, 2, 5))
+
+
+def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
+    """Errors of log alpha and number of warnings for one fabric, by fault and value."""
+    from data.fabrics.nuisances import Nuisances
+
+    plan, edge = specimen(number, seed=seed), 1e-3 * edge_mm
+    shape = drape_specimen(plan, edge=edge)
+    truth = plan.theta[LINEAR]
+
+    def evaluate(found: SyntheticCapture) -> list[Any]:
+        estimate = infer(found)
+        error = (estimate.theta[LINEAR] - truth) / spread()[LINEAR]
+        return [error.tolist(), len(estimate.warnings)]
+
+    def captured(drape: Any, **changes: Any) -> SyntheticCapture:  # same noise and orientation
+        return capture_drape(drape, ideal_setups(**changes), np.random.default_rng([seed, number]))
+
+    plain = captured(shape)
+    result: dict[str, Any] = {"none": {"0": evaluate(plain)}}
+    for name, (_, values, entries) in SETUP_FAULTS.items():
+        result[name] = {str(v): evaluate(captured(shape, **entries(v))) for v in values}
+    rng = np.random.default_rng([seed, number, 1])
+    for name, (_, values, change) in CAPTURE_FAULTS.items():
+        result[name] = {str(v): evaluate(change(plain, v, rng)) for v in values}
+    name, _, values = OFFSET_FAULT
+    drapes = {v: drape_specimen(plan, edge=edge, offset=(1e-3 * v, 0.0)) for v in values}
+    result[name] = {str(v): evaluate(captured(drape)) for v, drape in drapes.items()}
+    name, _, values = SIZE_FAULT
+    drapes = {v: drape_specimen(plan, edge=edge, nuisances=Nuisances(size=1e-3 * v))
+              for v in values}
+    result[name] = {str(v): evaluate(captured(drape)) for v, drape in drapes.items()}
+    return result
+
+
+def run(config: dict[str, Any]) -> Report:
+    """Run all fabrics."""
+    found = run_fabrics(case, config, sources=ESTIMATOR_SOURCES)
+    first = next(iter(found.values()))
+    return {"faults": {name: {value: {
+        "error": rms(np.array([one[name][value][0] for one in found.values()])),
+        "bias": float(np.mean([one[name][value][0] for one in found.values()])),
+        "doubted": float(np.mean([one[name][value][1] > 0 for one in found.values()]))}
+        for value in values} for name, values in first.items()}}
+
+
+def _unit(name: str) -> str:
+    units = {**{key: unit for key, (unit, _, _) in (SETUP_FAULTS | CAPTURE_FAULTS).items()},
+             OFFSET_FAULT[0]: OFFSET_FAULT[1], SIZE_FAULT[0]: SIZE_FAULT[1]}
+    return units.get(name, "")
+
+
+def summarise(report: Report) -> str:
+    """Summary in sentences."""
+    plain = report["faults"]["none"]["0"]["error"]
+    large = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
+             for value, one in values.items() if one["error"] > 1.5 * plain]
+    missed = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
+              for value, one in values.items()
+              if one["error"] > 1.5 * plain and one["doubted"] < 0.5]
+    noted = (f"the checks report fewer than half of the captures with {', '.join(missed)}"
+             if missed else "the checks report each of them in at least half of the captures")
+    return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
+            f"half: {', '.join(large) or 'none'}; {noted}. An error of the density changes all "
+            "moduli in proportion.")
+
+
+def rows(report: Report) -> tuple[list[str], list[list[object]]]:
+    """Table of errors by fault and value."""
+    def shown(name: str, value: str) -> str:
+        return SENSORS[int(value) - 1] if name == "sensor" else f"{value} {_unit(name)}".strip()
+
+    return (["fault", "value", "error of log α", "bias", "with a warning"],
+            [[name, shown(name, value), f"{one['error']:.3f}", f"{one['bias']:+.3f}",
+              f"{one['doubted']:.0%}"]
+             for name, values in report["faults"].items() for value, one in values.items()])
+
+
+def draw(report: Report) -> Figure:
+    """Plot errors over values of faults; red: more than half of the captures have a warning."""
+    faults = {name: values for name, values in report["faults"].items() if name != "none"}
+    plain = report["faults"]["none"]["0"]["error"]
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    panels = figure.subplots(2, -(-len(faults) // 2), sharey=True).ravel()
+    for axes, (name, values) in zip(panels, faults.items(), strict=False):
+        x = [float(value) for value in values]
+        y = [one["error"] for one in values.values()]
+        axes.axhline(plain, color="0.7", lw=1)
+        axes.plot(x, y, "-", color="#2f6da8")
+        for place, value, one in zip(x, y, values.values(), strict=True):
+            axes.plot(place, value, "o", color="#2f6da8",
+                      mfc="#b5403a" if one["doubted"] > 0.5 else "white")
+        axes.set(title=name, xlabel=_unit(name))
+        if name == "sensor":
+            axes.set_xticks(x, SENSORS)
+    for axes in panels[len(faults):]:
+        axes.axis("off")
+    panels[0].set_ylim(0, None)
+    figure.supylabel("error of log α [spread over fabrics]", fontsize=10)
+    figure.suptitle("red: more than half of the captures get a warning", fontsize=9)
+    return figure
+
+
+STUDY = Study(
+    "robustness", "Robustness", "002, section 7.3.2",
+    "How does each fault of a set-up affect estimates, and do the checks detect it?",
+    run, summarise, rows, draw,
+    "reports reliable estimates in every orientation, without figures for other faults.",
+    "Faults are tested one at a time with four views. The bias without faults arises because the "
+    "network was trained with a friction torque, which these specimens do not have and which it "
+    "did not know in these runs. It was trained on pitches of 25° to 50° and distances of 0.4 m to "
+    "0.7 m.")

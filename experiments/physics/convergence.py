@@ -1,0 +1,142 @@
+"""Share of drapes that converge, their self-intersections and penetration of the cylinder.
+
+Fabrics from the bundled prior, including its soft tail, each from a sine and from a fold start.
+Fabrics, starts, seeds and offsets are planned as for a dataset (:mod:`data.dataset.plan`).
+"""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from data.dataset.plan import SamplingConfig, plan_drape
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior
+from experiments.common import Config, Result, label_log_axes, run_cases, table
+from sim.drape import drape
+from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
+
+MAX_RESIDUAL = 1e-3  # relative to the weight of a vertex
+MAX_STEP = 0.02  # mm
+MAX_PENETRATION = 0.2  # mm, penetration of the cylinder
+MIN_SHARE = 0.99  # of the drapes
+
+STARTS = SamplingConfig().starts
+
+
+def one_drape(index: int, seed: int, edge_mm: float) -> dict:
+    """Simulate drape ``index`` of the plan."""
+    plan = plan_drape(index, config=SamplingConfig(seed=seed), prior=load_prior("gaussian"))
+    fabric = fabric_from_theta(plan.theta)
+    result = drape(fabric, edge=1e-3 * edge_mm or None, start=plan.start, seed=plan.seed,
+                   offset=tuple(plan.offset))
+    return {
+        "fabric": plan.fabric,
+        "start": plan.start,
+        "alpha_uN_m": (1e6 * fabric.alpha).tolist(),
+        "beta_over_alpha_mm": (1e3 * plan.theta[3:]).tolist(),
+        "status": result.status.value,
+        "message": result.message,
+        "residual": _finite(result.residual),
+        "step_mm": _finite(result.step),
+        "positive_definite": bool(result.positive_definite),
+        "self_intersections": result.self_intersections,
+        "entry_mm": _finite(1e3 * max_penetration(result.positions, result.faces, result.rig)),
+        "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
+        "folds": fold_count(result.positions, result.rest, result.rig),
+        "largest_stretch": maximum_stretch(
+            result.positions, result.rest, result.faces, result.held
+        ),
+        "iterations": result.iterations,
+        "seconds": round(result.seconds, 2),
+    }
+
+
+def _finite(value: float) -> float | None:
+    """``value`` for JSON; None if it is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def reaches_criterion(run: dict) -> bool:
+    """Whether a drape meets the convergence criterion, independent of its status."""
+    return bool(
+        run["positive_definite"]
+        and run["residual"] is not None and run["residual"] < MAX_RESIDUAL
+        and run["step_mm"] is not None and run["step_mm"] < MAX_STEP
+    )
+
+
+def summarise(runs: list[dict]) -> dict:
+    """Shares and worst cases over the drapes ``runs``."""
+    reached = [run for run in runs if reaches_criterion(run)]
+    accepted = [run for run in runs if run["status"] == "converged"]
+    return {
+        "drapes": len(runs),
+        "reached_criterion": len(reached),
+        "share_reached": len(reached) / len(runs),
+        "accepted": len(accepted),
+        "statuses": dict(Counter(run["status"] for run in runs)),
+        "others": [
+            {key: run[key] for key in ("fabric", "start", "alpha_uN_m", "status", "message")}
+            for run in runs if not reaches_criterion(run)
+        ],
+        "accepted_that_intersect_themselves": sum(r["self_intersections"] > 0 for r in accepted),
+        "deepest_entry_of_accepted_mm": max((r["entry_mm"] for r in accepted), default=0.0),
+        "largest_stretch_of_accepted": max((r["largest_stretch"] for r in accepted), default=0.0),
+        "mean_seconds": float(np.mean([run["seconds"] for run in runs])),
+    }
+
+
+def run(config: Config) -> Result:
+    """Simulate all drapes; print the table."""
+    drapes = len(STARTS) * config["fabrics"]
+    cases = {
+        f"{config['seed']}_{config['edge_mm']:g}_{index:04d}": {
+            "index": index, "seed": config["seed"], "edge_mm": config["edge_mm"]
+        }
+        for index in range(drapes)
+    }
+    runs = list(run_cases(one_drape, cases, folder=Path(config["cases"]),
+                          workers=config["workers"]).values())
+    summary = summarise(runs)
+    by_start = {start: summarise([r for r in runs if r["start"] == start]) for start in STARTS}
+    print(table(
+        ["start", "drapes", "meet the criterion", "accepted", "intersect themselves",
+         "largest penetration, mm", "mean seconds"],
+        [[name, s["drapes"], f"{100 * s['share_reached']:.1f} %", s["accepted"],
+          s["accepted_that_intersect_themselves"], s["deepest_entry_of_accepted_mm"],
+          s["mean_seconds"]] for name, s in [*by_start.items(), ("all", summary)]],
+    ))
+    for other in summary["others"]:
+        alpha = ", ".join(f"{a:.3g}" for a in other["alpha_uN_m"])
+        print(f"fabric {other['fabric']} (alpha {alpha} µN·m), {other['start']}: "
+              f"{other['status']}, {other['message']}")
+    passed = (
+        summary["share_reached"] >= MIN_SHARE
+        and summary["accepted_that_intersect_themselves"] == 0
+        and summary["deepest_entry_of_accepted_mm"] <= MAX_PENETRATION
+    )
+    print("criteria met" if passed else "criteria not met")
+    return Result({
+        "criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP, "entry_mm": MAX_PENETRATION,
+                      "share": MIN_SHARE},
+        "passed": passed, "all": summary, "by_start": by_start, "drapes": runs,
+    }, draw(runs))
+
+
+def draw(runs: list[dict]) -> Figure:
+    """Plot final residual and Newton steps against the smallest modulus."""
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    axes = figure.subplots(1, 2)
+    for start, marker in zip(STARTS, "o^", strict=True):
+        chosen = [r for r in runs if r["start"] == start and r["residual"] is not None]
+        softest = [min(r["alpha_uN_m"]) for r in chosen]
+        for axis, key in zip(axes, ("residual", "iterations"), strict=True):
+            axis.loglog(softest, [r[key] for r in chosen], marker, ms=4, alpha=0.7, label=start)
+    axes[0].axhline(MAX_RESIDUAL, color="grey", lw=0.8)
+    label_log_axes(*(axis.xaxis for axis in axes), axes[1].yaxis)
+    axes[0].set(xlabel="smallest α, µN·m", ylabel="largest force / vertex weight")
+    axes[1].set(xlabel="smallest α, µN·m", ylabel="Newton steps, all meshes")
+    axes[1].legend(title="start", frameon=False)
+    return figure

@@ -1,0 +1,151 @@
+"""Displacement of drapes on the default mesh from drapes on a fine mesh, and their cost.
+
+The fabrics of :mod:`experiments.speed.speed` are draped on their default meshes. From each drape the
+equilibrium on a mesh with at least four times as many triangles is found, and from this the
+equilibria on all other meshes, including the default one. All have the same folds, so that their
+displacements are due to the meshes. The cost is that of a drape from a sine start.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.common import Config, Result, equilibrium_near, label_log_axes, run_cases, table
+from experiments.comparison import Draped, compare, same_folds
+from experiments.speed.speed import prior_fabrics
+from sim.drape import DrapeResult, drape
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
+from sim.measures import fold_outline
+from sim.mesh.specimens import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
+from sim.scene import DISC_RIG, Rig
+
+MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds
+MIN_TRIANGLE_RATIO = 4  # number of triangles of the fine mesh over that of the default mesh
+RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG)}
+
+
+def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
+    """Displacements of the drapes of one fabric on several meshes from that on a fine mesh."""
+    fabric = prior_fabrics(index + 1, seed)[index].at_density(REFERENCE_DENSITY)
+    tester = RIGS[rig]
+    drape(fabric, rig=tester, edge=0.01)  # compiles or loads the kernels of all meshes
+    default, default_cost = timed_drape(fabric, tester, None, index)
+    specimen = fine_specimen(tester, default, index % TOPOLOGIES)
+    found = equilibrium_near(default.rest, default.positions, specimen, tester, fabric,
+                             self_contact=True)
+    finest = Shape(specimen, found.state.positions)
+    rows = [difference(default, default.converged, finest, tester, "default, as draped",
+                       default_cost)]
+    for name, edge in (("default", default.edge), *((f"{mm:g}", 1e-3 * mm) for mm in edges_mm)):
+        coarse = make_specimen(tester, edge=edge, topology=index % TOPOLOGIES)
+        placed = equilibrium_near(finest.rest, finest.positions, coarse, tester, fabric,
+                                  self_contact=True)
+        cost = default_cost if name == "default" else timed_drape(fabric, tester, edge, index)[1]
+        rows.append(difference(Shape(coarse, placed.state.positions), placed.converged, finest,
+                               tester, name, cost))
+    return {"rig": rig, "alpha_uN_m": (fabric.alpha / MICRO).tolist(),
+            "edge_mm": 1e3 * default.edge, "triangles": len(default.faces),
+            "fine_triangles": len(finest.faces), "fine_converged": found.converged,
+            "meshes": rows}
+
+
+class Shape:
+    """A specimen at positions (V, 3), m, as :class:`experiments.comparison.Draped`."""
+
+    def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
+        self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions
+
+
+def timed_drape(
+    fabric: Fabric, rig: Rig, edge: float | None, seed: int
+) -> tuple[DrapeResult, float]:
+    """Simulate a drape from a sine start; return it and its CPU-seconds."""
+    began = time.process_time()
+    result = drape(fabric, rig=rig, edge=edge, seed=seed, start="sine")
+    return result, time.process_time() - began
+
+
+def fine_specimen(rig: Rig, default: DrapeResult, topology: int) -> Specimen:
+    """Specimen on a mesh with :data:`MIN_TRIANGLE_RATIO` times the triangles of ``default``.
+
+    Its edges are half as long at the rim; the grading is reduced until the number is reached.
+    """
+    edge = max(default.edge / 2, EDGE_RANGE[0])
+    for grading in np.linspace(GRADING, 1.0, 9):
+        specimen = make_specimen(rig, edge=edge, topology=topology, grading=float(grading))
+        if len(specimen.mesh.faces) >= MIN_TRIANGLE_RATIO * len(default.faces):
+            break
+    return specimen
+
+
+def difference(
+    coarse: Draped, converged: bool, fine: Draped, rig: Rig, mesh: str, cost: float
+) -> dict:
+    """Displacement, mm, and folds of a drape compared with the fine one."""
+    outlines = (fold_outline(shape.positions, shape.rest, rig) for shape in (coarse, fine))
+    return {"mesh": mesh, "apart_mm": 1e3 * compare(fine, coarse).displacement,
+            "same_folds": same_folds(*outlines), "cpu_seconds": round(cost, 3),
+            "converged": converged}
+
+
+def summarise(fabrics: list[dict]) -> list[dict]:
+    """One row per mesh: displacements over converged drapes with the same folds, mean costs."""
+    rows = []
+    for meshes in zip(*(fabric["meshes"] for fabric in fabrics), strict=True):
+        kept = [m["apart_mm"] for m in meshes if m["same_folds"] and m["converged"]]
+        costs = [m["cpu_seconds"] for m in meshes]
+        rows.append({
+            "mesh": meshes[0]["mesh"],
+            "drapes": len(meshes),
+            "same_folds": len(kept),
+            "mean_mm": float(np.mean(kept)) if kept else None,
+            "median_mm": float(np.median(kept)) if kept else None,
+            "largest_mm": max(kept, default=None),
+            "within_limit": sum(apart <= MAX_DISPLACEMENT for apart in kept),
+            "mean_cpu_seconds": float(np.mean(costs)),
+            "median_cpu_seconds": float(np.median(costs)),
+        })
+    return rows
+
+
+def plot(fabrics: dict[str, list[dict]]) -> Figure:
+    """Plot displacements from the fine drape against the smallest alpha, one colour per mesh."""
+    figure = Figure(figsize=(5.2 * len(fabrics), 4.0), layout="constrained")
+    axes = figure.subplots(1, len(fabrics), squeeze=False)[0]
+    for axis, (rig, results) in zip(axes, fabrics.items(), strict=True):
+        softest = [min(fabric["alpha_uN_m"]) for fabric in results]
+        meshes = zip(*(fabric["meshes"] for fabric in results), strict=True)
+        for number, rows in enumerate(meshes):
+            name = rows[0]["mesh"]
+            axis.scatter(softest, [m["apart_mm"] for m in rows], s=18, color=f"C{number}",
+                         label=name if name.startswith("default") else f"{name} mm at the rim")
+        axis.axhline(MAX_DISPLACEMENT, color="0.6", linewidth=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="smallest α, µN·m",
+                 ylabel="mean displacement from the fine drape, mm", title=rig)
+        label_log_axes(axis.xaxis, axis.yaxis)
+    axes[0].legend(frameon=False)
+    return figure
+
+
+def run(config: Config) -> Result:
+    """Simulate and compare all drapes; print the tables."""
+    settings = {k: config[k] for k in ("seed", "edges_mm")}
+    counts = dict(zip(RIGS, (config["drapes"], config["discs"]), strict=True))
+    cases = {f"{rig}_{i}": {"index": i, "rig": rig, **settings}
+             for rig, count in counts.items() for i in range(count)}
+    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"])
+    fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
+               for rig, count in counts.items() if count}
+    rows = {rig: summarise(results) for rig, results in fabrics.items()}
+    for rig, summaries in rows.items():
+        print(rig)
+        print(table(
+            ["edges at the rim, mm", "same folds", "mean displacement, mm", "median", "largest",
+             f"within {MAX_DISPLACEMENT:g} mm", "CPU-seconds per drape, mean", "median"],
+            [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
+              r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]]
+             for r in summaries]))
+    return Result({"limit_mm": MAX_DISPLACEMENT, "meshes": rows, "fabrics": list(found.values())},
+                  plot(fabrics))

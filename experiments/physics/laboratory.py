@@ -1,0 +1,165 @@
+"""Drape coefficients and nodes of real fabrics of known bending against simulated ones.
+
+A fabric has the loading curve B kappa + HB of its KES readings. Where 2HB was not measured, HB is
+assumed in proportion to B. Fabrics with measured stretch and shear are draped with the default
+membrane and with theirs. Nothing is fitted.
+"""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import spearmanr
+
+from common.errors import InputError
+from experiments.common import Config, Result, run_cases, table
+from sim.drape import drape
+from sim.energies.hysteresis import kes_fabric
+from sim.laws import Laws
+from sim.material import MICRO, REFERENCE_DENSITY
+from sim.measures import drape_coefficient, fold_count
+from sim.membranes import Membrane, OrthotropicStVK
+from sim.scene import Rig
+
+_POISSON = 0.3
+"""Poisson's ratio of the measured membranes, which KES does not give."""
+
+
+def read_fabrics(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file by column; lines that begin with # are comments."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give fabrics=FILE") from None
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+
+def bending(row: dict[str, str], *, hb_over_b: float, bias: float) -> tuple[list, list]:
+    """B (3), µN·m, and 2HB (3), mN·m/m, along warp, bias and weft."""
+    if mean := row["bending_mean_uNm"]:
+        b = [float(mean)] * 3
+    else:
+        warp, weft = float(row["bending_warp_uNm"]), float(row["bending_weft_uNm"])
+        b = [warp, bias * (warp + weft) / 2, weft]
+    measured = row["two_HB_mNm_per_m"]
+    two_hb = [float(measured)] * 3 if measured else [2e-3 * hb_over_b * one for one in b]
+    return b, two_hb
+
+
+def measured_membrane(row: dict[str, str]) -> dict[str, float] | None:
+    """Stretch along warp and weft and shear, N/m, of cloth of 300 g/m²; None if not measured."""
+    if not row["shear_g_s2"]:
+        return None
+    scale = 1e3 * REFERENCE_DENSITY / float(row["weight_g_m2"]) / 1e3
+    return {"warp": scale * float(row["stretch_warp_g_s2"]),
+            "weft": scale * float(row["stretch_weft_g_s2"]),
+            "shear": scale * float(row["shear_g_s2"])}
+
+
+def drape_case(
+    *, weight: float, b: list[float], two_hb: list[float], tester: str,
+    membrane: dict[str, float] | None, seeds: int
+) -> dict[str, Any]:
+    """Drape coefficients, %, and nodes of lowered drapes on the default mesh."""
+    fabric, law = kes_fabric(MICRO * np.array(b), 1e-3 * np.array(two_hb), 1e-3 * weight)
+    plane: Membrane = Laws().membrane
+    if membrane:
+        plane = OrthotropicStVK(poisson=_POISSON, **membrane)
+    rig, coefficients, nodes, failed = Rig.from_name(tester), [], [], 0
+    for seed in range(seeds):
+        shape = drape(fabric, rig=rig, seed=seed, laws=Laws(bending=law, membrane=plane))
+        if not shape.converged:
+            failed += 1
+            continue
+        coefficients.append(100 * drape_coefficient(shape.positions, shape.faces, rig))
+        nodes.append(fold_count(shape.positions, shape.rest, rig))
+    return {"coefficients": coefficients, "nodes": nodes, "failed": failed}
+
+
+def run(config: Config) -> Result:
+    """Drape all fabrics and compare with the laboratories."""
+    rows = {row["id"]: row for row in read_fabrics(Path(config["fabrics"]))}
+    cases = {}
+    for name, row in rows.items():
+        b, two_hb = bending(row, hb_over_b=config["hb_over_b"], bias=config["bias"])
+        known = measured_membrane(row)
+        for tester in config["testers"] if known is None else config["testers"][-1:]:
+            for membrane in (None, known) if known else (None,):
+                label = f"{name}_{tester}" + "_membrane" * bool(membrane)
+                cases[label] = {"weight": float(row["weight_g_m2"]), "b": b, "two_hb": two_hb,
+                                "tester": tester, "membrane": membrane, "seeds": config["seeds"]}
+    results = run_cases(drape_case, cases, folder=Path(config["cases"]),
+                        workers=config["workers"])
+    found = [_compared(rows[label.split("_")[0]], cases[label], result) | {"case": label}
+             for label, result in results.items()]
+    print(table(("fabric", "tester", "membrane", "DC measured, %", "simulated", "nodes measured",
+                 "simulated"),
+                [(one["fabric"], one["tester"], one["membrane"], one["measured"],
+                  one["coefficient"], one["nodes_measured"] or "", one["nodes"])
+                 for one in found]))
+    summary = {tester: _summary(found, tester, config["testers"][-1])
+               for tester in config["testers"]}
+    for tester, one in summary.items():
+        print(f"{tester}: drape coefficient off by {one['rms_hysteresis']:.1f} points rms "
+              f"({one['with_hysteresis']} fabrics with hysteresis), {one['rms']:.1f} (all "
+              f"{one['fabrics']}), rank correlation {one['rank']:.2f}, nodes off by "
+              f"{one['nodes']:.1f}")
+    best = summary[config["testers"][0]]
+    print(f"laboratory: drape coefficient off by {best['rms_hysteresis']:.1f} points rms "
+          f"({best['with_hysteresis']} fabrics with hysteresis), {best['rms']:.1f} (all "
+          f"{best['fabrics']}), nodes off by {best['nodes']:.1f}")
+    return Result({"fabrics": found, "summary": summary}, _figure(found, config["testers"][0]))
+
+
+def _compared(row: dict[str, str], case: dict, result: dict) -> dict[str, Any]:
+    nodes = row["nodes_real"]
+    return {"fabric": row["id"], "composition": row["composition"], "tester": case["tester"],
+            "membrane": "measured" if case["membrane"] else "default",
+            "hysteresis": "measured" if row["two_HB_mNm_per_m"] else "assumed",
+            "measured": float(row["dc_real_percent"]),
+            "coefficient": float(np.mean(result["coefficients"])),
+            "spread": float(np.std(result["coefficients"])),
+            "nodes_measured": float(nodes) if nodes else None,
+            "nodes": float(np.mean(result["nodes"])), "failed": result["failed"]}
+
+
+def _summary(found: list[dict], tester: str, known: str) -> dict[str, float]:
+    """Differences with ``tester`` for the fabrics whose tester is unknown; those of the others,
+    with the default membrane, are with ``known``."""
+    chosen = [one for one in found if one["membrane"] == "default" and one["tester"] == (
+        tester if one["hysteresis"] == "measured" else known)]
+    own = [one for one in chosen if one["hysteresis"] == "measured"]
+
+    def off(rows: list[dict]) -> float:
+        return float(np.sqrt(np.mean([(r["coefficient"] - r["measured"]) ** 2 for r in rows])))
+
+    return {"fabrics": len(chosen), "with_hysteresis": len(own), "rms_hysteresis": off(own),
+            "rms": off(chosen),
+            "rank": float(spearmanr([one["measured"] for one in chosen],
+                                    [one["coefficient"] for one in chosen]).statistic),
+            "nodes": float(np.sqrt(np.mean([(one["nodes"] - one["nodes_measured"]) ** 2
+                                            for one in own])))}
+
+
+def _figure(found: list[dict], tester: str) -> Figure:
+    """Simulated against measured drape coefficients."""
+    figure = Figure(figsize=(5, 5), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot([0, 100], [0, 100], color="0.7", lw=1)
+    for hysteresis, membrane, marker, label in (
+            ("measured", "default", "o", "2HB measured"),
+            ("assumed", "default", "s", "2HB assumed"),
+            ("assumed", "measured", "^", "2HB assumed, stretch and shear measured")):
+        rows = [one for one in found if (one["hysteresis"], one["membrane"]) == (
+            hysteresis, membrane) and (one["tester"] == tester or hysteresis == "assumed")]
+        axes.errorbar([one["measured"] for one in rows], [one["coefficient"] for one in rows],
+                      [one["spread"] for one in rows], fmt=marker, capsize=2, label=label)
+        for one in rows if membrane == "default" else ():
+            axes.annotate(one["fabric"], (one["measured"], one["coefficient"]),
+                          textcoords="offset points", xytext=(6, -4), fontsize=8)
+    axes.set(xlabel="drape coefficient measured, %", ylabel="simulated, %", xlim=(0, 100),
+             ylim=(0, 100), aspect="equal")
+    axes.legend(fontsize=8)
+    return figure

@@ -1,0 +1,100 @@
+"""Lowered drapes: folds by time step, speed, mesh and hysteresis, and cost beside a ring start.
+
+The specimen is the disc of textile laboratories. Every variant differs from the default in a
+single setting.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data.dataset.plan import Stream, stream
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior, sample_admissible
+from experiments.common import Config, Result, run_cases, table
+from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
+from sim.energies.hysteresis import Hysteresis
+from sim.equilibrium import find_equilibrium
+from sim.laws import Laws
+from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
+from sim.material import MICRO, Fabric
+from sim.measures import drape_coefficient, fold_count
+from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.scene import DISC_RIG
+
+SEED = 3  # of the fabrics whose cost is measured
+DEFAULT = {"step": STEP, "speed": None, "mesh_mm": 1e3 * LOWERING_MESHES[0][0], "share": 0.0}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {}, "step / 2": {"step": STEP / 2}, "step / 4": {"step": STEP / 4},
+    "slowest": {"speed": SPEEDS[0]}, "fastest": {"speed": SPEEDS[1]}, "mesh 7 mm": {"mesh_mm": 7.0},
+    **{f"hysteresis {share:g}": {"share": share} for share in (0.05, 0.17, 0.37)},
+}
+
+
+def variant_case(
+    *, alpha: float, ratio_mm: float, edge_mm: float, seeds: int, step: float,
+    speed: float | None, mesh_mm: float, share: float
+) -> dict[str, Any]:
+    """Folds and drape coefficients, %, of drapes lowered with these settings."""
+    alphas, rig = np.full(3, alpha * MICRO), DISC_RIG
+    fabric, laws = Fabric(alphas, 1e-3 * ratio_mm * alphas), Laws(bending=Hysteresis(share))
+    rows = []
+    for seed in range(seeds):
+        coarse, fine = (scene_on(make_specimen(rig, edge=1e-3 * edge, topology=seed % TOPOLOGIES),
+                                 rig, soft=soft) for edge, soft in ((mesh_mm, True),
+                                                                    (edge_mm, False)))
+        before = lowered(coarse, fabric, rig, laws=laws.softened(COARSE_MEMBRANE), seed=seed,
+                         speed=speed, step=step)
+        used = with_origins(laws, before, fine)
+        start = fine.state(start_positions(fine, rig, coarse=before))
+        found = find_equilibrium(fine, fabric, start, laws=used, options=FINE_OPTIONS,
+                                 self_contact=True)
+        positions, mesh = found.state.positions, fine.mesh
+        if found.converged:
+            rows.append((fold_count(positions, mesh.rest, rig),
+                         100 * drape_coefficient(positions, mesh.faces, rig)))
+    return {"folds": [folds for folds, _ in rows], "coefficients": [dc for _, dc in rows],
+            "failed": seeds - len(rows)}
+
+
+def cost_case(*, index: int, start: str) -> dict[str, Any]:
+    """CPU seconds of a drape of a fabric of the prior on its default mesh."""
+    theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
+    fabric = fabric_from_theta(theta)
+    drape(fabric, rig=DISC_RIG, start=start, seed=index, edge=12e-3)  # compiles
+    shape = drape(fabric, rig=DISC_RIG, start=start, seed=index)
+    return {"seconds": shape.time_spent["total"], "iterations": shape.iterations,
+            "folds": fold_count(shape.positions, shape.rest, DISC_RIG),
+            "status": shape.status.value}
+
+
+def run(config: Config) -> Result:
+    """Drape all variants, and the fabrics of the prior from both starts."""
+    fabric = {key: config[key] for key in ("ratio_mm", "edge_mm", "seeds")}
+    variants = {f"{name.replace(' ', '_').replace('/', 'by')}_{alpha:g}":
+                DEFAULT | change | fabric | {"alpha": alpha}
+                for name, change in VARIANTS.items() for alpha in config["alphas"]}
+    costs = {f"{start}_{index}": {"index": index, "start": start}
+             for index in range(config["drapes"]) for start in ("ring", "lowered")}
+    found, spent = (_run(work, cases, config) for work, cases in ((variant_case, variants),
+                                                                  (cost_case, costs)))
+    each = len(config["alphas"])
+    rows = [{"variant": name, **{
+        key: [float(np.mean(one[key])) for one in list(found.values())[each * k: each * (k + 1)]]
+        for key in ("folds", "coefficients")}} for k, name in enumerate(VARIANTS)]
+    print(table(("variant", *(f"{alpha:g} µN·m: folds, DC %" for alpha in config["alphas"])),
+                [(row["variant"], *(f"{folds:.1f}, {dc:.1f}" for folds, dc in zip(
+                    row["folds"], row["coefficients"], strict=True))) for row in rows]))
+    cost = {start: {key: float(np.mean([one[key] for name, one in spent.items()
+                                        if name.startswith(start)]))
+                    for key in ("seconds", "iterations", "folds")} for start in ("ring", "lowered")}
+    print(f"lowered: {cost['lowered']['seconds']:.2f} CPU-seconds, {cost['lowered']['folds']:.1f} "
+          f"folds; ring: {cost['ring']['seconds']:.2f} CPU-seconds, {cost['ring']['folds']:.1f} "
+          f"folds (means of {config['drapes']})")
+    return Result({"variants": rows, "cost": cost})
+
+
+def _run(work: Callable[..., dict], cases: dict[str, dict], config: Config) -> dict[str, dict]:
+    return run_cases(work, cases, folder=Path(config["cases"]), workers=config["workers"])

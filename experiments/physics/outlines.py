@@ -1,0 +1,264 @@
+"""Outlines of real Cusick drapes, seen from above, against simulated ones.
+
+For each real fabric and face, the isotropic fabric is found whose lowered drapes have the same mean
+drape coefficient, without natural curvature, and with that which the two faces have. Such cloth,
+exactly centred, has regular outlines. The same is therefore done with *specimens* of isotropic
+fabrics, off-centre and with the nuisances of datasets, and with those of *fabrics* of the prior,
+scaled to a mean alpha. Compared are the number of folds, the standard deviation of the outline's
+radius, and its spectrum. How the pictures were taken is not documented: both parallel light and a
+camera above the plate are tried.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import RegularGridInterpolator
+from scipy.optimize import least_squares
+
+from common.command import compose_config
+from common.errors import InputError
+from data.captures.arrays import read_arrays
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import plan_drape
+from data.fabrics.fabrics import fabric_from_theta
+from experiments.common import Config, Result, load_arrays, run_cases, table
+from sim.drape import DrapeResult, drape
+from sim.energies.hysteresis import Hysteresis
+from sim.laws import Laws
+from sim.material import MICRO, Fabric
+from sim.measures import folds_around, shadow_radius
+from sim.mesh import Mesh
+from sim.scene import DISC_RIG
+
+POINTS = 360  # azimuths of an outline
+SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
+HARMONICS = np.arange(2, 17)
+MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
+CALIBRATION = (1, 4, 6, 11, 21)
+"""Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
+the test."""
+READINGS = ("parallel", "camera")
+SPECIMENS = "specimens"
+VARIED = (SPECIMENS, "fabrics")
+
+
+def drape_case(
+    *, alpha: float, curl: float, ratio_mm: float, hysteresis: float, edge_mm: float, seeds: int,
+    start: str, camera_mm: float
+) -> dict[str, Any]:
+    """Outlines (seeds, POINTS), m, of drapes of a fabric in both readings of the pictures;
+    ``start`` in :data:`VARIED`: lowered, of specimens with nuisances."""
+    alphas, edge = np.full(3, alpha * MICRO), 1e-3 * edge_mm
+    fabric = Fabric(alphas, 1e-3 * ratio_mm * alphas)
+    if start in VARIED:
+        known = fabric if start == SPECIMENS else None
+        shapes = [_specimen(alpha * MICRO, known, seed, edge) for seed in range(seeds)]
+    else:
+        laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
+        shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
+                  for seed in range(seeds)]
+    shapes = [shape for shape in shapes if shape.converged]
+    heights = dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True))
+    radii = {name: [shadow_radius(shape.positions, Mesh(shape.rest, shape.faces), height=height,
+                                  points=POINTS) for shape in shapes]
+             for name, height in heights.items()}
+    return {"failed": seeds - len(shapes),
+            "arrays": {name: np.reshape(each, (-1, POINTS)) for name, each in radii.items()}}
+
+
+def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> DrapeResult:
+    """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
+    ``alpha``, N·m."""
+    words = [f"dataset.testers=[{DISC_RIG.name}]", "dataset.soft_share=0"]
+    config = config_from_options(compose_config("generate", words, schema=Options))
+    plan = plan_drape(seed, config=config.sampling, prior=config.prior)
+    theta = plan.theta.copy()
+    theta[:3] += np.log(alpha) - theta[:3].mean()
+    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
+                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
+
+
+def features(radii: np.ndarray) -> np.ndarray:
+    """(N, 3 + H) drape coefficient, folds, standard deviation (mm), and amplitudes (mm) of the
+    :data:`HARMONICS`, of outlines (N, POINTS) m."""
+    plate, whole = DISC_RIG.plate_radius**2, (DISC_RIG.specimen_size / 2) ** 2
+    coefficient = ((radii**2).mean(axis=1) - plate) / (whole - plate)
+    folds = [len(folds_around(radius, SIGMA)) for radius in radii]
+    amplitudes = 2 * np.abs(np.fft.rfft(radii, axis=1))[:, HARMONICS] / POINTS
+    return np.column_stack([coefficient, folds, 1e3 * radii.std(axis=1), 1e3 * amplitudes])
+
+
+def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fabrics (N,), whether the marked face is up (N,), and outlines (N, POINTS), m."""
+    keys = ("fabric", "face_up", "outline")
+    arrays = read_arrays(path, keys, what="the outlines", expected="an npz file of outlines")
+    if missing := [key for key in keys if key not in arrays]:
+        raise InputError(f"{path} has no array '{missing[0]}'; it needs {', '.join(keys)}")
+    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
+    radii = [np.interp(azimuths, *_by_azimuth(points), period=2 * np.pi)
+             for points in arrays["outline"].astype(float)]
+    return arrays["fabric"], arrays["face_up"].astype(bool), np.array(radii)
+
+
+def _by_azimuth(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    order = azimuth.argsort()
+    return azimuth[order], np.linalg.norm(points, axis=1)[order]
+
+
+class Simulated:
+    """Mean features of simulated drapes as a function of log alpha and natural curvature."""
+
+    def __init__(self, alphas: Sequence[float], curls: Sequence[float], means: np.ndarray) -> None:
+        self._range = np.log(alphas[0]), np.log(alphas[-1])
+        self._curls = curls[0], curls[-1]
+        self._means = RegularGridInterpolator((np.log(alphas), curls), means)
+
+    def at(self, log_alpha: float, curl: float) -> np.ndarray:
+        """Features (3 + H,) of a fabric of ``log_alpha``, µN·m, and natural curvature, 1/m."""
+        return self._means([np.clip(log_alpha, *self._range), np.clip(curl, *self._curls)])[0]
+
+    def fitted(self, coefficients: Sequence[float], *, curled: bool) -> tuple[float, float]:
+        """Log alpha and natural curvature, 1/m, at the coefficients of the face up and the other
+        face; a single one, or ``curled`` False: no natural curvature, and their mean."""
+        curled &= len(coefficients) == 2
+        middle = float(np.mean(self._range))
+
+        def misfit(x: np.ndarray) -> np.ndarray:
+            return np.array([self.at(x[0], sign * 10 * x[1])[0] - coefficient
+                             for sign, coefficient in zip((1, -1), coefficients, strict=False)])
+
+        start = [middle, 0.0] if curled else [middle]
+        fit = least_squares(lambda x: misfit(np.append(x, 0.0)), start, diff_step=1e-2)
+        return float(fit.x[0]), float(10 * fit.x[1]) if curled else 0.0
+
+
+def compare(
+    fabrics: np.ndarray, up: np.ndarray, real: np.ndarray, simulated: Simulated, *, curled: bool
+) -> list[dict[str, Any]]:
+    """Real and simulated features of every fabric and face."""
+    rows = []
+    for fabric in np.unique(fabrics):
+        own = fabrics == fabric
+        faces = [face for face in (True, False) if (own & (up == face)).any()]
+        means = {face: real[own & (up == face)].mean(axis=0) for face in faces}
+        log_alpha, curl = simulated.fitted([means[face][0] for face in faces], curled=curled)
+        for face in faces:
+            mine = real[own & (up == face)]
+            if not curled:  # every face by itself
+                log_alpha, _ = simulated.fitted([means[face][0]], curled=False)
+            found = simulated.at(log_alpha, curl if face else -curl)
+            spread = mine.std(axis=0, ddof=1)
+            rows.append({
+                "fabric": int(fabric), "face": "up" if face else "down", "outlines": len(mine),
+                "alpha_uN_m": float(np.exp(log_alpha)), "curl_per_m": curl if face else -curl,
+                "real": means[face].tolist(), "simulated": found.tolist(),
+                "spread": spread.tolist(),
+                "spectrum": float(np.median(np.abs(found - means[face])[3:] / spread[3:]))})
+    return rows
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Means over the fabrics and faces with a drape coefficient above the minimum."""
+    rows = [row for row in rows if row["real"][0] > MIN_COEFFICIENT]
+    real, found = (np.array([row[name] for row in rows]) for name in ("real", "simulated"))
+    return {"faces": len(rows), "folds_real": float(real[:, 1].mean()),
+            "folds": float(found[:, 1].mean()),
+            "folds_rms": float(np.sqrt(((found - real)[:, 1] ** 2).mean())),
+            "deviation_real_mm": float(real[:, 2].mean()),
+            "deviation_mm": float(found[:, 2].mean()),
+            "spectrum": float(np.median([row["spectrum"] for row in rows])),
+            "coefficient_off": float(np.abs((found - real)[:, 0]).mean())}
+
+
+def run(config: Config) -> Result:
+    """Simulate the grid of fabrics, fit and compare."""
+    fabrics, up, radii = read_outlines(Path(config["outlines"]))
+    real = features(radii)
+    settings = {key: config[key] for key in ("ratio_mm", "hysteresis", "edge_mm", "seeds",
+                                             "camera_mm")}
+    alphas, curls = config["alphas"], config["curls"]
+    cases = {f"{start}_{alpha:g}_{curl:g}": settings | {"alpha": alpha, "curl": curl,
+                                                        "start": start}
+             for start, each in (("lowered", curls), ("ring", [0.0]),
+                                *((name, [0.0]) for name in VARIED))
+             for alpha in alphas for curl in each}
+    for name in cases:
+        if cases[name]["start"] in VARIED:
+            cases[name] |= {"seeds": config["specimens"]}
+    folder = Path(config["cases"])
+    results = run_cases(drape_case, cases, folder=folder, workers=config["workers"])
+    means = {(name, reading): features(load_arrays(folder, name)[reading]).mean(axis=0)
+             for name in cases for reading in READINGS}
+    report: dict[str, Any] = {"failed": sum(result["failed"] for result in results.values())}
+    for reading in READINGS:
+        lowered = Simulated(alphas, curls, np.array(
+            [[means[f"lowered_{a:g}_{c:g}", reading] for c in curls] for a in alphas]))
+        others = {start: Simulated(alphas, [-1e3, 1e3], np.array(
+            [[means[f"{start}_{a:g}_0", reading]] * 2 for a in alphas]))
+            for start in ("ring", *VARIED)}
+        report[reading] = {name: compare(fabrics, up, real, by, curled=curled)
+                           for name, by, curled in (("flat", lowered, False),
+                                                    ("curled", lowered, True),
+                                                    *((start, by, False)
+                                                      for start, by in others.items()))}
+    report["summary"] = summary = {
+        reading: {name: {part: summarise([row for row in rows if part == "all"
+                                          or (row["fabric"] in CALIBRATION)
+                                          == (part == "calibration")])
+                         for part in ("all", "calibration", "test")}
+                  for name, rows in report[reading].items()} for reading in READINGS}
+    _print(summary)
+    return Result(report, _figure(fabrics, up, radii, report, folder))
+
+
+def _print(summary: dict[str, Any]) -> None:
+    head = ("reading", "start", "fabrics", "folds real", "simulated", "deviation real, mm",
+            "simulated", "spectra, deviations")
+    print(table(head, [
+        (reading, name, part, one["folds_real"], one["folds"], one["deviation_real_mm"],
+         one["deviation_mm"], one["spectrum"])
+        for reading, starts in summary.items() for name, parts in starts.items()
+        for part, one in parts.items()]))
+    best = min(READINGS, key=lambda reading: summary[reading]["flat"]["all"]["spectrum"])
+    lowered, ring, varied, fabrics = (summary[best][name]["all"]
+                                      for name in ("flat", "ring", *VARIED))
+    print(f"folds at equal drape coefficient: real {lowered['folds_real']:.2f}, simulated "
+          f"{lowered['folds']:.2f}, ring start {ring['folds']:.2f}; outline spectra differ by "
+          f"{lowered['spectrum']:.2f} standard deviations ({best})\nthe same with specimens' "
+          f"nuisances: {varied['folds']:.2f}, {varied['spectrum']:.2f}; with fabrics of the prior: "
+          f"{fabrics['folds']:.2f}, {fabrics['spectrum']:.2f}")
+
+
+def _figure(
+    fabrics: np.ndarray, up: np.ndarray, radii: np.ndarray, report: dict[str, Any], folder: Path
+) -> Figure:
+    """Outlines side by side: two real ones of each fabric, two of the nearest simulated one."""
+    rows = [row for row in report["parallel"]["flat"] if row["face"] == "up"]
+    figure = Figure(figsize=(1.5 * len(rows), 6.4), layout="constrained")
+    panels = figure.subplots(4, len(rows), squeeze=False)
+    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
+    names = {float(path.stem.split("_")[1]): path for path in folder.glob("lowered_*_0.npz")}
+    for column, row in zip(panels.T, rows, strict=True):
+        near = min(names, key=lambda alpha: abs(np.log(alpha / row["alpha_uN_m"])))
+        chosen = np.flatnonzero((fabrics == row["fabric"]) & up)
+        shown = [*radii[chosen[[0, len(chosen) // 2]]],
+                 *load_arrays(folder, names[near].stem)["parallel"][:2]]
+        for k, (axes, radius) in enumerate(zip(column, shown, strict=True)):
+            coefficient, folds = features(radius[None])[0, :2]
+            axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths),
+                      color="black" if k < 2 else "tab:blue")
+            axes.add_patch(_circle())
+            axes.set(xlim=(-0.15, 0.15), ylim=(-0.15, 0.15), xticks=[], yticks=[], aspect="equal")
+            axes.set_title(f"{'fabric ' + str(row['fabric']) if k < 2 else f'{near:g} µN·m'}\n"
+                           f"{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)
+    return figure
+
+
+def _circle() -> Any:
+    from matplotlib.patches import Circle
+
+    return Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8)

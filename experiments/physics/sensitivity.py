@@ -1,0 +1,219 @@
+"""Derivatives of drapes with respect to the moduli compared with central differences, and cost.
+
+Fabrics from the bundled prior are draped from a sine start and converged to rounding. The
+derivative dx/dp of all vertices by each of the six moduli (log alpha and beta/alpha in warp, bias
+and weft) is computed in three ways:
+
+- central differences of two drapes, continued from the first and converged to rounding, with steps
+  so small that the differences do not depend on them;
+- forward sensitivities, one solve for each modulus;
+- the adjoint, by PyTorch: the derivative of w·x with a unit vector w along the central difference.
+
+Errors are |forward - difference|/|difference|, and the deviation of the adjoint's derivative from
+|difference|, relative. Costs are CPU-seconds on one core, relative to those of the drape.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from data.dataset.plan import Stream, stream
+from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
+from data.fabrics.prior import load_prior, sample_admissible
+from experiments.common import Config, Result, run_cases, table
+from sim.drape import DrapeResult, drape
+from sim.sensitivity import Tangent, follow, sensitivities
+from sim.sensitivity.adjoint import adjoint_gradients, equilibria
+from sim.solver.newton import NewtonOptions
+
+MAX_ERROR = 1e-3  # relative to the norm of dx/dp
+MAX_COST = 0.15  # relative to the drape
+TIGHT = NewtonOptions(residual=1e-7, step=1e-7)
+FIRST_STEPS = np.repeat([1e-4, 1e-7], 3)  # first steps of log alpha, and of beta/alpha in m
+STEP_FACTOR = 1 / 3  # factor between successive steps
+STEP_TOLERANCE = MAX_ERROR / 3  # relative change of the difference with the last step
+MAX_STEP_REDUCTIONS = 4
+
+
+class Clock:
+    """CPU-seconds of this process since the last call."""
+
+    def __init__(self) -> None:
+        self._last = time.process_time()
+
+    def __call__(self) -> float:
+        before, self._last = self._last, time.process_time()
+        return round(self._last - before, 4)
+
+
+def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
+    """Errors and costs of the derivatives of fabric ``index``."""
+    theta, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
+    fabric = fabric_from_theta(theta)
+    drape(fabric, edge=0.01)  # loads the kernels
+    clock, seconds = Clock(), {}
+    made = drape(fabric, edge=1e-3 * edge_mm, seed=index, start="sine")
+    seconds["drape"] = clock()
+    result = {
+        "alpha_uN_m": (1e6 * fabric.alpha).tolist(),
+        "beta_over_alpha_mm": (1e3 * theta[3:]).tolist(),
+        "status": made.status.value,
+        "message": made.message,
+    }
+    if not made.converged:
+        return result
+    start = follow(made, fabric, options=TIGHT)
+    clock()
+    forward = sensitivities(start)
+    seconds["six forward sensitivities"] = clock()
+    if not forward.ok:
+        return {**result, "status": "no derivative", "message": forward.message}
+    differences, failed = central_differences(start, theta)
+    clock()
+    moduli, parameters = moduli_from_theta(theta)
+    found = equilibria([start], options=TIGHT, **moduli)
+    seconds["equilibrium from nearby, with its factor"] = clock()
+    adjoint = adjoint_derivatives(found.positions[0], parameters, differences)
+    clock()
+    adjoint_derivatives(found.positions[0], parameters, differences[:1])
+    seconds["backward"] = clock()
+    adjoint_gradients(Tangent.of(start), fabric, differences[0], membrane=200.0)
+    seconds["backward without a kept factor"] = clock()
+
+    norms = np.linalg.norm(differences, axis=(1, 2))
+    return {
+        **result,
+        "unconverged_differences": failed,
+        "softest_weights_per_mm": forward.softest,
+        "norm_m": norms.tolist(),
+        "largest_m": np.linalg.norm(differences, axis=2).max(axis=1).tolist(),
+        "forward": (np.linalg.norm(forward.positions - differences, axis=(1, 2)) / norms).tolist(),
+        "adjoint": (np.abs(adjoint - norms) / norms).tolist(),
+        "seconds": seconds,
+    }
+
+
+def central_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
+    """Central differences (6, V, 3) of drapes continued from ``start``, and number of failures.
+
+    Steps are reduced, because a drape that is nearly unstable responds non-linearly.
+    """
+    failed, rows = 0, []
+    for k, step in enumerate(FIRST_STEPS):
+        row = np.inf
+        for power in range(MAX_STEP_REDUCTIONS + 1):
+            ends = []
+            for sign in (1, -1):
+                moved = theta.copy()
+                moved[k] += sign * step * STEP_FACTOR**power
+                end = follow(start, fabric_from_theta(moved), options=TIGHT)
+                failed += not end.converged
+                ends.append(end.positions)
+            before, row = row, (ends[0] - ends[1]) / (2 * step * STEP_FACTOR**power)
+            if np.linalg.norm(row - before) < STEP_TOLERANCE * np.linalg.norm(row):
+                break
+        rows.append(row)
+    return np.stack(rows), failed
+
+
+def moduli_from_theta(theta: np.ndarray) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    """Arguments alpha (N·m) and beta (N·m²) of :func:`equilibria`, and the theta (1, 6) they
+    depend on."""
+    parameters = torch.tensor(theta[None], requires_grad=True)
+    alpha = parameters[:, :3].exp()
+    return {"alpha": alpha, "beta": parameters[:, 3:] * alpha}, parameters
+
+
+def adjoint_derivatives(
+    positions: torch.Tensor, parameters: torch.Tensor, directions: np.ndarray
+) -> np.ndarray:
+    """Derivatives (K,) of w·x by the k-th modulus, with unit vectors w along K ``directions``."""
+    found = []
+    for k, direction in enumerate(directions):
+        weights = torch.from_numpy(direction / np.linalg.norm(direction))
+        by_theta, = torch.autograd.grad(positions, parameters, weights, retain_graph=True)
+        found.append(float(by_theta[0, k]))
+    return np.array(found)
+
+
+def summarise(rows: list[dict]) -> dict:
+    """Worst and median errors and costs over the fabrics that have derivatives."""
+    complete = [row for row in rows if "forward" in row]
+    ratios = {name: [row["seconds"][name] / row["seconds"]["drape"] for row in complete]
+              for name in complete[0]["seconds"]} if complete else {}
+    summary = {
+        "fabrics": len(rows),
+        "with_derivatives": len(complete),
+        "worst": {way: max(max(row[way]) for row in complete) for way in ("forward", "adjoint")},
+        "median": {way: float(np.median([row[way] for row in complete]))
+                   for way in ("forward", "adjoint")},
+        "share_of_the_drape": {
+            name: {"median": float(np.median(values)), "largest": max(values)}
+            for name, values in ratios.items() if name != "drape"
+        },
+    } if complete else {"fabrics": len(rows), "with_derivatives": 0}
+    summary["passed"] = len(complete) == len(rows) and all(
+        worst <= MAX_ERROR for worst in summary["worst"].values()
+    ) and summary["share_of_the_drape"]["backward"]["median"] < MAX_COST
+    return summary
+
+
+def run(config: Config) -> Result:
+    """Compare the derivatives of all fabrics; print the table."""
+    cases = {
+        f"fabric_{config['seed']}_{k}_{config['edge_mm']:g}": {
+            "index": k, "seed": config["seed"], "edge_mm": config["edge_mm"]
+        }
+        for k in range(config["fabrics"])
+    }
+    rows = list(run_cases(one_fabric, cases, folder=Path(config["cases"]),
+                          workers=config["workers"]).values())
+    summary = summarise(rows)
+    print(table(
+        ["fabric", "α, µN·m", "status", "forward", "adjoint", "drape, s", "backward"],
+        [[k, " ".join(f"{a:.3g}" for a in row["alpha_uN_m"]), row["status"],
+          *([f"{max(row['forward']):.1e}", f"{max(row['adjoint']):.1e}",
+             f"{row['seconds']['drape']:.2f}",
+             f"{100 * row['seconds']['backward'] / row['seconds']['drape']:.1f} %"]
+            if "forward" in row else ["", "", "", ""])]
+         for k, row in enumerate(rows)],
+    ))
+    if summary["with_derivatives"]:
+        worst, cost = summary["worst"], summary["share_of_the_drape"]
+        print(f"largest relative difference: forward {worst['forward']:.1e}, adjoint "
+              f"{worst['adjoint']:.1e}, limit {MAX_ERROR:g}")
+        for name, figures in cost.items():
+            print(f"{name}: {100 * figures['median']:.1f} % of the drape's time (median), "
+                  f"at most {100 * figures['largest']:.1f} %")
+    return Result({"limit": MAX_ERROR, "cost_limit": MAX_COST, **summary, "rows": rows},
+                  draw([row for row in rows if "forward" in row]))
+
+
+def draw(rows: list[dict]) -> Figure:
+    """Plot the errors by modulus, and the cost of a backward pass against that of the drape."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1])
+    for shift, way in ((-0.12, "forward"), (0.12, "adjoint")):
+        values = np.array([row[way] for row in rows]).reshape(-1, 6)
+        at = np.arange(6) + shift + np.linspace(-0.06, 0.06, max(len(values), 1))[:, None]
+        left.semilogy(at[: len(values)].ravel(), np.maximum(values, 1e-12).ravel(), ".",
+                      label=way, ms=4)
+    left.axhline(MAX_ERROR, color="k", lw=0.7, ls="--")
+    left.set_xticks(range(6), [name.replace("log_alpha", "log α").replace("beta_over_alpha", "β/α")
+                               .replace("_", "\n") for name in THETA_NAMES], fontsize=7)
+    left.set_title("relative difference from the central difference", fontsize=9)
+    left.legend(fontsize=7, frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.9))
+    seconds = np.array([[row["seconds"]["drape"], row["seconds"]["backward"]]
+                        for row in rows]).reshape(-1, 2)
+    right.plot(seconds[:, 0], seconds[:, 1], ".")
+    limits = np.array([0.0, 1.05 * seconds[:, 0].max(initial=1.0)])
+    right.plot(limits, MAX_COST * limits, "k--", lw=0.7, label="15 % of the drape")
+    right.set_xlim(limits)
+    right.set_ylim(0, None)
+    right.set_xlabel("drape, CPU-seconds", fontsize=8)
+    right.set_title("backward pass, CPU-seconds", fontsize=9)
+    right.legend(fontsize=7, frameon=False)
+    return figure

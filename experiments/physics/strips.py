@@ -1,0 +1,253 @@
+"""Non-linear and anisotropic strips, and plates, compared with theory.
+
+1. Strips with beta < 0 and beta > 0, compared with the non-linear heavy elastica.
+2. Strips cut at 0 to 90 degrees from anisotropic fabrics: *guided*, constrained to cylinders,
+   compared with k(phi) of the law; *free*, as in a tester; *narrow* and free under a thousandth of
+   gravity, compared with the plate's compliance.
+3. Square plates under a small uniform load on finer and finer meshes, compared with series
+   solutions.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from common.errors import InputError
+from experiments.common import Config, Result, run_cases, table
+from experiments.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
+from experiments.physics.guides import guided
+from experiments.physics.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
+from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
+from sim.cantilever.elastica import strip_shape, tabulated_law
+from sim.cantilever.tester import HungStrip, bending_length
+from sim.hinge_laws import modulus_along
+from sim.laws import Laws
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
+from sim.membranes import Corotational
+from sim.scene import GRAVITY
+from sim.solver.newton import Status
+
+LENGTH, WIDTH = 0.09, 0.03  # m
+NARROW_WIDTHS = (0.009, 0.0045)  # m
+"""Widths from which the modulus of an infinitely narrow strip is extrapolated linearly, because
+the clamp prevents twisting over a length of about the width."""
+NARROW_EDGE = 0.0015  # m
+WEIGHT = REFERENCE_DENSITY * GRAVITY
+MAX_CURVATURE = 400.0  # 1/m, above that of any strip
+GAMMAS = (1.0, 10.0, 50.0, 200.0)
+RATIOS = (-4.0, -2.0, 2.0, 4.0)  # beta/alpha, mm
+ANGLES = (0.0, 22.5, 45.0, 67.5, 90.0)  # degrees
+FABRICS = {
+    "mild": ((30.0, 20.0, 15.0), (0.0, 0.0, 0.0)),
+    "soft bias": ((60.0, 20.0, 15.0), (0.0, 0.0, 0.0)),
+    "negative A12": ((40.0, 12.0, 30.0), (0.0, 0.0, 0.0)),
+    "softening": ((30.0, 20.0, 15.0), (-3.0, -3.0, -2.0)),
+    "bias softens most": ((30.0, 20.0, 15.0), (-2.0, -4.0, -1.0)),
+}
+"""alpha in µN·m and beta/alpha in mm, in warp, bias and weft."""
+
+
+def make_fabric(name: str) -> Fabric:
+    """Fabric ``name`` of :data:`FABRICS`."""
+    alpha, ratio = (np.array(values) for values in FABRICS[name])
+    return Fabric(alpha=alpha * MICRO, beta=1e-3 * ratio * alpha * MICRO)
+
+
+def strip_modulus(strip: HungStrip, gravity: float = GRAVITY) -> dict:
+    """H/W of a strip, and the modulus, µN·m, of the linear elastica with the same H/W."""
+    if strip.result.status is not Status.CONVERGED:
+        return {"status": strip.result.status.value}
+    ratio = aspect_ratio(strip.curve[-1])
+    return {
+        "status": "converged",
+        "aspect_ratio": ratio,
+        "modulus": apparent_modulus(ratio, gravity) / MICRO,
+        "twist": strip.twist,
+    }
+
+
+def apparent_modulus(ratio: float, gravity: float = GRAVITY) -> float:
+    """alpha, N·m, of a linear fabric whose strip of :data:`LENGTH` has this H/W."""
+    return REFERENCE_DENSITY * gravity * LENGTH**3 / gamma_of_aspect_ratio(ratio)
+
+
+def edge_for(alpha: float, cells: int) -> float:
+    """Mesh edge, m, with at least ``cells`` per bending length and an integer number in all."""
+    spacing = min(bending_length(alpha, REFERENCE_DENSITY) / cells, LENGTH / 40)
+    return LENGTH / np.ceil(LENGTH / spacing)
+
+
+def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
+    """Compare an isotropic strip of beta/alpha = ``ratio`` mm with its elastica."""
+    alpha = WEIGHT * LENGTH**3 / gamma
+    beta = 1e-3 * ratio * alpha
+    edge = edge_for(alpha, cells)
+    fabric = Fabric(np.full(3, alpha), np.full(3, beta))
+    result = strip_modulus(hang(fabric, length=LENGTH, width=6 * edge, edge=edge))
+    theory = {
+        "elastica": aspect_ratio(heavy_elastica(alpha, beta, weight=WEIGHT, length=LENGTH)[-1]),
+        "linear_elastica": aspect_ratio(
+            heavy_elastica(alpha, 0.0, weight=WEIGHT, length=LENGTH)[-1]
+        ),
+    }
+    return {"gamma": gamma, "ratio_mm": ratio, **result, **theory}
+
+
+def angled(*, fabric: str, angle: float, cells: int) -> dict:
+    """Moduli, µN·m, of a strip cut at ``angle`` degrees: guided, free and narrow."""
+    cloth, radians = make_fabric(fabric), float(np.radians(angle))
+    alpha, _ = cylinder_moduli(cloth, radians)
+    edge = edge_for(alpha, cells)
+    options = {"angle": radians, "length": LENGTH, "edge": edge}
+    shapes = {
+        "guided": hang(cloth, **options, width=4 * edge, laws=guided(Laws(), 4)),
+        "free": hang(cloth, **options, width=WIDTH, across=max(10, round(WIDTH / (2 * edge)))),
+    }
+    curvature = np.linspace(0, MAX_CURVATURE, 4001)
+    law = tabulated_law(curvature, cylinder_torque(cloth, radians, curvature))
+    cylinder = strip_shape(law, weight=WEIGHT, length=LENGTH)
+    result: dict = {
+        "fabric": fabric,
+        "angle": angle,
+        "alpha": alpha / MICRO,
+        "apparent": apparent_modulus(aspect_ratio(cylinder[-1])) / MICRO,
+        "compliance": free_modulus(cloth, radians) / MICRO,
+        "eq8": float(modulus_along(cloth.alpha, np.array(radians))) / MICRO,
+    }
+    for name, strip in shapes.items():
+        result[name] = strip_modulus(strip)
+    limit = [narrow(cloth, radians, width) for width in NARROW_WIDTHS]
+    result["narrow"] = {"status": limit[0]["status"]}
+    if all("modulus" in figures for figures in limit):
+        result["narrow"]["modulus"] = 2 * limit[1]["modulus"] - limit[0]["modulus"]
+    return result
+
+
+def narrow(fabric: Fabric, angle: float, width: float) -> dict:
+    """Simulate a free strip under a load so small that it can curve in two directions."""
+    strip = hang(
+        fabric, angle=angle, length=LENGTH, edge=NARROW_EDGE, width=width, across=4,
+        gravity=SMALL_GRAVITY, laws=Laws(membrane=Corotational(SOFT_MEMBRANE)),
+    )
+    return strip_modulus(strip, SMALL_GRAVITY)
+
+
+def run_case(*, part: str, **settings) -> dict:
+    """Run a case of one of the three parts."""
+    return {"nonlinear": nonlinear, "angled": angled, "plate": plate}[part](**settings)
+
+
+def run(config: Config) -> Result:
+    """Compare strips and plates with theory; print the tables."""
+    if any(n < 4 or n % 2 for n in config["plates"]):
+        raise InputError(f"plates={config['plates']} must be even numbers of cells, at least 4")
+    cells = config["cells"]
+    cases = {
+        f"gamma{gamma:g}_ratio{ratio:g}":
+            {"part": "nonlinear", "gamma": gamma, "ratio": ratio, "cells": cells}
+        for gamma in GAMMAS for ratio in RATIOS
+    }
+    cases |= {
+        f"{fabric.replace(' ', '_')}_{angle:g}":
+            {"part": "angled", "fabric": fabric, "angle": angle, "cells": cells}
+        for fabric in FABRICS for angle in ANGLES
+    }
+    cases |= {
+        f"{kind.replace(', ', '_')}_{n}": {"part": "plate", "kind": kind, "cells": n}
+        for kind in PLATES for n in config["plates"]
+    }
+    results = run_cases(run_case, cases, folder=Path(config["cases"]),
+                        workers=config["workers"])
+    parts = {
+        part: [r for r, case in zip(results.values(), cases.values(), strict=True)
+               if case["part"] == part]
+        for part in ("nonlinear", "angled", "plate")
+    }
+    bent = [{**r, "deviation": r["aspect_ratio"] / r["elastica"] - 1}
+            for r in parts["nonlinear"] if "aspect_ratio" in r]
+    print(table(
+        ["Γ", "β/α mm", "H/W", "elastica", "linear elastica", "deviation %"],
+        [[r["gamma"], r["ratio_mm"], f"{r['aspect_ratio']:.4f}", f"{r['elastica']:.4f}",
+          f"{r['linear_elastica']:.4f}", f"{100 * r['deviation']:+.2f}"] for r in bent],
+    ), end="\n\n")
+    cut = [{**r, "deviation": r["guided"]["modulus"] / r["apparent"] - 1}
+           for r in parts["angled"] if "modulus" in r["guided"]]
+    print(table(
+        ["fabric", "φ", "Eq. 8", "k(φ)", "apparent", "guided", "deviation %", "free 30 mm",
+         "compliance", "narrow"],
+        [[r["fabric"], f"{r['angle']:g}°", f"{r['eq8']:.2f}", f"{r['alpha']:.2f}",
+          f"{r['apparent']:.2f}", f"{r['guided']['modulus']:.2f}", f"{100 * r['deviation']:+.2f}",
+          *(f"{v:.2f}" for v in (r["free"].get("modulus", np.nan), r["compliance"],
+                                 r["narrow"].get("modulus", np.nan)))] for r in cut],
+    ), end="\n\n")
+    plates = {
+        kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
+        for kind in PLATES
+    }
+    rates = {kind: fitted_rate(pairs) for kind, pairs in plates.items()}
+    print(table(
+        ["plate", *(f"{n} cells: error %" for n in config["plates"]), "rate"],
+        [[kind, *(f"{100 * error:+.3f}" for _, error in pairs), f"{rates[kind]:.2f}"]
+         for kind, pairs in plates.items()],
+    ))
+    return Result({"nonlinear": bent, "angled": cut, "plates": plates, "plate_rates": rates},
+                  draw(bent, cut, plates))
+
+
+def fitted_rate(pairs: list[tuple[int, float]]) -> float:
+    """Exponent p of error ~ cells^-p, least squares over all meshes."""
+    cells, error = np.array(pairs).T
+    return float(-np.polyfit(np.log(cells), np.log(np.abs(error)), 1)[0])
+
+
+def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
+    """Plot k(phi) with measurements, Eq. 8 compared with the law, and convergence of plates."""
+    figure = Figure(figsize=(14, 4.6), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    phi = np.linspace(0, 90, 181)
+    shown = "soft bias"
+    cloth = make_fabric(shown)
+    law = [cylinder_moduli(cloth, a)[0] / MICRO for a in np.radians(phi)]
+    left.plot(phi, law, label="law, cylinder: k(φ)")
+    left.plot(phi, modulus_along(cloth.alpha, np.radians(phi)) / MICRO, "--", label="Eq. 8")
+    left.plot(phi, [free_modulus(cloth, a) / MICRO for a in np.radians(phi)], ":",
+              label="law, free: compliance")
+    for key, marker, label in (("guided", "o", "guided strip"), ("free", "x", "free, 30 mm wide"),
+                               ("narrow", "s", "free, narrow, small load")):
+        points = [(r["angle"], r[key]["modulus"]) for r in cut
+                  if r["fabric"] == shown and "modulus" in r[key]]
+        left.plot(*np.transpose(points), marker, color="k", mfc="none", label=label)
+    left.set(xlabel="φ, degrees from warp", ylabel="modulus, µN·m", title=f"fabric '{shown}'")
+    curves: list[tuple[list[str], str, np.ndarray]] = []  # names of fabrics with the same curve
+    for name in FABRICS:
+        cloth = make_fabric(name)
+        for k, style in ((0, "-"), (1, ":")):
+            moduli = (cloth.alpha, cloth.beta)[k]
+            if not moduli.any():
+                continue
+            law = np.array([cylinder_moduli(cloth, a)[k] for a in np.radians(phi)])
+            eq8 = modulus_along(moduli, np.radians(phi))
+            curve = 100 * (eq8 / law - 1)
+            same = [names for names, drawn, other in curves
+                    if drawn == style and np.allclose(other, curve, atol=0.1)]
+            if same:
+                same[0].append(name)
+            else:
+                curves.append(([name], style, curve))
+    for names, style, curve in curves:
+        middle.plot(phi, curve, style, label=f"{', '.join(names)}: {'α' if style == '-' else 'β'}")
+    middle.set(xlabel="φ, degrees from warp", ylabel="deviation of Eq. 8 from the law, %",
+               title="between the sample directions")
+    for kind, pairs in plates.items():
+        n, error = np.array(pairs).T
+        right.loglog(n, 100 * np.abs(error), "o-", label=kind)
+    right.set_xticks(n, [f"{count:g}" for count in n])
+    right.minorticks_off()
+    right.set(xlabel="cells along the plate", ylabel="error of the centre's deflection, %",
+              title="square plates")
+    middle.set_ylim(top=70)  # room for the legend
+    for axis in (left, middle, right):
+        axis.legend(fontsize=8)
+        axis.grid(alpha=0.3)
+    return figure

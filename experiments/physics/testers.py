@@ -1,0 +1,243 @@
+"""Errors of the cantilever estimators on strips of known moduli.
+
+Strips of fabrics from the bundled prior are simulated in warp, bias and weft, and the moduli are
+estimated from their curves. *Guided* strips bend as cylinders, as the estimators assume; their
+curves are evaluated without and with noise. *Free* strips twist and curve across like real ones;
+their curves are evaluated without and with the simulated correction.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from common.errors import InputError
+from data.dataset.plan import Stream, stream
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior, sample_admissible
+from experiments.common import Config, Result, run_cases, table
+from experiments.physics.guides import guided
+from sim.cantilever import heavy_elastica
+from sim.cantilever.fabric import METHODS, Strips, correct, estimate
+from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
+from sim.energies import plate_law
+from sim.laws import Laws
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric
+from sim.scene import GRAVITY
+
+SEED = 3  # of the fabrics
+LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in bending lengths
+STIFFENING = 1e-3  # m, beta/alpha in weft of the last fabric
+ALPHA_LIMIT, BETA_LIMIT = 0.02, 0.10
+MIN_RATIO = 1e-3  # m; errors of beta are relative to the larger of |beta| and this times alpha
+
+
+def draw_fabric(index: int, *, stiffening: bool) -> Fabric:
+    """Fabric ``index`` of a fixed sequence from the prior."""
+    theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
+    if stiffening:
+        theta[5] = STIFFENING
+    return fabric_from_theta(theta)
+
+
+def run_case(
+    *, index: int, stiffening: bool, free: bool, noise: float, repeats: int, cells: int, rounds: int
+) -> dict:
+    """Estimates of one fabric: lists of moduli (alpha µN·m, beta nN·m²) in warp, bias and weft."""
+    fabric = draw_fabric(index, stiffening=stiffening)
+    lengths = {
+        direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
+        for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)
+    }
+    # Another triangulation than that of the strips simulated by the correction.
+    mesh = {"cells": cells, "seed": 100 + index}
+    result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
+    try:
+        strips = simulate_strips(fabric, lengths, width=None, across=3, laws=guided(Laws(), 3),
+                                 **mesh)
+        rng = np.random.default_rng(index)
+        for method in METHODS:
+            result[f"guided {method}"] = estimate_moduli(strips, fabric, method)
+        shaken = [add_noise(strips, 1e-3 * noise, rng) for _ in range(repeats)]
+        for method in METHODS:
+            result[f"noisy {method}"] = [estimate_moduli(s, fabric, method) for s in shaken]
+        if free:
+            strips = simulate_strips(fabric, lengths, **mesh)
+            result["free regression"] = estimate_moduli(strips, fabric, "regression")
+            found = estimate(strips, density=fabric.density, method="table")
+            result["free table"] = moduli_rows(found)
+            result["free corrected"] = moduli(
+                correct(strips, found, density=fabric.density, rounds=rounds)
+            )
+    except InputError as error:
+        result["failure"] = str(error)
+    return result
+
+
+def stable_directions(fabric: Fabric) -> list[bool]:
+    """Whether cylinders along warp, bias and weft, of the strips' curvature, are stable.
+
+    If the law softens much faster along the bias than along the yarns, its tangent stiffness in
+    twist is negative on a cylinder bent along a yarn, and such a strip twists.
+    """
+    law = plate_law.constants(fabric)
+    stable = []
+    for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):
+        weight = fabric.density * GRAVITY
+        longest = max(LENGTHS) * bending_length(alpha, fabric.density)
+        curve = heavy_elastica(alpha, beta, weight=weight, length=longest)
+        steepest = np.gradient(np.unwrap(np.arctan2(*np.gradient(curve, axis=0).T[::-1])))
+        largest = steepest.max() * (len(curve) - 1) / longest
+        c, s = np.cos(ANGLES[direction]), np.sin(ANGLES[direction])
+        bent = np.linspace(0, largest, 100)[1:, None] * [c * c, s * s, c * s]
+        _, tangents = plate_law.stresses(bent, law)
+        stable.append(bool(np.linalg.eigvalsh(tangents).min() > 0))
+    return stable
+
+
+def moduli(fabric: Fabric) -> list[list[float]]:
+    """[[alpha µN·m, beta nN·m²] in warp, bias and weft]."""
+    return np.column_stack([fabric.alpha / MICRO, fabric.beta / NANO]).tolist()
+
+
+def estimate_moduli(strips: Strips, fabric: Fabric, method: str) -> list[list[float]]:
+    """Estimates of a method, in the form of :func:`moduli`."""
+    return moduli_rows(estimate(strips, density=fabric.density, method=method))
+
+
+def moduli_rows(found: dict) -> list[list[float]]:
+    """Estimates by direction, in the form of :func:`moduli`."""
+    return [[found[d].alpha / MICRO, found[d].beta / NANO] for d in DIRECTIONS]
+
+
+def add_noise(
+    strips: Strips, sigma: float, rng: np.random.Generator
+) -> dict[str, list[np.ndarray]]:
+    """Curves with noise N(0, sigma) on both coordinates, except at the edge of the clamp."""
+    shaken: dict[str, list[np.ndarray]] = {}
+    for direction, curves in strips.items():
+        for curve in curves:
+            noisy = curve + rng.normal(0.0, sigma, curve.shape)
+            noisy[0] = 0.0
+            shaken.setdefault(direction, []).append(noisy)
+    return shaken
+
+
+def relative_errors(results: list[dict], kind: str) -> np.ndarray:
+    """Relative errors (n, 2) of alpha and beta in stable directions, over all repeats."""
+    errors = []
+    for result in results:
+        if kind in result:
+            true = np.array(result["moduli"])
+            # µN·m times mm is nN·m²
+            least = 1e3 * MIN_RATIO * true[:, 0]
+            size = np.column_stack([true[:, 0], np.maximum(np.abs(true[:, 1]), least)])
+            error = ((np.array(result[kind]) - true) / size).reshape(-1, 3, 2)
+            errors.append(error[:, result["stable"]].reshape(-1, 2))
+    return np.concatenate(errors) if errors else np.empty((0, 2))
+
+
+def summarise(errors: np.ndarray) -> dict:
+    """Statistics of relative errors (n, 2), in percent, and shares within the limits."""
+    flat, signed = 100 * np.abs(errors), 100 * errors
+    limits = 100 * np.array([ALPHA_LIMIT, BETA_LIMIT])
+    return {
+        modulus: {
+            "readings": len(flat),
+            "median": float(np.median(flat[:, k])),
+            "rms": float(np.sqrt((flat[:, k] ** 2).mean())),
+            "largest": float(flat[:, k].max()),
+            "median_signed": float(np.median(signed[:, k])),
+            "within_limit": float((flat[:, k] <= limits[k]).mean()),
+        }
+        for k, modulus in enumerate(("alpha", "beta"))
+    }
+
+
+def run(config: Config) -> Result:
+    """Estimate all strips; print the errors."""
+    count = config["fabrics"]
+    shared = {key: config[key] for key in ("noise", "repeats", "cells", "rounds")}
+    cases = {
+        f"fabric{i:02d}": {
+            "index": i, "stiffening": i == count - 1, "free": i < config["free"], **shared
+        }
+        for i in range(count)
+    }
+    results = list(
+        run_cases(run_case, cases, folder=Path(config["cases"]), workers=config["workers"]).values()
+    )
+    kinds = [f"{strips} {method}" for strips in ("guided", "noisy") for method in METHODS]
+    kinds += ["free regression", "free table", "free corrected"]
+    summary = {
+        kind: summarise(errors) for kind in kinds if len(errors := relative_errors(results, kind))
+    }
+    rows = [
+        [kind, *(f"{part[m][key]:.2f}" for m in ("alpha", "beta")
+                 for key in ("median", "rms", "largest"))]
+        for kind, part in summary.items()
+    ]
+    head = ["strips, method", *(f"{m}: {key} %" for m in ("alpha", "beta")
+                                for key in ("median", "rms", "largest"))]
+    print(table(head, rows))
+    unstable = [
+        f"{name} {direction}" for name, result in zip(cases, results, strict=True)
+        for direction, stable in zip(DIRECTIONS, result["stable"], strict=True) if not stable
+    ]
+    print(f"\nexcluded, because their cylinders are unstable: {', '.join(unstable) or 'none'}")
+    failures = {
+        name: result["failure"]
+        for name, result in zip(cases, results, strict=True) if "failure" in result
+    }
+    for name, message in failures.items():
+        print(f"{name}: {message}")
+    return Result({
+        "lengths_in_bending_lengths": LENGTHS,
+        "errors_percent": summary,
+        "left_out": unstable,
+        "failures": failures,
+        "fabrics": results,
+    }, draw(results))
+
+
+def draw(results: list[dict]) -> Figure:
+    """Plot estimated against true moduli for guided, noisy and free strips."""
+    figure = Figure(figsize=(12, 7.5), layout="constrained")
+    axes = figure.subplots(2, 3)
+    panels = (
+        ("guided strips, no noise", ("guided regression", "guided table")),
+        ("guided strips, noise", ("noisy regression", "noisy table")),
+        ("free strips, no noise", ("free table", "free corrected")),
+    )
+    for column, (title, kinds) in enumerate(panels):
+        for row, (name, unit) in enumerate((("α", "µN·m"), ("β", "nN·m²"))):
+            axis = axes[row, column]
+            lowest, highest = np.inf, -np.inf
+            for kind, marker in zip(kinds, "ox", strict=True):
+                pairs = [
+                    (true[row], found[row])
+                    for result in results if kind in result
+                    for each in np.array(result[kind]).reshape(-1, 3, 2)
+                    for true, found, stable in zip(
+                        result["moduli"], each, result["stable"], strict=True
+                    ) if stable
+                ]
+                if not pairs:
+                    continue
+                true, found = np.array(pairs).T
+                axis.plot(true, found, marker, ms=4, alpha=0.6, label=kind.split()[1])
+                lowest, highest = min(lowest, true.min()), max(highest, true.max())
+            if row == 0:
+                axis.set(xscale="log", yscale="log", title=title)
+                axis.xaxis.set_minor_formatter(NullFormatter())
+                axis.yaxis.set_minor_formatter(NullFormatter())
+            else:
+                axis.set_xscale("symlog", linthresh=10)
+                axis.set_yscale("symlog", linthresh=10)
+            if np.isfinite(lowest):
+                axis.plot([lowest, highest], [lowest, highest], "k-", lw=0.7)
+            axis.set(xlabel=f"true {name}, {unit}", ylabel=f"estimated {name}, {unit}")
+            if axis.get_legend_handles_labels()[0]:
+                axis.legend()
+    return figure

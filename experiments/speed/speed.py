@@ -1,0 +1,108 @@
+"""CPU-seconds of a drape on one core.
+
+Fabrics from the bundled prior, each draped from a sine start: CPU-seconds, Newton steps and shares
+of the time; then a median fabric on finer and finer meshes. References: 19.8 CPU-seconds per drape
+with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with
+the Style3D solver of Newton 1.8.
+"""
+
+import experiments.one_thread  # noqa: F401
+
+# isort: split
+import resource
+import time
+from collections import Counter
+
+import numpy as np
+
+from data.dataset.plan import Stream, stream
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior, sample_admissible
+from experiments.common import Config, Result, table
+from sim.drape import drape
+from sim.material import MICRO, Fabric
+from sim.solver.linear import available_solvers
+
+MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
+
+
+def prior_fabrics(count: int, seed: int) -> list[Fabric]:
+    """Fabrics drawn from the bundled prior."""
+    prior = load_prior("gaussian")
+    return [
+        fabric_from_theta(sample_admissible(prior, stream(seed, Stream.FABRIC, i))[0])
+        for i in range(count)
+    ]
+
+
+def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
+    """Time one drape; ``edge_mm`` 0 for the default mesh."""
+    began = time.process_time()
+    result = drape(fabric, edge=1e-3 * edge_mm or None, seed=seed, start="sine")
+    return {
+        "alpha_uN_m": (fabric.alpha / MICRO).round(2).tolist(),
+        "edge_mm": 1e3 * result.edge,
+        "vertices": len(result.rest),
+        "triangles": len(result.faces),
+        "status": result.status.value,
+        "cpu_seconds": round(time.process_time() - began, 3),
+        "newton_steps": result.iterations,
+        "seconds_by_activity": {k: round(v, 3) for k, v in result.time_spent.items()},
+    }
+
+
+def time_drapes(fabrics: list[Fabric], edge_mm: float) -> dict:
+    """Time the drapes of all fabrics; summary and single results."""
+    runs = []
+    for seed, fabric in enumerate(fabrics):
+        runs.append(time_drape(fabric, edge_mm=edge_mm, seed=seed))
+        print(f"  {seed + 1} of {len(fabrics)}: {runs[-1]['cpu_seconds']:.2f} CPU-seconds, "
+              f"{runs[-1]['triangles']} triangles, {runs[-1]['status']}", flush=True)
+    seconds = np.array([run["cpu_seconds"] for run in runs])
+    activities = Counter()
+    for run in runs:
+        activities.update({k: v for k, v in run["seconds_by_activity"].items() if k != "total"})
+    return {
+        "mean_cpu_seconds": float(seconds.mean()),
+        "median_cpu_seconds": float(np.median(seconds)),
+        "largest_cpu_seconds": float(seconds.max()),
+        "mean_newton_steps": float(np.mean([run["newton_steps"] for run in runs])),
+        "converged": sum(run["status"] == "converged" for run in runs),
+        "share_by_activity": {k: v / seconds.sum() for k, v in activities.items()},
+        "runs": runs,
+    }
+
+
+def peak_memory() -> float:
+    """Peak memory of this process, GiB."""
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
+
+
+def run(config: Config) -> Result:
+    """Time all drapes; print the figures."""
+    fabrics = prior_fabrics(config["drapes"], config["seed"])
+    drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
+    report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1}
+    report["default"] = time_drapes(fabrics, config["edge_mm"])
+    if config["fine_mm"]:
+        report["fine"] = time_drapes(fabrics[: config["fine_drapes"]], config["fine_mm"])
+    report["peak_memory_GiB"] = peak_memory()
+    report["growth"] = [time_drape(MEDIAN, edge_mm=edge, seed=0)
+                        for edge in config["growth_mm"] if edge]
+    report["peak_memory_of_growth_GiB"] = peak_memory()
+
+    print(table(["edges at the rim, mm", "triangles", "CPU-seconds", "Newton steps", "status"],
+                [[r["edge_mm"], r["triangles"], r["cpu_seconds"], r["newton_steps"], r["status"]]
+                 for r in report["growth"]]))
+    for name in ("default", "fine"):
+        if name in report:
+            part = report[name]
+            print(f"\n{name}: {part['converged']} of {len(part['runs'])} converged, "
+                  f"{part['mean_newton_steps']:.0f} Newton steps on average")
+            print("shares of the time: " + ", ".join(
+                f"{k} {100 * v:.0f} %" for k, v in part["share_by_activity"].items()))
+            print(f"median CPU-seconds per drape: {part['median_cpu_seconds']:.2f}")
+            print(f"mean CPU-seconds per drape: {part['mean_cpu_seconds']:.2f}")
+    print(f"peak memory: {report['peak_memory_GiB']:.2f} GiB, with the table's finest mesh "
+          f"{report['peak_memory_of_growth_GiB']:.2f} GiB")
+    return Result(report)

@@ -1,0 +1,87 @@
+"""Drapes per second of several processes compared with one core.
+
+The fabrics of :mod:`experiments.speed.speed` are draped by running worker processes (they persist
+between calls) and one by one on a single core, in turn, several times. The shortest times are
+reported.
+"""
+
+import experiments.one_thread  # noqa: F401
+
+# isort: split
+import time
+
+import numpy as np
+
+from common.errors import InputError
+from experiments.common import Config, Result
+from experiments.speed.speed import prior_fabrics
+from sim.batch import drape_batch
+from sim.drape import DrapeResult, drape
+from sim.material import Fabric
+
+
+def throughput(
+    fabrics: list[Fabric], *, edge_mm: float, workers: int, repeats: int
+) -> dict:
+    """Time one core and several processes in turn; ``edge_mm`` 0 for the default mesh."""
+    drape(fabrics[0], edge=4e-3)  # compiles or loads the kernels
+    edge = 1e-3 * edge_mm or None
+    start = start_seconds(fabrics[0], workers)
+    single, several = [], []
+    for repeat in range(repeats):
+        began, busy = time.perf_counter(), time.process_time()
+        alone = [drape(fabric, edge=edge, seed=seed) for seed, fabric in enumerate(fabrics)]
+        single.append((time.perf_counter() - began, time.process_time() - busy))
+        start_seconds(fabrics[0], workers)  # ensures that the processes are running
+        began = time.perf_counter()
+        made = drape_batch(fabrics, edge=edge, workers=workers)
+        several.append(time.perf_counter() - began)
+        print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
+              f"{workers} processes {several[-1]:.1f} s", flush=True)
+    wall, busy = (min(times) for times in zip(*single, strict=True))
+    ratios = [one[1] / many for one, many in zip(single, several, strict=True)]
+    return {
+        "drapes": len(fabrics),
+        "workers": workers,
+        "converged": sum(result.converged for result in made),
+        "largest_difference_m": max(map(largest_distance, alone, made)),
+        "one_core_wall_seconds": wall,
+        "one_core_cpu_seconds": busy,
+        "workers_wall_seconds": min(several),
+        "longest_drape_seconds": max(result.seconds for result in alone),
+        "drapes_per_second_one_core": len(fabrics) / busy,
+        "drapes_per_second_workers": len(fabrics) / min(several),
+        "ratio": busy / min(several),
+        "start_seconds_of_workers": start,
+        "ratio_from_their_start": busy / (min(several) + start),
+        "ratios_of_rounds": ratios,
+        "median_ratio": float(np.median(ratios)),
+    }
+
+
+def start_seconds(fabric: Fabric, workers: int) -> float:
+    """Seconds until the worker processes have started; they persist for the next call."""
+    began = time.perf_counter()
+    made = drape_batch([fabric] * workers, edge=0.01, workers=workers)
+    return time.perf_counter() - began - max(result.seconds for result in made)
+
+
+def largest_distance(a: DrapeResult, b: DrapeResult) -> float:
+    """Largest distance, m, between the same vertex of two drapes."""
+    return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
+
+
+def run(config: Config) -> Result:
+    """Time one core and several processes; print the figures."""
+    for key in ("drapes", "workers", "repeats"):
+        if config[key] < 1:
+            raise InputError(f"{key}={config[key]} must be at least 1")
+    found = throughput(prior_fabrics(config["drapes"], config["seed"]), edge_mm=config["edge_mm"],
+                       workers=config["workers"], repeats=config["repeats"])
+    print(f"{found['drapes']} drapes: {found['drapes_per_second_one_core']:.3f} per second on one "
+          f"core, {found['drapes_per_second_workers']:.3f} in {found['workers']} processes, "
+          f"ratio {found['ratio']:.2f} ({found['median_ratio']:.2f} in the median round; "
+          f"{found['ratio_from_their_start']:.2f} including the start of the processes, "
+          f"{found['start_seconds_of_workers']:.1f} s); "
+          f"largest difference {found['largest_difference_m']:.1e} m")
+    return Result({"dtype": "float64", **found})

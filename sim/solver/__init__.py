@@ -1,0 +1,1 @@
+"""Minimisation of a sum of energies, and implicit time steps."""

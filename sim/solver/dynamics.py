@@ -1,0 +1,104 @@
+"""Motion of cloth: implicit time steps, each a minimisation (Feng et al. 2022, section 4).
+
+Backward Euler: the state at the end of a step of length h minimises
+
+    E(x) + |x - (x0 + h v0)|²_M / (2 h²)
+
+over the energies E of the cloth, with the positions x0 and velocities v0 before the step and the
+masses M of the vertices. The end of a step is in equilibrium with its inertia for steps of any
+length; motions faster than a step are damped. Any object with energies and a state can be moved:
+the minimisation is that of :mod:`sim.solver.newton`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.energies.base import Energy
+from sim.mesh import Mesh
+from sim.solver.linear import CholeskySolver
+from sim.solver.newton import NewtonOptions, NewtonResult, minimise
+from sim.solver.potential import Potential
+from sim.solver.state import State
+
+STEP_OPTIONS = NewtonOptions(residual=0.1, step=2.0, max_iterations=40)
+"""Stopping criteria of a time step, whose own error is larger."""
+
+
+class Inertia(Energy):
+    """Kinetic term of a time step, |x - y|²_M / (2 h²); one element per coordinate.
+
+    Args:
+        mesh: the cloth.
+        density: mass per area, kg/m².
+
+    Attributes:
+        masses: (V,) kg.
+    """
+
+    def __init__(self, mesh: Mesh, *, density: float) -> None:
+        self.masses = density * mesh.vertex_areas
+        self.dofs = np.arange(3 * len(self.masses))[:, None]
+        self.aim(np.zeros((len(self.masses), 3)), 1.0)
+
+    def aim(self, positions: np.ndarray, step: float) -> None:
+        """Set the positions y (V, 3), m, that the cloth would reach without forces after a
+        ``step`` h, s."""
+        self._aim, self._scale = positions.ravel(), np.repeat(self.masses, 3) / step**2
+
+    def value(self, q: np.ndarray) -> float:
+        return 0.5 * float(self._scale @ (q[: len(self._aim)] - self._aim) ** 2)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return (self._scale * (q[: len(self._aim)] - self._aim))[:, None]
+
+    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+        return self._scale[:, None, None]
+
+
+@dataclass(eq=False)
+class Motion:
+    """Cloth in motion.
+
+    Attributes:
+        state: positions and edge normals.
+        velocities: (V, 3) m/s.
+        time: s.
+    """
+
+    state: State
+    velocities: np.ndarray
+    time: float = 0.0
+
+    @staticmethod
+    def at_rest(state: State) -> "Motion":
+        """Cloth without velocity."""
+        return Motion(state, np.zeros_like(state.positions))
+
+    def advanced(
+        self, potential: Potential, inertia: Inertia, step: float, *,
+        options: NewtonOptions = STEP_OPTIONS, solver: CholeskySolver | None = None
+    ) -> tuple["Motion", NewtonResult]:
+        """The motion after a ``step``, s, and the outcome of its minimisation.
+
+        Args:
+            potential: energies of the cloth, with ``inertia`` among them.
+            solver: for the pattern of ``potential``, to be used again; None: a new one.
+        """
+        before = self.state.positions
+        inertia.aim(before + step * self.velocities, step)
+        result = minimise(potential, self._guess(potential, step), options, solver=solver)
+        state = State.of(result.q, len(before))
+        velocities = (state.positions - before) / step
+        return Motion(state, velocities, self.time + step), result
+
+    def _guess(self, potential: Potential, step: float) -> np.ndarray:
+        """The state after a ``step``, s, at constant velocities if it has the lower energy; else
+        the present one."""
+        q = self.state.q
+        move = np.zeros(potential.unknowns)
+        move[: self.velocities.size] = step * self.velocities.ravel()
+        ahead = potential.moved(q, potential.free_unknowns(move))
+        with np.errstate(all="ignore"):
+            better = potential.value(ahead) < potential.value(q)
+        return ahead if better and potential.allows(q, ahead) else q

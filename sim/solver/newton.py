@@ -1,0 +1,297 @@
+"""Minimisation of a smooth energy with a sparse Hessian by a globalised Newton method.
+
+Far from a minimum the Hessian is indefinite. It is blended with a positive semi-definite
+approximation, ``convexity`` from 0 (exact) to 1, just far enough for a Cholesky factorisation
+to exist. The blend is kept between iterations and lowered after success, so that the last steps
+are exact Newton steps with quadratic convergence. The Cholesky factor of the exact Hessian at the
+end proves a minimum rather than a saddle.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from sim.solver.linear import CholeskySolver, SparsePattern, make_solver
+
+
+class Status(str, Enum):
+    """Outcome of a minimisation; only CONVERGED is a verified minimum."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "max_iterations"
+    LINE_SEARCH = "line_search"
+    SADDLE = "saddle"
+    SINGULAR = "singular"
+    SELF_CONTACT = "self_contact"
+    NOT_FINITE = "not_finite"
+
+
+class Objective(Protocol):
+    """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
+
+    A state may be any array. Derivatives are with respect to a step (size,) from it, and ``moved``
+    applies the step; states need not form a linear space, steps do. ``hessian`` returns CSR data
+    in ``pattern``, with ``shift`` times a regularisation added to the diagonal for cases where even
+    the convex Hessian is singular. ``energy_scale`` is the magnitude of energy differences; those
+    below :data:`ROUNDING` of it are rounding errors.
+    """
+
+    size: int
+    pattern: SparsePattern
+    energy_scale: float
+
+    def value(self, q: np.ndarray) -> float: ...
+    def gradient(self, q: np.ndarray) -> np.ndarray: ...
+    def hessian(self, q: np.ndarray, convexity: float, shift: float) -> np.ndarray: ...
+    def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
+    def residual(self, gradient: np.ndarray) -> float: ...
+    def step_length(self, step: np.ndarray) -> float: ...
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """Stopping criteria, in the units of the objective's scales.
+
+    Attributes:
+        residual: largest residual of a converged state.
+        step: largest last step of a converged state.
+        max_iterations: per minimisation.
+    """
+
+    residual: float = 1e-5
+    step: float = 1e-5
+    max_iterations: int = 500
+
+
+@dataclass
+class NewtonResult:
+    """Final state of a minimisation and its cost.
+
+    Attributes:
+        q: last state; an equilibrium only if ``status`` is CONVERGED.
+        residual, step: scaled values of the last iteration.
+        positive_definite, factor: whether the exact Hessian at ``q`` has a Cholesky factor, and the
+            solver that holds it.
+        factorisations: number of factorisations, failed ones included.
+        seconds: CPU time by activity: analyse, assemble, factorise, search, total.
+    """
+
+    q: np.ndarray
+    status: Status
+    message: str
+    iterations: int = 0
+    residual: float = np.inf
+    step: float = np.inf
+    positive_definite: bool = False
+    factor: CholeskySolver | None = None
+    factorisations: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+CONVEXITIES = (0.0, 0.1, 0.5, 1.0)  # blends in increasing order; 0 is the exact Hessian
+SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
+ARMIJO = 1e-4  # required fraction of the predicted decrease
+MIN_STEP_FACTOR = 2.0**-30
+ROUNDING = 1e-14  # relative to the energy scale
+MAX_PERTURBATIONS = 5  # of saddle points
+PERTURBATION = 0.1  # first perturbation, in units of the step length
+PERTURBATION_GROWTH = 3.0  # a small perturbation may lead back to a flat saddle
+PERTURBATION_HALVINGS = 20
+PRECISE_RESIDUAL = 1.0  # residual below which exact Newton steps are solved accurately
+
+
+_ENDINGS = {
+    Status.CONVERGED: "equilibrium",
+    Status.MAX_ITERATIONS: "residual {residual:.1e} after {iterations} iterations",
+    Status.LINE_SEARCH: "no descent at residual {residual:.1e}",
+    Status.SADDLE: "stationary but not a minimum",
+    Status.SINGULAR: "no regularisation makes the Hessian definite",
+    Status.NOT_FINITE: "the energy is not a finite number",
+}
+
+
+def minimise(
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None, *,
+    solver: CholeskySolver | None = None
+) -> NewtonResult:
+    """Find a local minimum near the state ``start``. Numerical failures raise no exception.
+
+    ``solver``, for the objective's pattern, is used in place of a new one; its factor is lost.
+    """
+    start = np.array(start, dtype=np.float64)
+    run = _Minimisation(objective, start, options or NewtonOptions(), solver)
+    with run.timed("total"), np.errstate(all="ignore"):
+        run.iterate()
+    return run.result
+
+
+class _Minimisation:
+    """State of a running minimisation."""
+
+    def __init__(
+        self, objective: Objective, q: np.ndarray, options: NewtonOptions,
+        solver: CholeskySolver | None
+    ) -> None:
+        self.objective, self.options = objective, options
+        self.convexity, self.shift = 1.0, 0
+        self.hold = False  # whether the next step must not try less convexity
+        self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
+        self.result.seconds = dict.fromkeys(
+            ("analyse", "assemble", "factorise", "search", "total"), 0.0)
+        self.rng = np.random.default_rng(0)
+        self.solver = solver
+
+    def iterate(self) -> None:
+        result, options, perturbations = self.result, self.options, 0
+        value, gradient = self._evaluate()
+        while result.iterations < options.max_iterations:
+            result.residual = self.objective.residual(gradient)
+            if not np.isfinite(value) or not np.isfinite(result.residual):
+                return self._end(Status.NOT_FINITE)
+            if result.residual < options.residual:
+                # Only the exact Hessian distinguishes a minimum from a saddle.
+                result.positive_definite = self._factorise(0.0, proof=True)
+                if result.positive_definite:
+                    step = self._solve(-gradient)
+                    result.step = self.objective.step_length(step)
+                    if result.step < options.step:
+                        result.factor = self.solver
+                        return self._end(Status.CONVERGED)
+                    self.convexity, self.hold = 0.0, False
+                elif perturbations < MAX_PERTURBATIONS:
+                    result.q = self._perturbed(perturbations)
+                    perturbations += 1
+                    value, gradient = self._evaluate()
+                    self.convexity = 1.0
+                    result.iterations += 1
+                    continue
+                else:
+                    return self._end(Status.SADDLE)
+            else:
+                step = self._direction(gradient)
+            if step is None:
+                return self._end(Status.SINGULAR)
+            with self.timed("search"):
+                found = self._search(value, gradient, step)
+            if found is None:
+                # The step of a nearly singular model leaves the range in which the model is valid:
+                # use a stiffer model at this state. At a stationary point no model is stiffer.
+                stationary = result.residual < options.residual
+                if stationary or (self.convexity == 1.0 and self.shift == len(SHIFTS) - 1):
+                    return self._end(Status.LINE_SEARCH)
+                if self.convexity == 1.0:
+                    self.shift += 1
+                self.convexity, self.hold = 1.0, True
+                result.iterations += 1
+                continue
+            self.shift = 0
+            length, result.q, value, gradient = found
+            result.step = length * self.objective.step_length(step)
+            result.iterations += 1
+        result.residual = self.objective.residual(gradient)
+        return self._end(Status.MAX_ITERATIONS)
+
+    def _evaluate(self) -> tuple[float, np.ndarray]:
+        return self.objective.value(self.result.q), self.objective.gradient(self.result.q)
+
+    def _end(self, status: Status) -> None:
+        self.result.status = status
+        self.result.message = _ENDINGS[status].format(**vars(self.result))
+
+    @contextmanager
+    def timed(self, activity: str) -> Iterator[None]:
+        """Add the time spent in a ``with`` block to an entry of the result."""
+        began = time.thread_time()
+        yield
+        self.result.seconds[activity] += time.thread_time() - began
+
+    def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
+        objective = self.objective
+        with self.timed("assemble"):
+            data = objective.hessian(self.result.q, convexity, shift)
+        if self.solver is None:
+            with self.timed("analyse"):
+                self.solver = make_solver(objective.pattern)
+        with self.timed("factorise"):
+            self.result.factorisations += 1
+            return self.solver.factorise(data, rough=not proof)
+
+    def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
+        with self.timed("factorise"):
+            return self.solver.solve(rhs, rough=rough)
+
+    def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
+        """Newton step with the smallest possible convexity; None if no factor exists."""
+        now = CONVEXITIES.index(self.convexity)
+        lowest = now if self.hold else max(now - 1, 0)
+        self.hold = False
+        for trial in () if self.shift else CONVEXITIES[lowest:-1]:
+            if self._factorise(trial):
+                # After a failure with less convexity, try less again only after another step.
+                self.hold = trial == self.convexity and lowest < now
+                self.convexity = trial
+                rough = trial > 0 or self.result.residual > PRECISE_RESIDUAL
+                return self._solve(-gradient, rough=rough)
+        self.convexity = 1.0
+        while not self._factorise(1.0, SHIFTS[self.shift]):
+            if self.shift == len(SHIFTS) - 1:
+                return None
+            self.shift += 1
+        return self._solve(-gradient, rough=True)
+
+    def _search(
+        self, value: float, gradient: np.ndarray, step: np.ndarray
+    ) -> tuple[float, np.ndarray, float, np.ndarray] | None:
+        """Line search: backtracking from 1, then doubling while the energy decreases."""
+        objective, q = self.objective, self.result.q
+        slope = float(gradient @ step)
+        if not slope < 0:
+            return None
+        rounding = ROUNDING * objective.energy_scale
+        length, best = 1.0, None
+        while length > MIN_STEP_FACTOR:
+            trial = objective.moved(q, length * step)
+            if objective.allows(q, trial):
+                trial_value = objective.value(trial)
+                if trial_value <= value + ARMIJO * length * slope:
+                    best = (length, trial, trial_value)
+                    break
+                if abs(length * slope) < rounding and trial_value < value + rounding:
+                    # The energies differ by rounding errors only: compare the gradients.
+                    trial_gradient = objective.gradient(trial)
+                    if objective.residual(trial_gradient) < objective.residual(gradient):
+                        return length, trial, trial_value, trial_gradient
+            length /= 2
+        if best is None:
+            return None
+        while best[0] >= 1.0:
+            length = 2 * best[0]
+            trial = objective.moved(q, length * step)
+            if not objective.allows(q, trial):
+                break
+            trial_value = objective.value(trial)
+            if not trial_value < min(best[2], value + ARMIJO * length * slope):
+                break
+            best = (length, trial, trial_value)
+        return *best, objective.gradient(best[1])
+
+    def _perturbed(self, earlier: int) -> np.ndarray:
+        """A random state near a saddle, smoothed by the convex Hessian; its distance grows with the
+        number of ``earlier`` perturbations."""
+        objective, q = self.objective, self.result.q
+        if not self._factorise(1.0, SHIFTS[1]):
+            return q
+        move = self._solve(self.rng.standard_normal(objective.size))
+        move *= PERTURBATION * PERTURBATION_GROWTH**earlier / objective.step_length(move)
+        for _ in range(PERTURBATION_HALVINGS):
+            there = objective.moved(q, move)
+            if objective.allows(q, there):
+                return there
+            move /= 2
+        return q

@@ -1,1 +1,0 @@
-"""Replications of published experiments: ``python -m studies NAME``; see docs/studies.md."""

@@ -1,0 +1,228 @@
+"""What the benchmarks share: resumed work, tables, comparisons."""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import perturbed
+import pytest
+import torch
+
+from common.configs import group_options, read_config
+from common.errors import InputError
+from experiments import common
+from experiments.__main__ import FILES, FOLDERS, main, usage
+from experiments.common import ROOT, load_arrays, run_cases, table
+from experiments.comparison import compare
+from experiments.estimation import information, refine_views
+from experiments.physics import default_mesh, meshes
+from sim.cloth import Cloth
+from sim.drape import drape
+from sim.material import Fabric
+from sim.mesh.specimens import make_specimen
+from sim.scene import Rig
+from sim.solver.newton import NewtonOptions
+
+
+def count_calls(log: str, value: float) -> dict:
+    """A case's work that leaves a trace of having been done."""
+    with Path(log).open("a", encoding="utf-8") as file:
+        file.write(f"{value}\n")
+    return {"square": value**2, "arrays": {"row": np.arange(value)}}
+
+
+def test_finished_cases_are_not_done_again(tmp_path, monkeypatch):
+    log = tmp_path / "log"
+    cases = {f"case{k}": {"log": str(log), "value": k} for k in (3, 2)}
+
+    def run() -> dict:
+        return run_cases(count_calls, cases, folder=tmp_path / "cases", workers=1)
+
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
+    assert sorted(log.read_text().split()) == ["2", "3"]
+    assert load_arrays(tmp_path / "cases", "case3")["row"].tolist() == [0, 1, 2]
+    cases["case2"]["value"] = 5  # other settings under the same name
+    (tmp_path / "cases" / "case3.json").write_text("{torn")
+    assert run() == {"case3": {"square": 9}, "case2": {"square": 25}}
+    assert sorted(log.read_text().split()) == ["2", "3", "3", "5"]
+    monkeypatch.setattr(common, "sources_digest", lambda *_: "another simulator")
+    run()
+    assert len(log.read_text().split()) == 6
+
+
+def test_no_workers_are_refused(tmp_path):
+    with pytest.raises(InputError, match="workers=0"):
+        run_cases(count_calls, {"a": {"log": "", "value": 1}}, folder=tmp_path, workers=0)
+
+
+def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
+    (tmp_path / "file").touch()
+    for words in ("out=/proc/report.json", f"out={tmp_path}", f"out={tmp_path}/file/report.json",
+                  f"cases={tmp_path}/file"):
+        with pytest.raises(InputError, match="cannot write"):
+            main(["convergence", words])
+    with pytest.raises(InputError, match="cannot write"):
+        main(["tree", "work=/proc/runs"])
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_every_benchmark_has_a_folder_keys_and_a_line():
+    assert set(FILES) == set(group_options("benchmark"))
+    assert {file.parent.name for file in FILES.values()} == set(FOLDERS)
+    lines = usage().splitlines()
+    for name, file in FILES.items():
+        assert callable(import_module(f"experiments.{file.parent.name}.{name}").run)
+        keys = read_config(f"benchmark/{name}").keys()
+        assert "out" in keys
+        assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
+        (line,) = (line for line in lines if line.split()[:1] == [name])
+        assert line.endswith(".") and len(line) <= 120
+
+
+def test_a_benchmark_shows_its_keys_and_refuses_others(capfd):
+    with pytest.raises(SystemExit) as ended:
+        main(["information", "--help"])
+    assert ended.value.code in (0, None)
+    text = capfd.readouterr().out
+    assert text.startswith(information.__doc__.splitlines()[0]) and "\npixels: 100.0  #" in text
+    with pytest.raises(InputError, match="unknown key 'pixel', perhaps pixels"):
+        main(["information", "pixel=1"])
+
+
+def test_the_list_and_mistakes_of_the_command_line():
+    def run(*words: str) -> subprocess.CompletedProcess:
+        return subprocess.run([sys.executable, "-m", "experiments", *words], cwd=ROOT,
+                              capture_output=True, text=True)
+
+    listed = run()
+    assert listed.returncode == 0 and listed.stdout.startswith("Run a benchmark.")
+    for words in (["elastika"], ["elastica", "gammas=many"], ["meshes", "fabrics=[silk]"]):
+        done = run(*words)
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+
+
+def test_table_is_aligned():
+    lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
+    assert lines[2] == "| long name | 1.23 |"
+    assert len({len(line) for line in lines}) == 1
+
+
+@pytest.mark.slow
+def test_worker_processes_are_timed_against_one_core(tmp_path):
+    out = tmp_path / "throughput.json"
+    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
+    found = json.loads(out.read_text())
+    assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
+    rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
+    assert found["ratio"] == pytest.approx(rates[0] / rates[1])
+
+
+@pytest.fixture(scope="module")
+def draped():
+    return drape(Fabric(np.full(3, 40e-6)), edge=8e-3, seed=2)
+
+
+def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
+    for edge, low, high in ((8e-3, 0.0, 1e-6), (6e-3, 1e-4, 5e-3)):
+        specimen = make_specimen(Rig(), edge=edge, topology=2)
+        found = common.equilibrium_near(draped.rest, draped.positions, specimen, Rig(),
+                                        draped.fabric)
+        shape = default_mesh.Shape(specimen, found.state.positions)
+        assert found.converged
+        assert low <= compare(draped, shape).displacement < high
+
+
+def test_the_fine_mesh_has_four_times_the_triangles(draped):
+    specimen = default_mesh.fine_specimen(Rig(), draped, topology=2)
+    assert len(specimen.mesh.faces) >= 4 * len(draped.faces)
+    rim = np.flatnonzero(specimen.held[specimen.mesh.edges].all(axis=1)
+                         & (np.linalg.norm(specimen.mesh.rest[specimen.mesh.edges], axis=2)
+                            > 0.999 * Rig().plate_radius).all(axis=1))
+    ends = specimen.mesh.rest[specimen.mesh.edges[rim]]
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(4e-3, rel=0.05)
+
+
+def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
+    def row(apart: float, cost: float, *, folds: bool = True, converged: bool = True) -> dict:
+        return {"mesh": "3", "apart_mm": apart, "same_folds": folds, "converged": converged,
+                "cpu_seconds": cost}
+
+    rows = row(0.6, 1.0), row(1.0, 2.0), row(9.0, 3.0, folds=False), row(8.0, 6.0, converged=False)
+    (found,) = default_mesh.summarise([{"meshes": [one]} for one in rows])
+    assert found["same_folds"] == 2 and found["within_limit"] == 1
+    assert found["mean_mm"] == pytest.approx(0.8) and found["largest_mm"] == 1.0
+    assert found["mean_cpu_seconds"] == pytest.approx(3.0)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_gpu_figures_need_a_gpu(tmp_path):
+    with pytest.raises(InputError, match="no GPU"):
+        main(["render", "device=cuda", f"out={tmp_path / 'render.json'}"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_axes_of_bounds_can_be_read():
+    found = json.loads((common.REPORTS / "information.json").read_text(encoding="utf-8"))
+    for axes in information.draw(found).axes:
+        low, high = axes.get_ylim()
+        assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
+
+
+def test_posteriors_are_judged_by_errors_and_coverage():
+    rng = np.random.default_rng(0)
+    scale = np.array([0.1] * 3 + [1e-3] * 3)
+    middle = rng.standard_normal((400, 6)) * scale
+    truth = middle + rng.standard_normal((400, 6)) * scale
+    samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
+    found = refine_views.posterior_errors(truth, samples)
+    assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
+    assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
+    assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
+    assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)
+
+
+def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
+    out = tmp_path / "meshes.json"
+    main(["meshes", "fabrics=[stiff]", "laws=[midedge]", "edge_mm=4", "refinement_mm=8,4",
+          "start_mm=4", f"cases={tmp_path / 'cases'}", f"out={out}"])
+    content = json.loads(out.read_text(encoding="utf-8"))
+    coarse, fine = content["spacings"][:3], content["spacings"][3:]
+    assert fine == content["meshes"]
+    assert {row["edge_mm"] for row in coarse} == {8.0}
+    # The coarser the mesh, the more the drape depends on it.
+    assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
+    largest = [f"{max(row['mean_mm'] for row in rows):.2f}" for rows in (coarse, fine)]
+    cells = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["|", "stiff", "|", largest[0], "|", largest[1], "|"] in cells
+
+
+def test_drapes_of_different_folds_are_marked_in_the_table_of_spacings():
+    def pair(mean_mm: float, *, same_folds: bool) -> dict:
+        return {"fabric": "soft", "edge_mm": 3.0, "mean_mm": mean_mm, "same_folds": same_folds}
+
+    assert meshes.spacing_rows([pair(1.0, same_folds=True), pair(0.2, same_folds=False)]) == [
+        ["soft", "1.00"]]
+    assert meshes.spacing_rows([pair(1.0, same_folds=True), pair(8.0, same_folds=False)]) == [
+        ["soft", "(8.00)"]]
+
+
+def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_listed(draped):
+    scene = draped.scene
+    potential = Cloth(scene, draped.fabric).potential
+    stop = NewtonOptions(max_iterations=0)
+    moves = [perturbed.Perturbation(seed, 1e-9).minimise(potential, draped.state.q, stop).q
+             - draped.state.q for seed in (None, 0, 0, 1)]
+    assert not moves[0].any() and np.array_equal(moves[1], moves[2])
+    assert not np.array_equal(moves[1], moves[3])
+    coordinates = moves[1][: 3 * len(draped.rest)].reshape(-1, 3)
+    assert not coordinates[scene.held].any()
+    assert coordinates[~scene.held].std() == pytest.approx(1e-9, rel=0.1)
+    plain = {"a": "passed", "b": "passed", "c": "failed"}
+    runs = [plain, plain | {"b": "failed"}, plain | {"b": "failed", "c": "passed"}]
+    assert perturbed.compare(plain, runs) == {
+        "b": {"unperturbed": "passed", "perturbed": {"passed": 1, "failed": 2}},
+        "c": {"unperturbed": "failed", "perturbed": {"failed": 2, "passed": 1}}}

@@ -1,0 +1,145 @@
+"""Networks of studies: inputs, outputs and training data."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+
+from common.command import schema_of
+from common.errors import InputError
+from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, elevations
+from experiments.papers.__main__ import main
+from experiments.papers.learned import UniformPrior, stiff_first
+from experiments.papers.networks import (
+    Classes,
+    FoldNetwork,
+    Outline,
+    Regression,
+    ViewNetwork,
+    output_head,
+)
+from experiments.papers.space import linear_fit
+from sim.drape import drape
+from sim.material import Fabric
+from sim.scene import Rig
+
+RIG = Rig()
+
+
+def test_regression_has_the_loss_of_the_paper():
+    target = torch.tensor([[1.0, 2.0], [0.0, -1.0]])
+    answer = Regression(torch.tensor([[0.0, 0.0], [0.0, 1.0]]))
+    assert answer.log_likelihood(target).item() == pytest.approx(-np.sqrt((1 + 4 + 4) / 2))
+
+
+def test_the_likelihood_is_that_of_the_classes_of_the_targets():
+    outputs, answer = output_head("classes 8", targets=2)
+    assert outputs == 16
+    targets = torch.tensor([[0.1, -9.0], [1.3, 2.4]])
+    logits = torch.zeros(2, 2, 8)
+    for row, places in enumerate([(4, 0), (6, 7)]):  # eight classes from -2.5 to 2.5
+        for column, place in enumerate(places):
+            logits[row, column, place] = 50.0
+    found = answer(logits.view(2, 16))
+    assert isinstance(found, Classes)
+    assert torch.allclose(found.log_likelihood(targets), torch.zeros(2), atol=1e-5)
+    assert torch.allclose(found.mean, torch.tensor([[0.3125, -2.1875], [1.5625, 2.1875]]))
+
+
+def waves(folds: int) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+    """Distance and weight (1, AZIMUTHS, ELEVATIONS) of a cone with a wavy hem, and its radius."""
+    azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
+    radius = 0.09 + 0.02 * np.cos(folds * azimuth)
+    borders = elevations(RIG)
+    middle = torch.from_numpy((borders[1:] + borders[:-1]) / 2).float()
+    shown = torch.from_numpy(radius).float()[:, None] / middle.cos() * torch.ones(ELEVATIONS)
+    weight = torch.ones(AZIMUTHS, ELEVATIONS)
+    weight[:, :10] = 0.0  # nothing below the hem
+    shown = torch.where(middle > middle[10], 0.5 * shown, shown)  # smaller radius above the hem
+    return shown[None], weight[None], radius
+
+
+def test_an_outline_is_the_hem_of_a_map():
+    distance, weight, radius = waves(5)
+    found, height = Outline(RIG)(distance, weight)
+    np.testing.assert_allclose(found[0], radius, rtol=1e-5)
+    borders = elevations(RIG)
+    np.testing.assert_allclose(height[0], radius * np.tan((borders[10] + borders[11]) / 2),
+                               rtol=1e-4)
+
+
+@pytest.mark.parametrize("folds", [4, 7])
+def test_inputs_are_drape_coefficient_and_number_of_folds(folds):
+    distance, weight, radius = waves(folds)
+    network = FoldNetwork(rig=RIG, output="regression", targets=6)
+    layer_inputs = []
+    network.layers.register_forward_pre_hook(lambda _, inputs: layer_inputs.append(inputs[0]))
+    network(distance, weight, torch.zeros(1, 5))
+    plate = np.pi * RIG.plate_radius**2
+    coefficient = (np.pi * np.mean(radius**2) - plate) / (RIG.specimen_area - plate)
+    assert layer_inputs[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
+    assert layer_inputs[0][0, 1].item() == pytest.approx(folds / 2 - 3)
+
+
+@pytest.mark.parametrize("name", ["resnet18", "alexnet", "efficientnet_b0"])
+def test_backbones_have_inputs_of_four_views_and_a_focal_length(name):
+    network = ViewNetwork(name, channels=5, output="posterior", targets=8)
+    answer = network(torch.rand(2, 5, 60, 80))
+    assert answer.means.shape == (2, 2, 8)
+
+
+def test_stiffer_yarns_come_first():
+    theta = np.array([[1.0, 2.0, 3.0, 10.0, 20.0, 30.0]])
+    assert stiff_first(theta).tolist() == [[3.0, 2.0, 1.0, 30.0, 20.0, 10.0]]
+
+
+def test_the_uniform_prior_has_the_quantiles_of_the_fabrics_as_bounds():
+    theta = np.random.default_rng(0).normal(size=(5000, 6))
+    box = UniformPrior.around(theta)
+    drawn = box.sample(2000, np.random.default_rng(1))
+    assert (drawn >= box.low).all() and (drawn <= box.high).all()
+    assert np.allclose(box.high, 2.326, atol=0.15)  # of a normal distribution
+    assert np.allclose(drawn.std(axis=0), (box.high - box.low) / np.sqrt(12), rtol=0.03)
+
+
+def test_a_linear_law_is_fitted_to_a_linear_fabrics_drape():
+    fabric = Fabric([60e-6, 40e-6, 50e-6], [0.0, 0.0, 0.0])
+    found = linear_fit(drape(fabric, edge=0.009, seed=1, start="ring"))
+    np.testing.assert_allclose(found.fabric.alpha, fabric.alpha, rtol=1e-2)
+
+
+def test_defaults_of_a_study_are_those_of_the_files_it_names():
+    heads, nested = ({field.name: field.type for field in fields(schema_of(f"study/{name}"))}
+                     for name in ("heads", "repeatability"))
+    shared = {field.name: field.type for field in fields(nested["learned"])}
+    assert heads == shared | {"classes": list[int]}
+    assert nested["starts"] is shared["drapes"] is int and shared["edge_mm"] is float
+
+
+@pytest.mark.parametrize(("words", "complaint"), [
+    (["headz"], "unknown command 'headz', perhaps heads"),
+    (["heads", "drapse=3"], "unknown key 'drapse', perhaps drapes; known keys: batch, captures"),
+    (["heads", "steps=many"], "steps=many must be a whole number"),
+    (["repeatability", "learned.drapse=3"], "learned.drapse', perhaps drapes"),
+    (["page", "out=a"], "page takes no other words"),
+])
+def test_invalid_words_are_reported_in_one_line(words, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        main(words)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["heads", "scaling"])
+def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
+    words = [name, "drapes=64", "start_drapes=64", "captures=1", "steps=2", "batch=8", "edge_mm=9",
+             "workers=1", f"work={tmp_path / 'work'}", f"out={tmp_path / 'report.json'}",
+             *(["fabrics=20,40", "times=2,3"] if name == "scaling" else [])]
+    main(words)
+    first = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    capsys.readouterr()
+    main(words)
+    assert "to go" not in capsys.readouterr().out
+    assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8")) == first
