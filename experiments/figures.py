@@ -193,7 +193,8 @@ def claims() -> str:
         off = max(abs(100 * one["mean"] - float(level.strip("%")))
                   for level, one in found["inside"].items())
         add(f"… and the coverage of its 50, 68 and 90 % intervals ({kind})", "The estimator",
-            coverage(found), "3 points", f"drapenet.network.evaluate rig={RIGS[kind]}", met=off <= 3)
+            coverage(found), "3 points", f"drapenet.network.evaluate rig={RIGS[kind]}",
+            met=off <= 3)
 
     found = report("tree")
     same = all(found["same_tables"].values())

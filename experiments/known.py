@@ -12,7 +12,8 @@ from sim.scene import Rig
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
-"""Fields of :class:`data.render.setups.Setups`: exact quarter turns, a smooth sensor, an exact cut-out."""
+"""Fields of :class:`data.render.setups.Setups`: exact quarter turns, a smooth sensor, an exact cut-
+out."""
 
 
 def plan_specimen(number: int, *, rig: Rig, nuisances: str, seed: int) -> DrapePlan:

@@ -1,8 +1,8 @@
 """The energies of a drape in plain PyTorch, values only, with which the fast kernels of
 :mod:`sim.energies` are compared.
 
-Positions x are (V, 3) m, edge normals n (E, 3) (:mod:`sim.solver.state`), rest points (V, 2) m; N of the
-triangles are free.
+Positions x are (V, 3) m, edge normals n (E, 3) (:mod:`sim.solver.state`), rest points (V, 2) m; N
+of the triangles are free.
 """
 
 import torch
@@ -16,7 +16,8 @@ from sim.energies.plate_law import PlateConstants, constants
 
 
 def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:
-    """Normals (E, 3) after displacements (V, 3), m, and turns (E,), rad; see :mod:`sim.solver.state`."""
+    """Normals (E, 3) after displacements (V, 3), m, and turns (E,), rad; see
+    :mod:`sim.solver.state`."""
     ends = (y[edges] for y in (x, x + move))
     before, after = (torch.nn.functional.normalize(y[:, 1] - y[:, 0], dim=1) for y in ends)
     scale = (n * after).sum(-1) / (1 + (before * after).sum(-1))

@@ -1,9 +1,10 @@
 """Check that docstrings of public functions give units and shapes: ``make lint``.
 
 A parameter named for a quantity needs one of its units (:data:`UNITS`), an array in a signature
-needs a shape such as ``(V, 3)``, in the docstring of the function, its class or its module. A
-method without a docstring in a derived class has that of its base. A docstring may refer to
-another for its arguments: "see", "as for" or "as in" and a role, such as ``:func:``.
+needs a shape such as ``(V, 3)``, in the docstring of the function, its class or its module, or a
+type of :mod:`common.types`, which states both. A method without a docstring in a derived class has
+that of its base. A docstring may refer to another for its arguments: "see", "as for" or "as in" and
+a role, such as ``:func:``.
 """
 
 import ast

@@ -1,7 +1,7 @@
-"""Check imports and sizes of modules: ``python tools/check_layers.py`` (``make lint``).
+"""Check imports of modules: ``python tools/check_layers.py`` (``make lint``).
 
 There are no import cycles, including imports in functions and for type checkers; lower packages do
-not import higher ones; modules of the simulator have a maximum length.
+not import higher ones.
 """
 
 import ast
@@ -16,7 +16,6 @@ FORBIDDEN = {
     "sim": ("apps", "data", "drapenet", *SCRIPTS),
 }
 """What a package must not import."""
-MAX_LINES = 350  # lines of a module of sim/
 
 
 def modules(root: Path) -> dict[str, Path]:
@@ -52,9 +51,6 @@ def complaints(root: Path) -> list[str]:
         package = name.partition(".")[0]
         lines += [f"{name} imports {other}: {package} must not" for other in sorted(others)
                   if other.partition(".")[0] in FORBIDDEN.get(package, ())]
-        length = len(files[name].read_text(encoding="utf-8").splitlines())
-        if package == "sim" and length > MAX_LINES:
-            lines.append(f"{name} has {length} lines, more than {MAX_LINES}")
     while True:
         try:
             TopologicalSorter(graph).prepare()

@@ -9,9 +9,9 @@ Two formats are recognised by their files:
   count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
   used), of the square on its cylinder, with the intrinsics of its camera.
 
-In frames of the full scene, in the first format, the cloth is cut out (:mod:`data.captures.cutout`); other
-frames show only cloth. All content is validated; a fault raises an InputError of one line that
-names the file.
+In frames of the full scene, in the first format, the cloth is cut out
+(:mod:`data.captures.cutout`); other frames show only cloth. All content is validated; a fault
+raises an InputError of one line that names the file.
 """
 
 import hashlib

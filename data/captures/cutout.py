@@ -111,8 +111,8 @@ def cut_out(
             f"the frames (median depth {median:.3g} m); check tester, depth_unit_m and intrinsics, "
             "or set every pixel that is not cloth to 0")
     doubts = [] if plate.table is not None else [
-        "no table is seen below the plate; look with python -m data.captures.preview whether only cloth is "
-        "cut out"]
+        "no table is seen below the plate; look with python -m data.captures.preview whether "
+        "only cloth is cut out"]
     local = plate.local(points)
     radius, height = np.hypot(local[..., 0], local[..., 1]), local[..., 2]
     solid = seen & _on_surface(frames)
@@ -129,7 +129,8 @@ def cut_out(
             cloth &= ~_column(cloth, radius, height, column, rig)
             if column > rig.plate_radius - 2 * _COLUMN_MARGIN[1]:
                 doubts.append("the column is nearly as wide as the plate: where cloth touches it "
-                              "the hem may be wrong; look at it with python -m data.captures.preview")
+                              "the hem may be wrong; look at it with "
+                              "python -m data.captures.preview")
     else:
         # On the plate and at its rim, cloth is only its thickness nearer than the background.
         top = (radius < rig.plate_radius + _REACH_TOLERANCE) & (np.abs(height) < _PLATE_TOLERANCE)

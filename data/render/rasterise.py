@@ -1,7 +1,8 @@
 """Batched rendering of depth pictures of drapes: a z-buffer in PyTorch, on any device.
 
-The pictures equal those of :mod:`data.render.renderer`: z-depth, pixel centres at integers, background 0,
-only the cloth, two-sided. :mod:`data.render.renderer` casts rays; this module rasterises triangles:
+The pictures equal those of :mod:`data.render.renderer`: z-depth, pixel centres at integers,
+background 0, only the cloth, two-sided. :mod:`data.render.renderer` casts rays; this module
+rasterises triangles:
 
     corners -> two trapezoids per triangle, split at the middle corner's row -> rows -> spans ->
     pixels
@@ -109,7 +110,8 @@ def rasterise_tensors(
 ) -> torch.Tensor:
     """Depth pictures (B, K, height, width) of B meshes, K of each, in PyTorch alone.
 
-    Arguments and result are those of :func:`data.render.rasterise_cpu.rasterise_arrays`, as tensors.
+    Arguments and result are those of :func:`data.render.rasterise_cpu.rasterise_arrays`, as
+    tensors.
     """
     meshes = max(1, CHUNK // points.shape[1])
     parts = zip(*(tensor.split(meshes) for tensor in (points, faces, intrinsics)), strict=True)

@@ -59,7 +59,8 @@ class StructuredLight(SensorNoise):
         intrinsics: torch.Tensor,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """See :meth:`data.render.sensor_noise.SensorNoise.window`; the intrinsics are not needed."""
+        """See :meth:`data.render.sensor_noise.SensorNoise.window`; the intrinsics are not
+        needed."""
         coarse = uniform((*views.shape[:-3], 1, 1, 1), views, generator)
         u, v = self._look_up(views, rows, columns, generator)
         # Background, depth 0, has infinite disparity and remains background.

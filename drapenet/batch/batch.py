@@ -51,8 +51,9 @@ class Done(Schema):
 def estimate_tree(
     source: Path, out: Path, *, checkpoint: str = "", workers: int | None = None, **options: Any
 ) -> list[Path]:
-    """Estimate all captures of ``source`` (:func:`drapenet.batch.captures.entries_of`); write tables, a page
-    for each fabric and an overview to ``out``; return the fabrics' files ``estimate.json``.
+    """Estimate all captures of ``source`` (:func:`drapenet.batch.captures.entries_of`); write
+    tables, a page for each fabric and an overview to ``out``; return the fabrics' files
+    ``estimate.json``.
 
     Args:
         checkpoint: for all captures; empty: the bundled one of each capture's rig.

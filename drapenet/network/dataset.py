@@ -1,6 +1,7 @@
 """Maps of synthetic captures of a dataset's drapes, for training and evaluation.
 
-    shard of drapes -> captures (data.render.setups) -> maps (drapenet.views.radial_map) -> maps_NNNNN.npz
+    shard of drapes -> captures (data.render.setups) -> maps (drapenet.views.radial_map) ->
+    maps_NNNNN.npz
 
 Files depend on the dataset, the set-ups and the seed only, so an interrupted run can be resumed.
 """
@@ -42,7 +43,8 @@ class Maps:
         nuisances: (N, 8) of :data:`data.fabrics.nuisances.NAMES`.
         views: (N,) number of views.
         fabric, index: (N,) of the drape in the dataset.
-        moved: (N,) bool, whether it is a neighbour of that drape (:mod:`drapenet.network.extrapolated`).
+        moved: (N,) bool, whether it is a neighbour of that drape
+        (:mod:`drapenet.network.extrapolated`).
     """
 
     distance: np.ndarray

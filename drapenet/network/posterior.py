@@ -1,8 +1,8 @@
 """Posterior of the moduli as a mixture of Gaussians.
 
 The network's last layer gives the parameters of a mixture with full covariances over the
-standardised targets (:mod:`drapenet.network.targets`); training maximises the likelihood of the true
-targets.
+standardised targets (:mod:`drapenet.network.targets`); training maximises the likelihood of the
+true targets.
 """
 
 import math

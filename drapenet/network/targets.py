@@ -1,7 +1,8 @@
 """Targets of the network: the moduli along the specimen's yarns.
 
 A square is cut along its yarns and its map begins at a side: its six targets are theta
-(:mod:`data.fabrics.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a disc are
+(:mod:`data.fabrics.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a
+disc are
 not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns first,
 and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
 single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for equal

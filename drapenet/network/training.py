@@ -151,8 +151,8 @@ def validate(network: MapNet, captures: CaptureSet) -> dict:
 
     Returns:
         ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
-        of the means, standardised; ``inside`` (:func:`drapenet.network.calibration.inside`); ``samples``,
-        the number of captures.
+        of the means, standardised; ``inside`` (:func:`drapenet.network.calibration.inside`);
+        ``samples``, the number of captures.
     """
     network.eval()
     losses, errors, places = [], [], []

@@ -77,7 +77,8 @@ def refined_capture(
     Args:
         camera: of the views; turns: (K,) rad, of the table in each.
         seen: the scan of the capture; None for views.
-        known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of the fabric at its own density.
+        known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of the fabric at its own
+        density.
         settings: content of a file of ``configs/refine``; None: the default.
         progress: called with the simulated and the expected number of drapes, and the misfit.
     """

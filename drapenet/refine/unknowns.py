@@ -1,7 +1,7 @@
 """Parameters of a specimen in a refinement, their prior, and derivatives of the drape by them.
 
-The parameters are the moduli, the nuisances of a specimen (:mod:`data.fabrics.nuisances`), its offset on
-the plate and, for a scan, the direction of its warp.
+The parameters are the moduli, the nuisances of a specimen (:mod:`data.fabrics.nuisances`), its
+offset on the plate and, for a scan, the direction of its warp.
 """
 
 import math

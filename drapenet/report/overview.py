@@ -1,8 +1,8 @@
 """Tables and pages of batch inference: ``summary.csv``, ``fabrics.csv``, ``captures.csv``,
 ``failures.csv``, a page for each fabric, and ``index.html``.
 
-They are made from the files of finished captures (:mod:`drapenet.batch.batch`); estimates of one fabric
-are joined (:mod:`drapenet.result.joint`).
+They are made from the files of finished captures (:mod:`drapenet.batch.batch`); estimates of one
+fabric are joined (:mod:`drapenet.result.joint`).
 """
 
 import io

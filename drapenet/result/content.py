@@ -24,7 +24,8 @@ class Result:
     Attributes:
         estimate: with all warnings, including those of capture and refinement.
         content: of ``estimate.json``.
-        files: report files, bytes by name (:data:`drapenet.result.output.SHOWN`); empty if no report was
+        files: report files, bytes by name (:data:`drapenet.result.output.SHOWN`); empty if no
+        report was
             requested.
     """
 

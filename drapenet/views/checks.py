@@ -169,8 +169,8 @@ def require_plate(quality: Quality) -> None:
             f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
             f"{1e3 * _PLATE_TOLERANCE:g} mm off its plane (limit {MAX_OFF_PLATE:.0%}), so what was "
             "found is not a drape on a plate; check that the pictures are upright, neither turned "
-            "nor mirrored, that all show the cloth, and the tester; python -m data.captures.preview shows "
-            "what was cut out")
+            "nor mirrored, that all show the cloth, and the tester; "
+            "python -m data.captures.preview shows what was cut out")
 
 
 def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:

@@ -1,11 +1,11 @@
 """Accuracy of the cloth mask, the plate and the turns found in uncropped scenes.
 
-Drapes of fabrics from the prior are rendered in synthetic scenes (:mod:`data.render.scenes`) with table,
-column, wall and clutter of three densities, with three sensors per camera pose. The turns of the
-table deviate from 90 degrees by up to 5 degrees. Targets: :data:`TARGETS`. The shift of log alpha
-compares raw frames with a perfect cut-out, in posterior standard deviations. A perfect cut-out has
-the true mask without the pixels in which a time-of-flight sensor mixes cloth and background; the
-"true mask" includes these pixels.
+Drapes of fabrics from the prior are rendered in synthetic scenes (:mod:`data.render.scenes`) with
+table, column, wall and clutter of three densities, with three sensors per camera pose. The turns of
+the table deviate from 90 degrees by up to 5 degrees. Targets: :data:`TARGETS`. The shift of log
+alpha compares raw frames with a perfect cut-out, in posterior standard deviations. A perfect
+cut-out has the true mask without the pixels in which a time-of-flight sensor mixes cloth and
+background; the "true mask" includes these pixels.
 
 Depth errors of the sensor shift and tilt the measured plate. Therefore errors of the centre are
 given across the line of sight, and along it after subtraction of the mean depth error; the tilt is

@@ -2,8 +2,8 @@
 
 Mixtures (GMM) and autoencoders (VAE) are fitted to 80 % of the distinct fabrics and evaluated on
 the others, for several random splits. For all models, outliers are clipped to the plausible range
-of the fitted part (:func:`data.fabrics.prior.coordinates.plausible_range`). Log-likelihoods are per fabric,
-in nats, of densities in log alpha and in beta/alpha in mm; that of an autoencoder is an
+of the fitted part (:func:`data.fabrics.prior.coordinates.plausible_range`). Log-likelihoods are per
+fabric, in nats, of densities in log alpha and in beta/alpha in mm; that of an autoencoder is an
 importance-weighted bound.
 """
 

@@ -2,10 +2,10 @@
 
 Each fabric from the prior is draped several times, with another specimen, start and capture each
 time. The captures are estimated one by one, and the first 1, 2, ... of a fabric jointly
-(:mod:`drapenet.result.joint`). The errors of two captures of one fabric are correlated, because they
-share membrane, hysteresis and natural curvature; ``drapenet.result.joint.SHARED`` is this correlation.
-The bound (:mod:`experiments.estimation.bound`) is computed for the same drapes, also for the
-curvature.
+(:mod:`drapenet.result.joint`). The errors of two captures of one fabric are correlated, because
+they share membrane, hysteresis and natural curvature; ``drapenet.result.joint.SHARED`` is this
+correlation. The bound (:mod:`experiments.estimation.bound`) is computed for the same drapes, also
+for the curvature.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Estimation of a folder of raw frames by one command, with and without interruptions.
 
-Simulated drapes of known fabrics are placed in synthetic scenes (:mod:`data.render.scenes`), two scenes
-each, and written as raw frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them once
-without interruption and once killed and restarted twice; both must give the same tables.
+Simulated drapes of known fabrics are placed in synthetic scenes (:mod:`data.render.scenes`), two
+scenes each, and written as raw frames, FABRIC/SAMPLE/CAPTURE. ``infer.py captures=`` estimates them
+once without interruption and once killed and restarted twice; both must give the same tables.
 """
 
 import csv

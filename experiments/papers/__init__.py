@@ -1,1 +1,2 @@
-"""Replications of published experiments: ``python -m experiments.papers NAME``; see docs/studies.md."""
+"""Replications of published experiments: ``python -m experiments.papers NAME``; see
+docs/studies.md."""

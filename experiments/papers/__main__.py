@@ -1,8 +1,8 @@
 """Run studies.
 
-    python -m experiments.papers NAME [key=value ...]  # configs/study/NAME.yaml; NAME --help lists the keys
+    python -m experiments.papers NAME [key=value ...]  # configs/study/NAME.yaml; --help: the keys
     python -m experiments.papers all [key=value ...]
-    python -m experiments.papers page                  # write the page and the figures from stored reports
+    python -m experiments.papers page                  # page and figures from stored reports
 """
 
 import experiments.one_thread  # noqa: F401

@@ -1,7 +1,7 @@
 """Short trainings of networks on small sets of captures, for comparisons in studies.
 
-The training drapes are simulated like those of the bundled network (:mod:`data.dataset.generate`), on
-coarser meshes, with four views. All networks are evaluated on the same captures of held-out
+The training drapes are simulated like those of the bundled network (:mod:`data.dataset.generate`),
+on coarser meshes, with four views. All networks are evaluated on the same captures of held-out
 fabrics. Drapes, maps and finished trainings are stored in ``work`` and shared by the studies.
 """
 

@@ -37,8 +37,8 @@ SEARCHES = {
     "lm": "vertices, Levenberg–Marquardt", "lbfgs": "vertices, L-BFGS-B",
     "cmaes": "vertices, CMA-ES", "grid": "2-D spectrum (000, Eq. 9), Levenberg–Marquardt",
     "rings": "spectrum along rings, Levenberg–Marquardt"}
-_SOURCES = ("sim", "drapenet/refine", "experiments/papers/descriptors.py", "experiments/physics/style3d.py",
-            "experiments/papers/minimisers.py")
+_SOURCES = ("sim", "drapenet/refine", "experiments/papers/descriptors.py",
+            "experiments/physics/style3d.py", "experiments/papers/minimisers.py")
 _SPRING_FORCE = 0.05  # of the springs at 1 mm, relative to the weight, as for scans
 _CURVATURE = 50.0  # 1/m, at which secant moduli are compared
 _START_STIFFNESS = 2.0  # relative stiffness of the drape at which Style3D starts

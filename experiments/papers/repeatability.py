@@ -189,7 +189,7 @@ STUDY = Study(
     "reports low coefficients of variation, five points higher for a network trained on one "
     "start, without a table; not comparable, because its fabrics are real and draped by hand.",
     "The fabrics have no hysteresis, which adds to the variation of real cloth. The small networks "
-    "were trained for minutes (`experiments/papers/learned.py`) and their estimates shrink towards the "
-    "mean, so that their variation is smaller than their error; it is that of the stiffer and the "
-    "softer yarns.",
+    "were trained for minutes (`experiments/papers/learned.py`) and their estimates shrink "
+    "towards the mean, so that their variation is smaller than their error; it is "
+    "that of the stiffer and the softer yarns.",
     second_table=small_networks)

@@ -32,7 +32,8 @@ def setups(*, fixed: bool = False) -> Setups:
 def capture_views(
     shard: str, rig: str, captures: int, seed: int, dataset: str, fixed: bool
 ) -> dict:
-    """Capture a shard as :func:`drapenet.network.dataset.make_maps` does, and store the views as arrays.
+    """Capture a shard as :func:`drapenet.network.dataset.make_maps` does, and store the views as
+    arrays.
 
     ``views`` (N, 4, 60, 80) float16, see :func:`downsample`; ``focal`` (N,), relative to the
     nominal focal length, less 1; ``orientation`` (N,) of the warp in the first view, rad.

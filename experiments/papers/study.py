@@ -21,11 +21,11 @@ _HEAD = """# Studies
 
 Experiments of published papers, repeated with this system. The command of a study resumes after an
 interruption and writes its section of this page; `make studies` runs all studies, and
-`python -m experiments.papers page` writes page and figures from the stored reports. Unless stated otherwise,
-errors of log α and β/α are root mean squares of posterior mean minus truth, in units of the
-standard deviation over fabrics, and displacements are distances between the positions of the same
-material point in two drapes, averaged over the specimen including its part on the plate.
-002 is Feng et al. 2022, 000 Larionov et al., 001 DiffCloth, 004 Miguel et al. 2012.
+`python -m experiments.papers page` writes page and figures from the stored reports. Unless stated
+otherwise, errors of log α and β/α are root mean squares of posterior mean minus truth, in units of
+the standard deviation over fabrics, and displacements are distances between the positions of the
+same material point in two drapes, averaged over the specimen including its part on the plate. 002
+is Feng et al. 2022, 000 Larionov et al., 001 DiffCloth, 004 Miguel et al. 2012.
 [validation.md](validation.md) validates and times the simulator.
 """
 
@@ -110,7 +110,8 @@ def page(studies: Sequence[Study], reports: dict[str, Report]) -> str:
 
 
 def error_cell(result: dict[str, Any] | None, name: str, *, interval: bool = False) -> str:
-    """Error of a training (:func:`experiments.papers.learned.train`) on unseen fabrics, as a table cell."""
+    """Error of a training (:func:`experiments.papers.learned.train`) on unseen fabrics, as a table
+    cell."""
     if result is None:
         return "–"
     error = result["unseen"]["fabrics"][name]

@@ -1,7 +1,7 @@
 """Displacement of drapes on the default mesh from drapes on a fine mesh, and their cost.
 
-The fabrics of :mod:`experiments.speed.speed` are draped on their default meshes. From each drape the
-equilibrium on a mesh with at least four times as many triangles is found, and from this the
+The fabrics of :mod:`experiments.speed.speed` are draped on their default meshes. From each drape
+the equilibrium on a mesh with at least four times as many triangles is found, and from this the
 equilibria on all other meshes, including the default one. All have the same folds, so that their
 displacements are due to the meshes. The cost is that of a drape from a sine start.
 """

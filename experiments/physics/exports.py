@@ -1,9 +1,9 @@
 """Strips of exported materials in Newton's Style3D, compared with the heavy elastica.
 
-Strips along warp, bias and weft are simulated with the material that :mod:`drapenet.export.formats` writes
-for a fabric with one modulus and for one with three. The result is the apparent modulus from drop
-over reach, relative to that of the fabric. VBD is not tested: it needs more than 4 000 steps per
-second for a strip to come to rest, which takes minutes per second. Needs the extra ``newton``.
+Strips along warp, bias and weft are simulated with the material that :mod:`drapenet.export.formats`
+writes for a fabric with one modulus and for one with three. The result is the apparent modulus from
+drop over reach, relative to that of the fabric. VBD is not tested: it needs more than 4 000 steps
+per second for a strip to come to rest, which takes minutes per second. Needs the extra ``newton``.
 """
 
 import json

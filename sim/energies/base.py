@@ -12,9 +12,9 @@ class Energy(Protocol):
 
     Unknowns are the coordinates of the vertices (m), three per vertex, then the rotation of every
     edge normal (rad): 3 V + E. A state ``q`` holds the coordinates, then the normals, (3 V + 3 E,)
-    float64 (:mod:`sim.solver.state`); derivatives are with respect to a step from it. It includes held
-    coordinates, so that energies need not know which ones are free. User-defined energies enter a
-    drape by :attr:`sim.laws.Laws.others` (docs/extending.md); deriving them from this class
+    float64 (:mod:`sim.solver.state`); derivatives are with respect to a step from it. It includes
+    held coordinates, so that energies need not know which ones are free. User-defined energies
+    enter a drape by :attr:`sim.laws.Laws.others` (docs/extending.md); deriving them from this class
     provides the default :meth:`allows`.
 
     Attributes:

@@ -1,10 +1,10 @@
 """Mid-edge bending: a constant-curvature plate element with edge normals and finite angles.
 
-Every edge has a normal (:mod:`sim.solver.state`). In a triangle, phi is the angle about an edge from the
-triangle's normal to the edge's, positive if the edge normal is inclined outwards; the angles of the
-two triangles at an edge add up to its dihedral angle. The normal of a boundary edge is free: an
-exact free-edge condition. An edge between held and free cloth has the normal of the held triangle:
-an exact clamp. The triangle's shape operator is
+Every edge has a normal (:mod:`sim.solver.state`). In a triangle, phi is the angle about an edge
+from the triangle's normal to the edge's, positive if the edge normal is inclined outwards; the
+angles of the two triangles at an edge add up to its dihedral angle. The normal of a boundary edge
+is free: an exact free-edge condition. An edge between held and free cloth has the normal of the
+held triangle: an exact clamp. The triangle's shape operator is
 
     S = sum_i (2 phi_i / h_i) n_i n_i^T
 

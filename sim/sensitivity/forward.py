@@ -60,10 +60,10 @@ def sensitivities(
             bias and weft each:
 
             "log_alpha"  per unit of log alpha at fixed beta/alpha; with
-            "ratio"      per m of beta/alpha, the derivatives by theta (:mod:`data.fabrics.fabrics`);
-            "alpha", "beta"  per N·m at fixed beta, per N·m² at fixed alpha;
-            "density"    per kg/m² at fixed moduli and in-plane stiffness;
-            "membrane"   per unit of the logarithm of the in-plane stiffness.
+            "ratio"      per m of beta/alpha, the derivatives by theta
+            (:mod:`data.fabrics.fabrics`); "alpha", "beta"  per N·m at fixed beta, per N·m² at fixed
+            alpha; "density"    per kg/m² at fixed moduli and in-plane stiffness; "membrane"   per
+            unit of the logarithm of the in-plane stiffness.
 
             Moduli and density are those of the fabric. A drape is simulated at the reference
             density; the in-plane stiffness of its laws is that of cloth of this density.

@@ -129,8 +129,8 @@ def test_ctrl_c_in_a_compiled_function_is_ctrl_c(ctrl_c):
 
 
 def test_two_interruptions_at_once_end_a_dataset_like_one(tmp_path, ctrl_c):
-    command = [sys.executable, "-m", "data.dataset.generate", f"out={tmp_path / 'set'}", "drapes=400",
-               "edge_mm=10", "dataset.drapes_per_shard=4", "workers=2"]
+    command = [sys.executable, "-m", "data.dataset.generate", f"out={tmp_path / 'set'}",
+               "drapes=400", "edge_mm=10", "dataset.drapes_per_shard=4", "workers=2"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                            start_new_session=True)
     time.sleep(4.0)

@@ -91,7 +91,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
 
 
 def test_exports_can_be_fetched(client, finished, monkeypatch):
-    monkeypatch.setattr("drapenet.export.hinges.equivalent_modulus", None)  # no strips in this process
+    monkeypatch.setattr("drapenet.export.hinges.equivalent_modulus", None)  # no strips
     for name, target in TARGETS.items():
         answer = client.get(f"/estimates/{finished['id']}/export/{name}")
         assert answer.status_code == 200, (name, answer.text)

@@ -34,7 +34,8 @@ class InspectConfig:
 def main(config: InspectConfig) -> None:
     """Verify the dataset; print and write the report."""
     if not config.data:
-        raise InputError("the folder of a dataset is missing: python -m data.dataset.inspect FOLDER")
+        raise InputError("the folder of a dataset is missing: "
+                         "python -m data.dataset.inspect FOLDER")
     if config.intersections < 0:
         raise InputError(f"intersections={config.intersections} must not be negative")
     if config.sheet < 1:

@@ -4,8 +4,8 @@
 
 The table is a CSV file in the published format: density [kg.m-2], linear moduli [SI*1e9], nonlinear
 moduli [SI*1e12], each warp, weft, diag. Repeated rows are one fabric. To draw a dataset's fabrics
-from the prior: python -m data.dataset.generate prior.file=outputs/prior.json; ``fit --help`` lists the
-keys.
+from the prior: python -m data.dataset.generate prior.file=outputs/prior.json; ``fit --help`` lists
+the keys.
 """
 
 import time

@@ -18,8 +18,8 @@ def render(template: str, **values: object) -> bytes:
 
 @cache
 def _environment() -> jinja2.Environment:
-    pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "report/pages"), autoescape=True,
-                               undefined=jinja2.StrictUndefined, trim_blocks=True)
+    pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "report/pages"),
+                               autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure,
                       "wide": lambda quantity: with_interval(quantity, "interval_90")[1],
                       "base64": lambda data: b64encode(data).decode()}
