@@ -1,0 +1,28 @@
+"""Types of arrays and numbers that name their shape and unit, once for the whole project.
+
+A signature with one of these types needs no shape or unit in its docstring (``make lint``).
+N points, V vertices, F triangles, E edges, K views of H rows and W columns; SI units.
+"""
+
+from typing import Annotated
+
+import numpy as np
+
+Points = Annotated[np.ndarray, "(N, 3) float64, m"]
+RestPoints = Annotated[np.ndarray, "(V, 2) float64, m, coordinates in the flat specimen"]
+Faces = Annotated[np.ndarray, "(F, 3) int, vertices of triangles"]
+Edges = Annotated[np.ndarray, "(E, 2) int, vertices of edges"]
+Views = Annotated[np.ndarray, "(K, H, W) float32, z-depth, m, background 0"]
+DepthImage = Annotated[np.ndarray, "(H, W) float32, z-depth, m, background 0"]
+Mask = Annotated[np.ndarray, "(H, W) bool"]
+Pixels = Annotated[np.ndarray, "(N, 2), column and row, pixels"]
+Outline = Annotated[np.ndarray, "(N, 2), closed curve seen from above, m"]
+Pose = Annotated[np.ndarray, "(4, 4), maps points of the rig to the camera, m"]
+Turns = Annotated[np.ndarray, "(K,) rad, of the table in each view, right-handed about its axis"]
+Moduli = Annotated[np.ndarray, "(3,) N·m, linear moduli alpha of warp, bias, weft"]
+QuadraticModuli = Annotated[np.ndarray, "(3,) N·m², quadratic moduli beta of warp, bias, weft"]
+Theta = Annotated[
+    np.ndarray, "(..., 6) log alpha (N·m), beta/alpha (m) of warp, bias, weft at 300 g/m²"]
+Metres = Annotated[float, "m"]
+Radians = Annotated[float, "rad"]
+Density = Annotated[float, "kg/m²"]
