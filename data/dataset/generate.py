@@ -25,12 +25,13 @@ import common.interrupt  # noqa: F401
 import sys
 from pathlib import Path
 
+from common.cases import progress_bar
 from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
 from data.dataset.folder import DatasetFolder
 from data.dataset.options import Options, config_from_options
-from data.dataset.progress import over_shards, progress_bar
+from data.dataset.progress import over_shards
 from data.dataset.simulate import DatasetConfig, Solver
 from data.dataset.workers import make_shards
 

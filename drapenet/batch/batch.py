@@ -16,13 +16,13 @@ from typing import Any
 
 import joblib
 
+from common.cases import progress_bar
 from common.documents import Schema, read_json
 from common.errors import InputError, one_line
 from common.files import remove_file, replace_file, replace_json, require_folder
 from common.provenance import code_state
 from common.workers import worker_pool
 from data.captures.capture import read_capture
-from data.dataset.progress import progress_bar
 from data.render.shade import thumbnails
 from drapenet.batch.captures import entries_of
 from drapenet.network.checkpoint import header_for, read_header

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import perturbed
@@ -15,7 +14,7 @@ from common.configs import group_options, read_config
 from common.errors import InputError
 from experiments import common
 from experiments.__main__ import FILES, FOLDERS, main, usage
-from experiments.common import ROOT, load_arrays, run_cases, table
+from experiments.common import ROOT, table
 from experiments.comparison import compare
 from experiments.estimation import information, refine_views
 from experiments.physics import default_mesh, meshes
@@ -25,38 +24,6 @@ from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
 from sim.scene import Rig
 from sim.solver.newton import NewtonOptions
-
-
-def count_calls(log: str, value: float) -> dict:
-    """A case's work that leaves a trace of having been done."""
-    with Path(log).open("a", encoding="utf-8") as file:
-        file.write(f"{value}\n")
-    return {"square": value**2, "arrays": {"row": np.arange(value)}}
-
-
-def test_finished_cases_are_not_done_again(tmp_path, monkeypatch):
-    log = tmp_path / "log"
-    cases = {f"case{k}": {"log": str(log), "value": k} for k in (3, 2)}
-
-    def run() -> dict:
-        return run_cases(count_calls, cases, folder=tmp_path / "cases", workers=1)
-
-    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
-    assert run() == {"case3": {"square": 9}, "case2": {"square": 4}}
-    assert sorted(log.read_text().split()) == ["2", "3"]
-    assert load_arrays(tmp_path / "cases", "case3")["row"].tolist() == [0, 1, 2]
-    cases["case2"]["value"] = 5  # other settings under the same name
-    (tmp_path / "cases" / "case3.json").write_text("{torn")
-    assert run() == {"case3": {"square": 9}, "case2": {"square": 25}}
-    assert sorted(log.read_text().split()) == ["2", "3", "3", "5"]
-    monkeypatch.setattr(common, "sources_digest", lambda *_: "another simulator")
-    run()
-    assert len(log.read_text().split()) == 6
-
-
-def test_no_workers_are_refused(tmp_path):
-    with pytest.raises(InputError, match="workers=0"):
-        run_cases(count_calls, {"a": {"log": "", "value": 1}}, folder=tmp_path, workers=0)
 
 
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):

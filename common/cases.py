@@ -1,0 +1,162 @@
+"""Resumable work: a case is done when its result file exists under its final name.
+
+The file holds the key of the case: a digest of its settings and of the sources that the result
+depends on. A result of other settings or sources is computed again.
+"""
+
+import hashlib
+import inspect
+import json
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from common.errors import InputError, one_line
+from common.files import remove_file, replace_file, replacing
+from common.workers import worker_pool
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
+# them is killed while it holds it.
+tqdm.set_lock(threading.RLock())
+
+
+def run_cases(
+    work: Callable[..., Any],
+    cases: Mapping[str, Mapping[str, Any]],
+    *,
+    folder: Path,
+    workers: int = 1,
+    sources: Sequence[str] = (),
+    failures: dict[str, str] | None = None,
+    unit: str = "case",
+) -> dict[str, Any]:
+    """Results of ``work(**settings)`` by name; only those without a file are computed.
+
+    Args:
+        work: module-level function; returns JSON types. An entry "arrays" of a dictionary, arrays
+            by name, is stored as ``folder/NAME.npz``, see :func:`load_arrays`.
+        cases: settings by name, of JSON types, paths and dataclasses of these; a path stands for
+            the content of the file or folder.
+        folder: of the result files ``NAME.json``.
+        workers: processes of one thread each.
+        sources: folders and files of the project that the results depend on, beside ``work``.
+        failures: receives the cases that fail, in one line each; they are recorded and not tried
+            again. None: they are, and the first error is raised when all other cases are done.
+
+    Raises:
+        InputError: a worker was killed, or the folder cannot be written.
+    """
+    if workers < 1:
+        raise InputError(f"workers={workers}: at least one process is needed")
+    code = [inspect.getsource(work), *(content_digest(ROOT / name) for name in sources)]
+    keys = {name: _digest(json.dumps([settings, code], sort_keys=True, default=_plain).encode())
+            for name, settings in cases.items()}
+    files = {name: folder / f"{name}.json" for name in cases}
+    stored = {name: _stored(files[name], keys[name], failures) for name in cases}
+    missing = [name for name in cases if stored[name] is None]
+    errors = []
+    if missing:
+        print(f"{len(cases) - len(missing)} of {len(cases)} {unit}s are finished; {len(missing)} "
+              "to go. If interrupted, the same command goes on.", flush=True)
+        with worker_pool(min(workers, len(missing))) as pool, progress_bar(
+                total=len(missing), unit=unit) as bar:
+            futures = {pool.submit(_run, work, cases[name], files[name], keys[name],
+                                   failures is not None): name for name in missing}
+            for future in as_completed(futures):
+                name = futures[future]
+                try:
+                    stored[name] = future.result()
+                except Exception as error:
+                    errors.append(error)
+                    stored[name] = {"failure": one_line(error)}
+                if failure := stored[name].get("failure"):
+                    bar.write(f"{name} failed: {failure}")
+                bar.update()
+    if errors:
+        raise errors[0]
+    if failures is not None:
+        failures |= {name: case["failure"] for name, case in stored.items() if "failure" in case}
+    return {name: case["result"] for name, case in stored.items() if "result" in case}
+
+
+def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """Arrays by name of a finished case."""
+    with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
+        return dict(file)
+
+
+def content_digest(path: Path) -> str:
+    """Digest of a file's content, or of the names and contents of all files of a folder."""
+    files = [path] if path.is_file() else sorted(
+        file for file in path.rglob("*") if file.is_file() and "__pycache__" not in file.parts)
+    parts = []
+    for file in files:
+        try:
+            content = _digest(file.read_bytes())
+        except OSError as error:  # reported by who reads the file
+            content = type(error).__name__
+        parts.append([file.relative_to(path).as_posix(), content])
+    return _digest(json.dumps(parts).encode())
+
+
+def progress_bar(items: Any = None, **options: Any) -> tqdm:
+    """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
+    pause = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Path):
+        return content_digest(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not a setting of a case")
+
+
+def _stored(
+    file: Path, key: str, failures: Mapping[str, str] | None
+) -> dict[str, Any] | None:
+    """Content of a result file; None if it is missing, of another key, or to be tried again."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        done = content["key"] == key and (failures is not None or "result" in content)
+        return content if done else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _run(
+    work: Callable[..., Any], settings: Mapping[str, Any], file: Path, key: str, record: bool
+) -> dict[str, Any]:
+    """Compute a case and write its file; ``record`` failures rather than raise them."""
+    remove_file(file)
+    try:
+        outcome = {"result": work(**settings)}
+    except Exception as error:
+        if not record:
+            raise
+        outcome = {"failure": str(error) if isinstance(error, InputError) else
+                   f"{type(error).__name__}: {one_line(error)}; please report it"}
+    result = outcome.get("result")
+    if arrays := result.pop("arrays", None) if isinstance(result, dict) else None:
+        # First, so that a result always has its arrays.
+        with replacing(file.with_suffix(".npz")) as stream:
+            np.savez_compressed(stream, **arrays)
+    content = {"key": key, **outcome}
+    replace_file(file, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+    return json.loads(json.dumps(outcome))
