@@ -30,7 +30,7 @@ from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.regression import RATIO_RANGE
 from sim.cantilever.torque_curve import fit_torque_curve
 from sim.material import DIRECTIONS, MICRO, NANO, check_density
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 from sim.solver.newton import Status
 
 LENGTH = 0.09  # m; results depend only on gamma

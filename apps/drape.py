@@ -17,7 +17,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
 from sim.drape import DrapeResult, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 @dataclass

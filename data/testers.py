@@ -7,7 +7,7 @@ from pydantic import PlainValidator
 
 from common.documents import Schema
 from common.errors import InputError
-from sim.scene import RIGS, Rig
+from sim.rig import RIGS, Rig
 
 SIZES, PLATES, MIN_OVERHANG = (200.0, 400.0), (60.0, 200.0), 20.0  # mm
 _SAME_PLATE = 0.1  # of the diameter, within which a plate in the pictures may be a tester's

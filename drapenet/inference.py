@@ -24,7 +24,7 @@ from drapenet.views.checks import measure, quality_doubts, require_plate
 from drapenet.views.pose import camera_doubts, locate_camera
 from drapenet.views.radial_map import DrapeMap, drape_coefficient, drape_map, turn_doubts
 from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
+from sim.rig import Rig
 
 if TYPE_CHECKING:
     from drapenet.refine.refine import Refined

@@ -18,7 +18,7 @@ from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import Specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.start import interpolate_positions
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.files import replace_file
 from drapenet.network.checkpoint import bundled, read_header
 from experiments.common import REPORTS, ROOT, table
-from sim.scene import Rig
+from sim.rig import Rig
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)

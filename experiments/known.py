@@ -8,7 +8,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
-from sim.scene import Rig
+from sim.rig import Rig
 
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}

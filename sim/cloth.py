@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.energies.base import Energy, dofs_of
-from sim.energies.contact import Cylinder, ObstacleContact
+from sim.energies.contact import ObstacleContact
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.scene import GRAVITY, Scene
+from sim.rig import GRAVITY, Cylinder
+from sim.scene import Scene
 from sim.solver.potential import Potential
 
 STEP_UNIT = 1e-3  # m; steps are reported in mm

@@ -25,7 +25,8 @@ from sim.mesh.specimens import (
     longest_edge,
     make_specimen,
 )
-from sim.scene import CONTACT_PRESSURE, Rig, Scene
+from sim.rig import Rig
+from sim.scene import CONTACT_PRESSURE, Scene
 from sim.self_contact import self_intersections
 from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
@@ -56,7 +57,7 @@ class DrapeResult:
         fabric, rig: as given.
         mesh: of the specimen; origin on the plate's axis, without a plate at the specimen's centre.
         held: (V,) bool, vertices that the rig holds.
-        state: positions (V, 3), m, in the frame of :class:`sim.scene.Rig`, z up, and edge normals.
+        state: positions (V, 3), m, in the frame of :class:`sim.rig.Rig`, z up, and edge normals.
         laws: bending law, membrane and user-defined energies.
         extra: further energies of the equilibrium.
         touches: whether the equilibrium includes self-contact.
@@ -242,7 +243,7 @@ def check_arguments(
 ) -> None:
     """InputError for invalid arguments of :func:`drape`, such as the name of a rig."""
     if not isinstance(rig, Rig):
-        raise InputError(f"rig={rig!r}: give a sim.scene.Rig, such as "
+        raise InputError(f"rig={rig!r}: give a sim.rig.Rig, such as "
                          f"Rig.from_name('{Rig().name}')")
     if not isinstance(laws, Laws):
         raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "

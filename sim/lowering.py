@@ -18,7 +18,8 @@ from sim.equilibrium import Equilibrium
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import GRADING
-from sim.scene import GRAVITY, Rig, Scene
+from sim.rig import GRAVITY, Rig
+from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion
 from sim.solver.linear import make_solver
 from sim.solver.newton import Status

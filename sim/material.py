@@ -19,6 +19,12 @@ from common.errors import InputError
 
 WARP, BIAS, WEFT = 0, 1, 2
 DIRECTIONS = ("warp", "bias", "weft")
+STIFF_SOFT = ("stiff", "bias", "soft")
+LINEAR, RATIO = slice(0, 3), slice(3, 6)
+"""Log alphas and beta/alpha in theta, the six coordinates of a fabric."""
+FIRST, SECOND = 0, 2  # log alphas of the two yarns in theta
+SWAPPED = [2, 1, 0, 5, 4, 3]
+"""Indices that exchange the two yarns in theta."""
 REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (section 5.1.2)
 
 MICRO = 1e-6  # N·m per µN·m

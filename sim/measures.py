@@ -9,10 +9,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from common.threads import one_blas_thread
-from sim.energies.contact import Cylinder
 from sim.membranes import Corotational
 from sim.mesh import Mesh
-from sim.scene import Rig
+from sim.rig import Cylinder, Rig
 
 _PIXEL = 5e-4  # m, of the rasterised top view
 _MIN_FOLD_DEPTH = 3e-3  # m

@@ -1,171 +1,17 @@
-"""Rigs and scenes: the constants of a simulation, in SI units."""
+"""Scenes: a meshed specimen with its fixed vertices and obstacles."""
 
-import math
-import re
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from common.errors import InputError
-from sim.energies.contact import Cylinder
 from sim.mesh import Mesh
+from sim.rig import GRAVITY, Cylinder
 from sim.solver.state import State
 
-GRAVITY = 9.81  # m/s²
 CONTACT_PRESSURE = 120.0
 """Pressure of an obstacle on cloth :data:`sim.energies.contact.DEPTH` deep in it, as a multiple of
 the cloth's weight."""
-_NAME = re.compile(r"(?P<specimen>square|disc)(?P<size>[\d.]+)_"
-                   r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)(_cut(?P<cut>-?[\d.]+))?")
-
-
-@dataclass(frozen=True)
-class Rig:
-    """A specimen and its holder.
-
-    Either a round plate holds its middle (paper, section 3.1): the origin is the centre of the
-    plate's top face, z points up. Or two neighbouring corners of a square are held at z = 0, at the
-    same distance from the origin (section 7.4.2).
-
-    Attributes:
-        specimen_size: side of a square specimen or diameter of a disc, m.
-        plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
-        specimen: "square" or "disc".
-        corners_apart: distance between the two corners that hold a specimen without plate, m.
-        cut: angle from the warp to a side of the square, counter-clockwise, rad; 0 for a cut
-            along the yarns. Only with a plate.
-    """
-
-    specimen_size: float = 0.300
-    plate_diameter: float = 0.100
-    specimen: str = "square"
-    corners_apart: float | None = None
-    cut: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.specimen not in ("square", "disc"):
-            raise InputError(f"specimen={self.specimen!r}: choose square or disc")
-        if not abs(self.cut) <= np.pi / 4 or (self.cut and not self.has_plate):
-            raise InputError(f"a cut of {np.degrees(self.cut):g}° from the warp: give at most 45°, "
-                             "and 0 without a plate")
-        if not 0 <= self.plate_diameter < self.specimen_size < np.inf:
-            raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
-                             f"{1e3 * self.specimen_size:g} mm: it must be smaller")
-        if self.has_plate:
-            return
-        if self.specimen == "disc":
-            raise InputError("a disc has no corners to hang by; give it a plate")
-        if not (self.corners_apart and 0 < self.corners_apart < self.specimen_size):
-            raise InputError(f"corners_apart={self.corners_apart}: without a plate give a distance "
-                             f"above 0 and below {self.specimen_size:g} m, the specimen's size")
-
-    @property
-    def name(self) -> str:
-        """Identifier in datasets and checkpoints: specimen and holder, sizes in mm."""
-        holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
-        if not self.has_plate:
-            holder, size = "corners", self.corners_apart
-        cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
-        return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
-
-    @property
-    def plate_radius(self) -> float:
-        """Radius of the plate, m."""
-        return self.plate_diameter / 2
-
-    @property
-    def reach(self) -> float:
-        """Distance of the flat specimen's farthest point from its centre, m."""
-        return self.specimen_size / (2 if self.specimen == "disc" else np.sqrt(2))
-
-    @property
-    def overhang(self) -> float:
-        """Largest distance of a centred specimen's border beyond the plate's rim, m."""
-        return self.reach - self.plate_radius
-
-    @property
-    def has_plate(self) -> bool:
-        """Whether the specimen is draped over a plate, so that it has a drape coefficient."""
-        return self.plate_diameter > 0
-
-    @property
-    def specimen_area(self) -> float:
-        """Area of the flat specimen, m²."""
-        square = self.specimen_size**2
-        return np.pi / 4 * square if self.specimen == "disc" else square
-
-    @property
-    def obstacles(self) -> tuple[Cylinder, ...]:
-        """Obstacles in contact with the cloth."""
-        return (Cylinder(self.plate_radius),) if self.has_plate else ()
-
-    @property
-    def sides(self) -> np.ndarray:
-        """(2, 2) unit vectors along the sides of a square, in warp/weft axes, as columns."""
-        cos, sin = np.cos(self.cut), np.sin(self.cut)
-        return np.array([[cos, -sin], [sin, cos]])
-
-    def to_border(self, rest: np.ndarray, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
-        """Distances (N,), m, from points (N, 2) m to the border of the flat specimen around
-        ``centre``; negative outside."""
-        offset = np.abs((rest - np.asarray(centre)) @ self.sides)
-        if self.specimen == "disc":
-            return self.specimen_size / 2 - np.linalg.norm(offset, axis=1)
-        return self.specimen_size / 2 - offset.max(axis=1)
-
-    def to_plate(self, rest: np.ndarray) -> np.ndarray:
-        """Distances (N,), m, from points (N, 2) m of the flat specimen to the plate; 0 on it."""
-        return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)
-
-    def place(self, rest: np.ndarray) -> np.ndarray:
-        """Positions (N, 3), m, of the held points of the specimen, ``rest`` (N, 2) m."""
-        if self.has_plate:
-            return np.column_stack([rest, np.zeros(len(rest))])
-        across = rest[:, 0] * self.corners_apart / self.specimen_size
-        return np.column_stack([across, np.zeros((len(rest), 2))])
-
-    def as_dict(self) -> dict:
-        """The rig in JSON types, as in a dataset's description."""
-        return {"name": self.name, **asdict(self)}
-
-    @staticmethod
-    def from_name(name: str) -> "Rig":
-        """The rig with this :attr:`name`; InputError if ``name`` is not of this form."""
-        with suppress(ValueError):  # numbers such as 1.2.3, sizes that no rig can have
-            rig = _rig_of(_NAME.fullmatch(name))
-            if rig and rig.name == name:
-                return rig
-        raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}, and others of "
-                         "this form with sizes in mm")
-
-
-def _rig_of(words: re.Match | None) -> Rig | None:
-    """The rig whose name has these words; None without words."""
-    if words is None:
-        return None
-    size, held = float(words["size"]) / 1e3, float(words["held"]) / 1e3
-    hung = words["holder"] == "corners"
-    return Rig(size, 0.0 if hung else held, words["specimen"], held if hung else None,
-               math.radians(float(words["cut"] or 0)))
-
-
-SQUARE_RIG = Rig()
-"""The tester of Feng et al. 2022, section 3.1."""
-
-DISC_RIG = Rig(0.300, 0.180, specimen="disc")
-"""The drape tester of textile laboratories: ISO 9073-9, BS 5058."""
-
-SMALL_DISC_RIG, LARGE_DISC_RIG = (replace(DISC_RIG, specimen_size=size) for size in (0.240, 0.360))
-"""The same tester with its specimens for limp and for stiff cloth."""
-
-HUNG_SQUARE = Rig(0.600, 0.0, corners_apart=0.500)
-"""The hanging test of section 7.4.2."""
-
-RIGS = {rig.name: rig for rig in
-        (SQUARE_RIG, SMALL_DISC_RIG, DISC_RIG, LARGE_DISC_RIG, HUNG_SQUARE)}
-"""Rigs with a common name, by name."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from sim.energies.hysteresis import Hysteresis
 from sim.laws import Laws
 from sim.material import Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric, Rig, Laws]:

@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull, QhullError
 from common.errors import InputError
 from common.threads import one_blas_thread
 from sim.mesh.specimens import share_of_offset
-from sim.scene import Rig
+from sim.rig import Rig
 
 STARTS = ("sine", "fold", "ring")
 """Random initial shapes; for a warm start from another drape see :func:`borrowed_positions`."""

@@ -15,7 +15,7 @@ from data.render.cameras import CameraRig
 from data.render.renderer import DepthRenderer
 from sim.laws import Laws
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def skirt(fabric, *, rig, edge, start, seed, offset, laws):

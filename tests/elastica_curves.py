@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.cantilever import heavy_elastica
 from sim.cantilever.tester import bending_length
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 
 WEIGHT = 0.3 * GRAVITY
 LAWS = [(20e-6, -50e-9), (80e-6, -150e-9), (20e-6, 40e-9), (5e-6, -30e-9)]

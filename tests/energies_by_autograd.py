@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
-from sim.energies.contact import DEPTH, RIM
+from sim.energies.contact import DEPTH
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants
+from sim.rig import RIM
 
 
 def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from data.render.cameras import Intrinsics
 from drapenet.network.checkpoint import load_model, read_header
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, is_admissible
-from sim.scene import SQUARE_RIG
+from sim.rig import SQUARE_RIG
 
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
 

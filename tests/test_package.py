@@ -15,7 +15,7 @@ def test_imports_from_outside_the_repository(tmp_path):
     code = (
         "import sim.drape, data.captures.capture, drapenet.network.checkpoint, train, infer, serve;"
         "from common.configs import CONFIG_DIR;"
-        "from sim.scene import SQUARE_RIG;"
+        "from sim.rig import SQUARE_RIG;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file();"
         "assert drapenet.network.checkpoint.bundled(SQUARE_RIG).is_file()"
     )

@@ -46,7 +46,7 @@ from data.captures.pictures import (
 from data.captures.plate import plate_diameter
 from data.render.cameras import CameraRig, Intrinsics
 from data.testers import Tester, described_tester, named_tester, tester_choices
-from sim.scene import SQUARE_RIG, Rig
+from sim.rig import SQUARE_RIG, Rig
 
 CAPTURE_FILES = ("capture.yaml", "density.txt")
 """Files that identify a capture folder: one for each format."""

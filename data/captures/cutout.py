@@ -16,7 +16,7 @@ from common.errors import InputError
 from data.captures.pictures import neighbours
 from data.captures.plate import Plate, find_plate
 from data.render.cameras import Intrinsics
-from sim.scene import Rig
+from sim.rig import Rig
 
 MAX_CLOTH_SHARE = 0.9  # of a picture's pixels
 SCENE_DEPTHS = (0.1, 10.0)  # m, plausible median depth of a scene

@@ -11,7 +11,7 @@ import numpy as np
 
 from data.render.cameras import Intrinsics
 from data.render.renderer import import_open3d
-from sim.scene import DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 _MAX_DEPTH = 2.5  # m, of table and plate
 _MAX_POINTS = 60_000  # of the subsample in which the plate is searched

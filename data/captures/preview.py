@@ -26,7 +26,7 @@ from data.captures.board import SQUARE, board_picture
 from data.captures.capture import read_capture, write_capture
 from data.captures.cutout import CutOut, cut_out
 from data.render.cameras import Camera, Intrinsics
-from sim.scene import Rig
+from sim.rig import Rig
 
 DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
 PICTURE = "capture.png"

@@ -8,7 +8,7 @@ import numpy as np
 from common.errors import InputError
 from data.captures.arrays import read_arrays
 from sim.mesh import Mesh
-from sim.scene import Rig
+from sim.rig import Rig
 
 MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
 MAX_RIM_STEEPNESS = 0.85

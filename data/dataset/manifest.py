@@ -10,7 +10,7 @@ from pydantic import Field
 from common.documents import Excerpt, read_json, shown
 from common.errors import InputError
 from common.files import replace_json
-from sim.scene import Rig
+from sim.rig import Rig
 
 SCHEMA_VERSION = 7  # of manifests and shards
 MANIFEST = "dataset.json"

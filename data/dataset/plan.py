@@ -18,7 +18,7 @@ from data.fabrics.nuisances import NuisanceConfig, Nuisances
 from data.fabrics.prior import Prior, prior_content, prior_from_content, sample_admissible
 from data.testers import MIN_OVERHANG, PLATES, SIZES, named_tester
 from sim.material import MICRO
-from sim.scene import SQUARE_RIG, Rig
+from sim.rig import SQUARE_RIG, Rig
 from sim.start import LOWERED
 from sim.start import STARTS as SHAPES
 

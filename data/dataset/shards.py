@@ -19,7 +19,7 @@ from common.errors import InputError, one_line
 from common.files import replace_file
 from data.dataset.manifest import SCHEMA_VERSION
 from data.fabrics.nuisances import NAMES
-from sim.scene import Rig
+from sim.rig import Rig
 
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates

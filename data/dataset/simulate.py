@@ -13,7 +13,7 @@ from data.dataset.shards import FACES, LENGTH_UNIT, ORIGIN, ORIGIN_UNIT, fields,
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import Prior, prior_content
 from sim.mesh.specimens import EDGE_RANGE, default_edge
-from sim.scene import Rig
+from sim.rig import Rig
 
 Solver = Callable[..., object]
 """A function such as :func:`sim.drape.drape`."""

@@ -14,7 +14,7 @@ from common.errors import InputError
 from sim.energies.hysteresis import KES_CURVATURE, Hysteresis
 from sim.laws import Laws
 from sim.membranes import Corotational, OrthotropicStVK
-from sim.scene import Rig
+from sim.rig import Rig
 
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
 

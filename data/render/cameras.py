@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri
 from common.configs import read_config
 from common.errors import InputError, one_line
 from common.units import si
-from sim.scene import DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 _MEASURED = {"square": SQUARE_RIG, "disc": DISC_RIG}
 """Rigs with a file in ``configs/camera``, by the specimen's shape."""

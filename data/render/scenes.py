@@ -17,7 +17,7 @@ from data.render.renderer import DepthRenderer
 from data.render.sensor import load_sensor
 from data.render.setups import Setups
 from data.render.structured_light import StructuredLight
-from sim.scene import Rig
+from sim.rig import Rig
 
 CLUTTER = {"empty": 0, "some": 5, "full": 14}
 """Things on the table, by density."""

@@ -24,11 +24,10 @@ from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
 from drapenet.config import ExportConfig
-from drapenet.convention import WARP_WEFT
 from drapenet.export.material import Material, read_material
 from drapenet.result.table import csv_number, csv_table, interval_columns
 from sim.hinge_laws import ARCSIM, mean_modulus
-from sim.material import BIAS, WARP, WEFT, torque
+from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
@@ -204,7 +203,7 @@ def _table(material: Material, name: str) -> dict[str, bytes]:
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
              **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
              "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
-            for direction, moduli in zip(WARP_WEFT, material.content["moduli"].values(),
+            for direction, moduli in zip(DIRECTIONS, material.content["moduli"].values(),
                                          strict=True)]
     return {name: csv_table(rows).encode()}
 

@@ -13,13 +13,12 @@ from pydantic import Field, model_validator
 
 from common.documents import Excerpt, parse_json, read_bytes, shown
 from common.errors import InputError
-from drapenet.convention import STIFF_SOFT, WARP_WEFT
 from drapenet.export.hinges import GAMMA, MESHES, MIN_CELLS, hinge_ratio
 from drapenet.result.content import SCHEMA, SCHEMA_VERSION
 from drapenet.result.output import ESTIMATE, result_name
 from sim.hinge_laws import mean_modulus
-from sim.material import MICRO, NANO, SOFTENING_LIMIT, torque
-from sim.scene import GRAVITY
+from sim.material import DIRECTIONS, MICRO, NANO, SOFTENING_LIMIT, STIFF_SOFT, torque
+from sim.rig import GRAVITY
 
 MAX_ESTIMATE_BYTES = 8 << 20  # bytes
 MAX_NAME_LENGTH = 80  # characters
@@ -57,7 +56,7 @@ class EstimateFile(Excerpt):
 
     @model_validator(mode="after")
     def _named(self) -> "EstimateFile":
-        if tuple(self.moduli) not in (WARP_WEFT, STIFF_SOFT):
+        if tuple(self.moduli) not in (DIRECTIONS, STIFF_SOFT):
             raise ValueError(f"moduli: the directions {shown(list(self.moduli))} are unknown")
         return self
 
@@ -112,7 +111,7 @@ class Material:
         """Metadata for exports, with intervals and warnings, in JSON's types."""
         capture = self.content["capture"]
         first = self.content["convention"].partition("/")[0]
-        notes = [] if first == WARP_WEFT[0] else [
+        notes = [] if first == DIRECTIONS[0] else [
             "warp stands for the stiffer yarns and weft for the softer: the capture does not mark "
             "the warp"]
         if np.any(-self.beta * self.curvature > SOFTENING_LIMIT * self.alpha):

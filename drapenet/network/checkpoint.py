@@ -21,8 +21,8 @@ from common.errors import InputError, one_line
 from common.files import remove_partial, replace_file, replacing
 from data.captures.capture import Capture, require_one_fabric
 from data.fabrics.fabrics import THETA_NAMES
-from drapenet.convention import SWAPPED
-from sim.scene import Rig
+from sim.material import SWAPPED
+from sim.rig import Rig
 
 if TYPE_CHECKING:
     import torch

@@ -25,7 +25,7 @@ from data.render.setups import Setups
 from drapenet.network.extrapolated import PARAMETERS, change, moves
 from drapenet.views.pose import locate_camera
 from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, DrapeMap, drape_map
-from sim.scene import Rig
+from sim.rig import Rig
 
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
 WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight

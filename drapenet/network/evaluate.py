@@ -35,7 +35,7 @@ from data.fabrics.prior.table import TablePrior
 from drapenet.config import EvaluateConfig
 from drapenet.network.calibration import covered, inside, ranks, rms_with_interval
 from drapenet.network.checkpoint import Header, bundled, load_model, read_header
-from sim.scene import Rig
+from sim.rig import Rig
 
 if TYPE_CHECKING:
     from drapenet.network.dataset import Maps

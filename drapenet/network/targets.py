@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.views.radial_map import AZIMUTHS
+from sim.material import FIRST, SECOND, SWAPPED
 
 MODULI = 6  # the first targets; a disc has two more
 

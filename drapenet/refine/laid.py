@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
-from sim.scene import Rig
+from sim.rig import Rig
 
 AZIMUTHS, ELEVATIONS = 120, 72
 CENTRE = -0.06  # m, height of the point that the drape is seen from

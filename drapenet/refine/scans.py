@@ -25,7 +25,7 @@ from drapenet.refine.springs import captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 """As soft as the softest fabrics of the prior, so that folds are preserved."""

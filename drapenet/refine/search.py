@@ -34,7 +34,7 @@ from drapenet.refine.surface import CapturedShape, RobustPositions
 from drapenet.refine.unknowns import Cloth, Knowledge
 from sim.drape import DrapeResult
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions
 

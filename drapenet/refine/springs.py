@@ -21,7 +21,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import adjacency, smooth, vertex_normals
 from sim.mesh.specimens import coarse_to_fine, make_specimen
-from sim.scene import Rig, Scene
+from sim.rig import Rig
+from sim.scene import Scene
 from sim.solver.newton import NewtonOptions
 from sim.solver.state import State
 from sim.start import interpolate_positions

@@ -16,7 +16,7 @@ from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh, edges_of, vertex_normals
 from sim.mesh.specimens import Specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.sensitivity.tangent import possible_contact
 from sim.solver.newton import Status
 

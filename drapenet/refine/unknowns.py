@@ -17,7 +17,7 @@ from sim.energies.hysteresis import Hysteresis
 from sim.laws import Laws
 from sim.material import MICRO, Fabric
 from sim.mesh.specimens import share_of_offset
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.sensitivity import Sensitivities, Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest

@@ -17,7 +17,7 @@ from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
-from sim.scene import Rig
+from sim.rig import Rig
 
 TURNS = 48  # orientations tried in the fit
 FIT_WIDTH = 120  # pixels, width of the images compared in it

@@ -11,13 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from drapenet.convention import COLOURS
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.content import interval_table, torque_samples
 from drapenet.result.estimate import Estimate
 from drapenet.result.table import with_interval
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
+COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")
+"""Of the three directions of a fabric."""
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 

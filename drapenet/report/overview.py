@@ -19,12 +19,13 @@ from common.errors import InputError
 from common.files import remove_file, replace_file, replace_json
 from data.captures.capture import require_one_fabric
 from drapenet.batch.captures import Entry
-from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
+from drapenet.report.figures import COLOURS
 from drapenet.report.pages import render
 from drapenet.result.content import Result
 from drapenet.result.joint import joint_result
 from drapenet.result.output import ESTIMATE, REPORT, THUMBNAIL, read_result
 from drapenet.result.table import csv_number, csv_table, interval_columns, with_interval
+from sim.material import DIRECTIONS, LINEAR
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
@@ -109,7 +110,7 @@ def write_overview(
 def _fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricResult:
     results = [read_result(out / entry.place) for entry in entries]
     require_one_fabric([one.content["capture"]["rig"] for one in results],
-                       [one.estimate.names == WARP_WEFT for one in results],
+                       [one.estimate.names == DIRECTIONS for one in results],
                        [one.estimate.density for one in results],
                        [(about["source"], about["views_sha256"]) for about in
                         (one.content["capture"] for one in results)])

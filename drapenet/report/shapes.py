@@ -12,7 +12,7 @@ from data.render.cameras import Camera
 from drapenet.report.drape import Resimulation, turned
 from drapenet.views.radial_map import DrapeMap
 from sim.mesh import vertex_normals
-from sim.scene import Rig
+from sim.rig import Rig
 
 MAX_POINTS = 16_000  # of the captured surface, all views together
 MAX_JUMP = 6e-3  # m, range of depths within a triangle

@@ -13,9 +13,17 @@ import numpy as np
 from data.captures.capture import Capture
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.prior.gaussian import GaussianPrior
-from drapenet.convention import FIRST, SECOND, STIFF_SOFT, SWAPPED, WARP_WEFT
 from drapenet.network.checkpoint import Header
-from sim.material import REFERENCE_DENSITY, Fabric, is_admissible
+from sim.material import (
+    DIRECTIONS,
+    FIRST,
+    REFERENCE_DENSITY,
+    SECOND,
+    STIFF_SOFT,
+    SWAPPED,
+    Fabric,
+    is_admissible,
+)
 
 if TYPE_CHECKING:
     from drapenet.network.predict import Draws
@@ -89,7 +97,7 @@ class Estimate:
 def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estimate:
     """Make an estimate of posterior samples: directions in the order of their names, warnings."""
     theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
-    names = STIFF_SOFT if capture.warp_direction is None else WARP_WEFT
+    names = STIFF_SOFT if capture.warp_direction is None else DIRECTIONS
     estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, header.spread,
                         (*capture.warnings, *doubts))
     edges = np.array([header.fabrics.low, header.fabrics.high])

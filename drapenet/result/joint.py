@@ -14,10 +14,9 @@ from scipy.stats import chi2
 from data.fabrics.fabrics import from_theta
 from data.fabrics.prior import load_prior
 from data.fabrics.prior.gaussian import GaussianPrior
-from drapenet.convention import LINEAR, STIFF_SOFT, SWAPPED
 from drapenet.result.content import Result, to_json
 from drapenet.result.estimate import Estimate
-from sim.material import REFERENCE_DENSITY, is_admissible
+from sim.material import LINEAR, REFERENCE_DENSITY, STIFF_SOFT, SWAPPED, is_admissible
 
 SHARED = 0.6
 """Correlation of the errors of two captures of one fabric (``python -m experiments repeats``)."""

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from drapenet.result.estimate import Estimate, summary
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica
 from sim.material import MICRO, torque
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 
 INCLINE = np.radians(41.5)  # of the plane that the strip's tip reaches
 KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant

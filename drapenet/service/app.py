@@ -39,7 +39,7 @@ from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
-from sim.scene import RIGS
+from sim.rig import RIGS
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"

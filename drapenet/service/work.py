@@ -47,7 +47,7 @@ def warm_up(parent: int) -> None:
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
     from sim.material import MICRO, Fabric
-    from sim.scene import SQUARE_RIG
+    from sim.rig import SQUARE_RIG
 
     network_of(read_header(bundled(SQUARE_RIG)))
     import_open3d()

@@ -15,7 +15,7 @@ from data.render.cameras import Camera
 from drapenet.views.pose import INNER_SHARE
 from drapenet.views.radial_map import DrapeMap, disagreement
 from drapenet.views.specimen_offset import specimen_placement
-from sim.scene import Rig
+from sim.rig import Rig
 
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold

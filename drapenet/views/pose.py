@@ -4,7 +4,7 @@ import numpy as np
 
 from data.render.cameras import Camera, Intrinsics
 from data.render.setups import Setups
-from sim.scene import Rig
+from sim.rig import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
 INNER_SHARE = 0.7  # of the plate's radius, within which the cloth is flat

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from data.render.cameras import Camera
-from sim.scene import Rig
+from sim.rig import Rig
 
 AZIMUTHS, ELEVATIONS = 128, 48
 _UNDER = 0.9  # of the plate's radius, smallest radius of hanging cloth in the map

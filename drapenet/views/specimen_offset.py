@@ -31,7 +31,7 @@ from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
 from drapenet.views.pose import locate_camera
 from drapenet.views.radial_map import AZIMUTHS, DrapeMap, drape_map
-from sim.scene import Rig
+from sim.rig import Rig
 
 FILE = Path(__file__).parents[1] / "weights" / "placement.json"
 _BAND = 4  # rows of a map

@@ -23,7 +23,7 @@ from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAWS, law_moves
 from sim.drape import DrapeResult
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import (

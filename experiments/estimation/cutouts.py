@@ -21,14 +21,13 @@ from data.captures.capture import Capture
 from data.captures.cutout import CutOut, cut_out
 from data.render.renderer import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
-from drapenet.convention import LINEAR
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.pose import locate_camera
 from drapenet.views.radial_map import drape_map
 from experiments.common import ESTIMATOR_SOURCES, Config, Result, run_cases, table
 from experiments.known import known_drape
-from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
+from sim.material import LINEAR, REFERENCE_DENSITY
+from sim.rig import Rig
 
 SENSORS = ("smooth", "paper", "tof")
 MIN_BLENDED_ERROR = 8e-3  # m, smallest depth error of a pixel that mixes cloth and background

@@ -26,7 +26,7 @@ from drapenet.views.radial_map import drape_map
 from experiments.common import Config, Result, table
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
+from sim.rig import Rig
 
 MAX_DIFFERING_PIXELS = 10  # pixels per view that may still differ in a corrected capture
 EDGE = 6e-3  # m, mesh edges of drapes that are simulated with a fault

@@ -28,7 +28,7 @@ from data.render.setups import Setups
 from experiments.common import Config, Result, label_log_axes, table
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
 from sim.drape import drape
-from sim.scene import Rig
+from sim.rig import Rig
 
 MM = 1e3
 MODULI = {"log_alpha": slice(0, 3), "beta_over_alpha": slice(3, 6)}

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
-from drapenet.convention import SWAPPED
 from drapenet.network.checkpoint import bundled, read_header
 from experiments.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases
 from experiments.estimation.refine_views import (
@@ -23,8 +22,8 @@ from experiments.estimation.refine_views import (
     posterior_errors,
 )
 from experiments.known import known_drape
-from sim.material import REFERENCE_DENSITY
-from sim.scene import DISC_RIG
+from sim.material import REFERENCE_DENSITY, SWAPPED
+from sim.rig import DISC_RIG
 
 if TYPE_CHECKING:
     from drapenet.refine.scans import Registered

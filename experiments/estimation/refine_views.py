@@ -21,7 +21,6 @@ from data.captures.capture import Capture
 from data.fabrics.nuisances import NAMES
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
-from drapenet.convention import LINEAR, RATIO, SWAPPED
 from drapenet.network.calibration import inside, ranks
 from drapenet.network.checkpoint import bundled, read_header
 from experiments.common import (
@@ -36,9 +35,9 @@ from experiments.common import (
 from experiments.comparison import same_folds
 from experiments.known import CLEAN, known_drape
 from sim.drape import drape
-from sim.material import MICRO, REFERENCE_DENSITY
+from sim.material import LINEAR, MICRO, RATIO, REFERENCE_DENSITY, SWAPPED
 from sim.measures import fold_outline
-from sim.scene import Rig
+from sim.rig import Rig
 
 METHODS = ("network", "refined")
 

@@ -21,7 +21,6 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
-from drapenet.convention import LINEAR, SWAPPED, WARP_WEFT
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import SHARED, joined
@@ -29,8 +28,8 @@ from experiments.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, r
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from experiments.estimation.refine_views import posterior_errors
 from sim.drape import drape
-from sim.material import REFERENCE_DENSITY
-from sim.scene import Rig
+from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY, SWAPPED
+from sim.rig import Rig
 
 COUNTS = (1, 2, 5)
 CURL_NUISANCES = ("curl_warp", "curl_weft")
@@ -116,7 +115,7 @@ def run(config: Config) -> Result:
     summary = {}
     for count in (n for n in COUNTS if n <= config["drapes"]):
         chosen = [k for k, own in enumerate(samples) if len(own) >= count]
-        together = [joined([Estimate(s, WARP_WEFT, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
+        together = [joined([Estimate(s, DIRECTIONS, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
                             for s in samples[k][:count]], [str(i) for i in range(count)]).samples
                     if count > 1 else samples[k][0] for k in chosen]
         summary[count] = posterior_errors(truth[chosen], together)

@@ -25,7 +25,7 @@ from drapenet.result.output import DONE
 from experiments.common import ROOT, Config, Result
 from experiments.known import known_drape
 from sim.material import REFERENCE_DENSITY
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 
 SCENES = 2  # of each drape
 KILLS = (0.2, 0.6)  # shares of the captures that are finished when the run is killed

@@ -12,7 +12,6 @@ from data.dataset.plan import DrapePlan
 from data.fabrics.nuisances import Nuisances
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.convention import LINEAR, SWAPPED
 from drapenet.inference import Inferred, capture_doubts, infer_capture
 from drapenet.network.checkpoint import Header, bundled, read_header
 from drapenet.result.estimate import Estimate
@@ -20,8 +19,8 @@ from experiments import known
 from experiments.common import REPORTS
 from sim.drape import DrapeResult
 from sim.laws import Laws
-from sim.material import REFERENCE_DENSITY
-from sim.scene import SQUARE_RIG
+from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED
+from sim.rig import SQUARE_RIG
 
 RIG = SQUARE_RIG
 IDEAL = known.CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),

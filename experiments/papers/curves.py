@@ -22,7 +22,7 @@ from sim.drape import drape
 from sim.energies.torque_law import TorqueLaw
 from sim.laws import Laws
 from sim.material import Fabric, torque
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 from sim.sensitivity import follow
 
 FITS = {"parabola": "parabola (α, β)", "spline": "spline"}

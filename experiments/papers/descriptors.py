@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 from common.errors import InputError
 from common.threads import one_blas_thread
 from drapenet.refine.objective import Linearised
-from sim.scene import Rig
+from sim.rig import Rig
 
 _MIN_POWER = 1e-9  # m², added to powers for a smooth square root; (0.03 mm)²
 

@@ -19,7 +19,7 @@ from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
 from sim.membranes import OrthotropicStVK
-from sim.scene import HUNG_SQUARE
+from sim.rig import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.solver.potential import forces

@@ -25,7 +25,6 @@ from data.fabrics.prior import load_prior
 from data.fabrics.prior.base import Stored
 from data.fabrics.prior.table import TablePrior
 from drapenet.config import ModelConfig, TrainConfig, learning_rate
-from drapenet.convention import FIRST, SECOND, SWAPPED
 from drapenet.network.calibration import inside, ranks, rms_with_interval
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.targets import MODULI, TargetScale
@@ -39,7 +38,8 @@ from experiments.papers.networks import (
     ViewNetwork,
 )
 from experiments.papers.stacked_views import CHANNELS, TARGETS, StackedSet, capture_views, setups
-from sim.scene import SQUARE_RIG
+from sim.material import FIRST, SECOND, SWAPPED
+from sim.rig import SQUARE_RIG
 
 RIG = SQUARE_RIG
 HELD_OUT = {"train": 0.88, "unseen": 0.12}  # fractions of the fabrics of the first dataset

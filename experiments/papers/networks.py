@@ -15,7 +15,7 @@ from torch import nn
 from drapenet.network.model import KNOWN, MapNet
 from drapenet.network.posterior import Mixture, outputs_of
 from drapenet.views.radial_map import elevations
-from sim.scene import Rig
+from sim.rig import Rig
 
 COMPONENTS = 2  # of a posterior
 _CLASS_MIN, _CLASS_MAX = -2.5, 2.5  # range of standardised targets that is divided into classes

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.dataset.plan import STARTS
-from drapenet.convention import LINEAR
 from experiments.common import ESTIMATOR_SOURCES
 from experiments.comparison import mean_curvature
 from experiments.papers.captured import (
@@ -19,9 +18,10 @@ from experiments.papers.captured import (
 )
 from experiments.papers.descriptors import GridSpectrum, RingSpectrum
 from experiments.papers.study import Report, Study, run_fabrics
+from sim.material import LINEAR
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
-from sim.scene import Rig
+from sim.rig import Rig
 
 DESCRIPTORS = {
     "coefficient": "drape coefficient and number of folds",

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from data.dataset.plan import STARTS
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.convention import COLOURS, LINEAR, WARP_WEFT
 from drapenet.network.dataset import Maps, compressed
 from drapenet.network.training import CaptureSet
+from drapenet.report.figures import COLOURS
 from experiments.common import ESTIMATOR_SOURCES, label_log_axes, load_arrays, table
 from experiments.papers.captured import (
     RIG,
@@ -26,6 +26,7 @@ from experiments.papers.captured import (
 from experiments.papers.learned import Training, load_trained, predict, train_all
 from experiments.papers.stacked_views import StackedSet, downsample
 from experiments.papers.study import Report, Study, run_fabrics
+from sim.material import DIRECTIONS, LINEAR
 
 FACTORS = {"starts": "other start", "orientations": "same drape, other orientation",
            "set-ups": "same drape, other camera, sensor and turns"}
@@ -149,7 +150,7 @@ def _common_error(report: Report) -> float:
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """Table of medians and largest values over fabrics."""
-    return (["varied factor", *(f"{name}: median, largest, %" for name in WARP_WEFT)],
+    return (["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)],
             [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
              for factor, values in variations(report).items()])
 
@@ -171,7 +172,7 @@ def draw(report: Report) -> Figure:
             ratio = np.exp(np.array(one[factor]) - one["theta"][:3])
             for k, colour in enumerate(COLOURS):
                 axes.plot(np.full(len(ratio), place + 0.22 * (k - 1)), ratio[:, k], ".", ms=4,
-                          color=colour, label=WARP_WEFT[k] if place == 0 else None)
+                          color=colour, label=DIRECTIONS[k] if place == 0 else None)
         axes.axhline(1.0, color="0.6", lw=0.8)
         axes.set(yscale="log", xlabel="fabric", ylim=(0.5, 2))
         axes.set_title(FACTORS[factor].replace(", ", ",\n", 1), fontsize=9)

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 
 from data.render.setups import SyntheticCapture
-from drapenet.convention import LINEAR
 from experiments.common import ESTIMATOR_SOURCES
 from experiments.papers.captured import (
     capture_drape,
@@ -21,6 +20,7 @@ from experiments.papers.captured import (
     spread,
 )
 from experiments.papers.study import Report, Study, run_fabrics
+from sim.material import LINEAR
 
 Rng = np.random.Generator
 Fault = Callable[[SyntheticCapture, float, Rng], SyntheticCapture]

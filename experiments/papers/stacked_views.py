@@ -13,7 +13,7 @@ from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
 from drapenet.network.training import CaptureSet
 from drapenet.views.radial_map import AZIMUTHS
 from experiments.papers.networks import Prediction
-from sim.scene import Rig
+from sim.rig import Rig
 
 VIEW_SHARES = (0.0, 0.0, 0.0, 1.0)  # shares of captures with 1, 2, ... views
 BLOCK = 3  # from 240 x 180 to 80 x 60 pixels

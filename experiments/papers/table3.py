@@ -26,7 +26,7 @@ from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
-from sim.scene import HUNG_SQUARE
+from sim.rig import HUNG_SQUARE
 from sim.sensitivity import follow
 
 TABLE, NETWORK, REFINED = "strips, table", "network", "refined"

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.render.setups import Setups
-from drapenet.convention import LINEAR, RATIO
 from drapenet.network.calibration import inside, ranks
 from experiments.common import ESTIMATOR_SOURCES
 from experiments.papers.captured import (
@@ -19,6 +18,7 @@ from experiments.papers.captured import (
     spread,
 )
 from experiments.papers.study import Report, Study, run_fabrics
+from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
 

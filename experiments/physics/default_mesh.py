@@ -19,7 +19,7 @@ from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
 from sim.mesh.specimens import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 
 MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds
 MIN_TRIANGLE_RATIO = 4  # number of triangles of the fine mesh over that of the default mesh

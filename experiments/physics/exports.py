@@ -22,7 +22,7 @@ from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
 from sim.cantilever.equivalent import free_end
 from sim.material import DIRECTIONS, MICRO
 from sim.mesh import Mesh, strip
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 from sim.solver.state import State
 
 FABRICS = {"one modulus": (40.0, 40.0, 40.0), "three moduli": (60.0, 40.0, 20.0)}  # µN·m

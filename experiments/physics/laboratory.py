@@ -21,7 +21,7 @@ from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import drape_coefficient, fold_count
 from sim.membranes import Membrane, OrthotropicStVK
-from sim.scene import Rig
+from sim.rig import Rig
 
 _POISSON = 0.3
 """Poisson's ratio of the measured membranes, which KES does not give."""

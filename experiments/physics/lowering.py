@@ -22,7 +22,7 @@ from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 
 SEED = 3  # of the fabrics whose cost is measured
 DEFAULT = {"step": STEP, "speed": None, "mesh_mm": 1e3 * LOWERING_MESHES[0][0], "share": 0.0}

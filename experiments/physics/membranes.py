@@ -27,7 +27,7 @@ from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_outline
 from sim.membranes import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.solver.newton import Status
 
 POISSON = 0.3

@@ -13,7 +13,7 @@ from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.membranes import Corotational
 from sim.mesh import Mesh
 from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.solver.newton import Status
 
 # Moduli warp, bias, weft in µN·m at 300 g/m²; beta/alpha of a typical fabric, mm.

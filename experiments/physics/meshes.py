@@ -38,7 +38,7 @@ from experiments.physics.mesh_cases import (
     plan,
 )
 from sim.measures import fold_outline
-from sim.scene import Rig
+from sim.rig import Rig
 
 MAX_DISPLACEMENT = 0.7  # mm, mean displacement between drapes with the same folds
 

@@ -31,7 +31,7 @@ from sim.laws import Laws
 from sim.material import MICRO, Fabric
 from sim.measures import folds_around, shadow_radius
 from sim.mesh import Mesh
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 
 POINTS = 360  # azimuths of an outline
 SIGMA = 2.0  # of the smoothing before folds are counted, azimuths

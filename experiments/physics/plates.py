@@ -11,7 +11,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric, plate_constants
 from sim.membranes import Corotational
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
-from sim.scene import GRAVITY, Scene
+from sim.rig import GRAVITY
+from sim.scene import Scene
 from sim.solver.newton import NewtonOptions
 
 SIDE = 0.1  # m

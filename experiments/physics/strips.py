@@ -25,7 +25,7 @@ from sim.hinge_laws import modulus_along
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 from sim.solver.newton import Status
 
 LENGTH, WIDTH = 0.09, 0.03  # m

@@ -18,7 +18,7 @@ from drapenet.export.formats import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
 from sim.mesh.specimens import Specimen
-from sim.scene import GRAVITY, Rig
+from sim.rig import GRAVITY, Rig
 
 if TYPE_CHECKING:
     from newton import ModelBuilder

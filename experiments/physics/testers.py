@@ -24,7 +24,7 @@ from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
 from sim.energies import plate_law
 from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 
 SEED = 3  # of the fabrics
 LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in bending lengths

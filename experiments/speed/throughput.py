@@ -9,13 +9,14 @@ import experiments.one_thread  # noqa: F401
 
 # isort: split
 import time
+from functools import partial
 
 import numpy as np
 
 from common.errors import InputError
+from common.workers import worker_pool
 from experiments.common import Config, Result
 from experiments.speed.speed import prior_fabrics
-from sim.batch import drape_batch
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 
@@ -34,7 +35,10 @@ def throughput(
         single.append((time.perf_counter() - began, time.process_time() - busy))
         start_seconds(fabrics[0], workers)  # ensures that the processes are running
         began = time.perf_counter()
-        made = drape_batch(fabrics, edge=edge, workers=workers)
+        with worker_pool(workers) as pool:
+            calls = [pool.submit(drape, fabric, edge=edge, seed=seed)
+                     for seed, fabric in enumerate(fabrics)]
+            made = [call.result() for call in calls]
         several.append(time.perf_counter() - began)
         print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
               f"{workers} processes {several[-1]:.1f} s", flush=True)
@@ -62,7 +66,8 @@ def throughput(
 def start_seconds(fabric: Fabric, workers: int) -> float:
     """Seconds until the worker processes have started; they persist for the next call."""
     began = time.perf_counter()
-    made = drape_batch([fabric] * workers, edge=0.01, workers=workers)
+    with worker_pool(workers) as pool:
+        made = list(pool.map(partial(drape, edge=0.01), [fabric] * workers))
     return time.perf_counter() - began - max(result.seconds for result in made)
 
 

@@ -16,7 +16,7 @@ from sim.cantilever.regression import Estimate, regress
 from sim.cantilever.table import match
 from sim.cantilever.tester import simulate_strips
 from sim.material import DIRECTIONS, Fabric, is_admissible
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 
 METHODS = {"regression": regress, "table": match}
 MAX_ROUNDS = 6

@@ -10,7 +10,8 @@ from sim.equilibrium import find_equilibrium
 from sim.laws import Laws
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh, strip
-from sim.scene import GRAVITY, Scene
+from sim.rig import GRAVITY
+from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, NewtonResult, Status
 
 ANGLES = dict(zip(DIRECTIONS, (0.0, np.pi / 4, np.pi / 2), strict=True))

@@ -1,71 +1,13 @@
 """Contact with the cylinder under the plate: penalty energy of the penetration depth."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sim.energies.base import Energy
 from sim.energies.cache import StateCache
+from sim.rig import Cylinder
 
-RIM = 0.01
-"""Radius of the rounded rim over that of the plate: 0.5 mm for 100 mm of diameter. At a sharp rim
-the nearest surface would jump from top to side; the penetration of cloth is smaller than it."""
 DEPTH = 0.002
 """Depth, relative to the radius of the plate, at which an obstacle exerts its nominal pressure."""
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, unbounded downwards. Its
-    rim is rounded (:data:`RIM`), in proportion, so that drapes of any size are similar."""
-
-    radius: float
-
-    @property
-    def rim(self) -> float:
-        """Radius of the rounded rim, m."""
-        return RIM * self.radius
-
-    def depths(self, points: np.ndarray) -> np.ndarray:
-        """Depths (N,), m, of points (N, 3) below the nearest surface; negative outside. A concave
-        function with Lipschitz constant 1."""
-        _, outwards, upwards = self._from_rim(points)
-        corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
-        return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
-
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Outward normals (N, 3) of the surface nearest to points (N, 3): the negative gradient of
-        the depth."""
-        away, _, _, across, along = self._surface(points)
-        return np.column_stack([away * across[:, None], along])
-
-    def depth_hessians(self, points: np.ndarray) -> np.ndarray:
-        """Second derivatives (N, 3, 3) of the depth at points (N, 3), 1/m; negative
-        semi-definite."""
-        away, distance, corner, across, along = self._surface(points)
-        # Curvature around the axis, and that of the rounded rim.
-        around = np.column_stack([-away[:, 1], away[:, 0], np.zeros(len(points))])
-        over = np.column_stack([-away * along[:, None], across])
-        return -((across / distance)[:, None, None] * around[:, :, None] * around[:, None, :]
-                 + (1 / corner)[:, None, None] * over[:, :, None] * over[:, None, :])
-
-    def _from_rim(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (N,) from the axis, and radial and vertical ones from the rim's centre line."""
-        x, y, z = points.T
-        distance = np.hypot(x, y)
-        return distance, distance - (self.radius - self.rim), z + self.rim
-
-    def _surface(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Radial directions (N, 2), distances from the axis and from the rim's centre line where
-        the rim is nearest (else infinite), and radial and vertical components of the normals."""
-        distance, outwards, upwards = self._from_rim(points)
-        distance = np.where(distance > 0, distance, 1.0)
-        rounded = (outwards > 0) & (upwards > 0)
-        corner = np.where(rounded, np.hypot(outwards, upwards), np.inf)
-        sideways = outwards > upwards
-        return (points[:, :2] / distance[:, None], distance, corner,
-                np.where(rounded, outwards / corner, sideways),
-                np.where(rounded, upwards / corner, ~sideways))
 
 
 class ObstacleContact(Energy):

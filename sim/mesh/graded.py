@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from sim.mesh.topology import Mesh, doubled_areas
-from sim.scene import Rig
+from sim.rig import Rig
 
 GROWTH = 0.1
 """Increase of the edge length per distance from the rim."""

@@ -9,7 +9,7 @@ from common.errors import InputError
 from sim.material import Fabric
 from sim.mesh.graded import Outline, graded_mesh
 from sim.mesh.topology import Mesh
-from sim.scene import GRAVITY, Rig
+from sim.rig import GRAVITY, Rig
 
 TOPOLOGIES = 8
 """Number of random triangulations of one size; drapes share them."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from sim.cloth import Cloth
 from sim.mesh.specimens import share_of_offset
-from sim.scene import Rig, Scene
+from sim.rig import Rig
+from sim.scene import Scene
 from sim.sensitivity.tangent import Tangent
 from sim.solver.potential import forces
 

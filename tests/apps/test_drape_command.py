@@ -20,7 +20,7 @@ from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from common.workers import worker_pool
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def run(*words: str) -> subprocess.CompletedProcess:
@@ -205,8 +205,10 @@ def test_other_errors_of_python_are_not_ctrl_c(cause):
 
 SCRIPT = """
 print("imported")
+from functools import partial
 import numpy as np
-from sim.batch import drape_batch
+from common.workers import worker_pool
+from sim.drape import drape
 from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
@@ -215,8 +217,9 @@ def heavier(mesh, active, *, fabric):
     return Gravity(mesh, density=fabric.density, gravity=5.0)
 
 fabrics = [Fabric(np.full(3, alpha)) for alpha in (30e-6, 60e-6)]
-made = drape_batch(fabrics, edge=0.012, laws=Laws(others=(heavier,)), workers=2)
-print([result.status.value for result in made])
+with worker_pool(2) as pool:
+    made = pool.map(partial(drape, edge=0.012, laws=Laws(others=(heavier,))), fabrics)
+    print([result.status.value for result in made])
 """
 
 

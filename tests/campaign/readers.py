@@ -66,7 +66,7 @@ from drapenet.network.model import MapNet
 from drapenet.refine.scans import read_cloud
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, checked_upload, write_upload
-from sim.scene import Rig
+from sim.rig import Rig
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "captures" / "twill"

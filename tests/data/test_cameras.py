@@ -11,7 +11,7 @@ from common.errors import InputError
 from data.captures.capture import read_capture
 from data.render.cameras import JITTER_LIMIT_SIGMAS, Camera, CameraRig, Intrinsics, Pose
 from data.render.setups import Setups
-from sim.scene import DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 

@@ -20,7 +20,7 @@ from data.render.renderer import DepthRenderer
 from data.testers import TESTERS
 from drapenet.views.pose import locate_camera
 from drapenet.views.radial_map import drape_coefficient, drape_map
-from sim.scene import SQUARE_RIG, Rig
+from sim.rig import SQUARE_RIG, Rig
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"

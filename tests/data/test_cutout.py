@@ -20,7 +20,7 @@ from data.captures.capture import read_capture
 from data.captures.cutout import cut_out
 from data.captures.preview import main
 from data.render.scenes import RawScene, raw_scene
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
 

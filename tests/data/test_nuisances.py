@@ -8,7 +8,7 @@ from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import load_prior
 from sim.laws import Laws
 from sim.mesh.specimens import make_specimen
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 
 
 def drawn(config, count=2000):

@@ -14,7 +14,7 @@ from data.render.rasterise_cpu import rasterise_arrays
 from data.render.renderer import DepthRenderer
 from sim.mesh import grid_faces
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 HEIGHT, WIDTH = 90, 120
 INTRINSICS = torch.tensor([[150.0, 140.0, 59.5, 44.5]], dtype=torch.float64)

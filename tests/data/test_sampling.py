@@ -5,7 +5,7 @@ from common.errors import InputError
 from data.dataset.plan import SamplingConfig, choose_lender, plan_drape
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import load_prior
-from sim.scene import DISC_RIG, SQUARE_RIG
+from sim.rig import DISC_RIG, SQUARE_RIG
 
 PRIOR = load_prior("gaussian")
 

@@ -16,7 +16,7 @@ from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
 from sim.measures import projected_area
 from sim.mesh import grid_faces
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 
 RULED = Path(__file__).parents[2] / ".." / "shared" / "scans"
 """Straight lines from the plate's rim to outlines of real drapes."""

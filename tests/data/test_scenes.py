@@ -7,7 +7,7 @@ import pytest
 from cloths import skirt
 
 from data.render.scenes import CLUTTER, raw_scene
-from sim.scene import Rig
+from sim.rig import Rig
 
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
 

@@ -11,7 +11,7 @@ from common.configs import read_option
 from common.errors import InputError
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.pose import locate_camera
-from sim.scene import Rig
+from sim.rig import Rig
 
 REAL = Setups.load()
 CLEAN = replace(REAL, sensors={"none": 1.0}, border=0, holes=0, hem_share=0.0, turn=0.0, focal=0.0)

@@ -11,7 +11,7 @@ import pytest
 from common.errors import InputError
 from data.dataset.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from data.dataset.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
-from sim.scene import Rig
+from sim.rig import Rig
 
 VERTICES = 81
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}

@@ -14,7 +14,7 @@ from data.render.renderer import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 NAMES = ("disc240_support180", "square300_cylinder100", "disc360_support120")
 PLATE_ERROR, ERROR_IN_SCENE = 6e-3, 8e-3  # m, in views without noise and in scenes with it

@@ -23,7 +23,7 @@ def turntable() -> tuple[np.ndarray, np.ndarray, Intrinsics]:
     from cloths import skirt
 
     from data.render.scenes import raw_scene
-    from sim.scene import Rig
+    from sim.rig import Rig
 
     fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
     drape = skirt(fabric, rig=Rig(), edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)

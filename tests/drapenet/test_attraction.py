@@ -11,7 +11,8 @@ from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.material import MICRO, Fabric
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig, Scene
+from sim.rig import Rig
+from sim.scene import Scene
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from drapenet.views.radial_map import (
     turn_doubts,
 )
 from sim.material import Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 from tests.cloths import skirt
 
 WRONG = np.radians([0.0, 5.0, -6.0, 3.0])  # of the table

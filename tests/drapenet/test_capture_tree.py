@@ -12,7 +12,7 @@ from common.errors import InputError
 from data.captures.capture import write_capture
 from drapenet.batch.captures import entries_of, plain_name
 from drapenet.result.table import csv_table
-from sim.scene import SQUARE_RIG
+from sim.rig import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
 NAMES = [("=cmd|' /C calc'!A0", "1", "a"), ("=cmd|' /C calc'!A0", "2", "a"),

@@ -19,7 +19,7 @@ from drapenet.network.checkpoint import (
 )
 from drapenet.network.model import KNOWN, MapNet
 from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS
-from sim.scene import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG, Rig
 
 
 @pytest.fixture

@@ -9,14 +9,13 @@ import pytest
 
 from data.captures.capture import Capture, whole_turns
 from data.render.cameras import CameraRig
-from drapenet.convention import SWAPPED
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
 from drapenet.result.content import to_json
 from drapenet.result.estimate import make_estimate
 from drapenet.result.table import format_table, with_interval
-from sim.material import MICRO, is_admissible
-from sim.scene import SQUARE_RIG
+from sim.material import MICRO, SWAPPED, is_admissible
+from sim.rig import SQUARE_RIG
 
 CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), CameraRig.load().intrinsics, whole_turns(4),
                   0.15, None, SQUARE_RIG, Path("here"), ())

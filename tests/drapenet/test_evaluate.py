@@ -16,7 +16,7 @@ from data.render.setups import Setups
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import make_maps
 from drapenet.network.evaluate import CELLS, datasets, judge, make_config
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def write_fabrics(file: Path) -> Path:

@@ -23,7 +23,7 @@ from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import load_state, read_header
 from drapenet.refine.scans import read_cloud
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 
 
 def _state(file: Path) -> None:

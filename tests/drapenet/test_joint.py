@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from data.fabrics.prior import load_prior
-from drapenet.convention import STIFF_SOFT, SWAPPED, WARP_WEFT
 from drapenet.result import joint
 from drapenet.result.estimate import Estimate
+from sim.material import DIRECTIONS, STIFF_SOFT, SWAPPED
 
 
 def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, str]) -> Estimate:
@@ -22,11 +22,11 @@ def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, s
 
 def test_captures_count_once_each_and_the_prior_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joint, "SHARED", 0.0)
-    prior = joint.fabric_prior(WARP_WEFT)
+    prior = joint.fabric_prior(DIRECTIONS)
     rng = np.random.default_rng(1)
     likelihood = np.diag((0.3 * prior.deviation) ** 2)
     peaks = prior.mean + rng.normal(0, 0.2, (3, 6)) * prior.deviation
-    found = joint.joined([posterior(peak, likelihood, WARP_WEFT) for peak in peaks], "ABC")
+    found = joint.joined([posterior(peak, likelihood, DIRECTIONS) for peak in peaks], "ABC")
     precisions = np.linalg.inv(prior.covariance), 3 * np.linalg.inv(likelihood)
     covariance = np.linalg.inv(sum(precisions))
     mean = covariance @ (precisions[0] @ prior.mean + precisions[1] @ peaks.mean(axis=0))
@@ -37,8 +37,8 @@ def test_captures_count_once_each_and_the_prior_once(monkeypatch: pytest.MonkeyP
 
 
 def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    prior = joint.fabric_prior(WARP_WEFT)
-    one = posterior(prior.mean, np.diag((0.1 * prior.deviation) ** 2), WARP_WEFT)
+    prior = joint.fabric_prior(DIRECTIONS)
+    one = posterior(prior.mean, np.diag((0.1 * prior.deviation) ** 2), DIRECTIONS)
     monkeypatch.setattr(joint, "SHARED", 1.0)
     same = joint.joined([one] * 5, "ABCDE")
     assert same.samples.std(axis=0) == pytest.approx(one.samples.std(axis=0), rel=0.04)
@@ -50,10 +50,10 @@ def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.Monke
 
 
 def test_captures_of_another_fabric_are_named_and_no_other() -> None:
-    prior = joint.fabric_prior(WARP_WEFT)
+    prior = joint.fabric_prior(DIRECTIONS)
     likelihood = np.diag((0.1 * prior.deviation) ** 2)
-    one = posterior(prior.mean, likelihood, WARP_WEFT)
-    other = posterior(prior.mean + 1.5 * prior.deviation, likelihood, WARP_WEFT)
+    one = posterior(prior.mean, likelihood, DIRECTIONS)
+    other = posterior(prior.mean + 1.5 * prior.deviation, likelihood, DIRECTIONS)
     line, = joint.joined([one, one, other], ["first", "second", "third"]).warnings
     assert line.startswith("third contradicts the other 2 captures: alpha ")
     line, = joint.joined([one, other], ["first", "second"]).warnings
@@ -66,7 +66,7 @@ def test_captures_of_another_fabric_are_named_and_no_other() -> None:
 
 def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
     """Captures whose errors have the covariance that the rule supposes, and specimens that vary."""
-    rng, prior = np.random.default_rng(3), joint.fabric_prior(WARP_WEFT)
+    rng, prior = np.random.default_rng(3), joint.fabric_prior(DIRECTIONS)
     deviation = 0.12
     draws = rng.normal(size=(500, 6)) * deviation
     found = {2: 0, 4: 0}
@@ -74,7 +74,7 @@ def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
         for _ in range(1000):
             own = rng.normal(size=(count, 3)) * np.hypot(
                 deviation * np.sqrt(1 - joint.SHARED), joint.SPECIMEN)
-            estimates = [Estimate(draws + prior.mean + np.append(shift, np.zeros(3)), WARP_WEFT,
+            estimates = [Estimate(draws + prior.mean + np.append(shift, np.zeros(3)), DIRECTIONS,
                                   0.0, 1.0, 0.2, prior.deviation) for shift in own]
             found[count] += bool(joint.contradictions(estimates, "ABCD"[:count]))
     for alarms in found.values():
@@ -83,7 +83,7 @@ def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
 
 def test_the_prior_of_nameless_yarns_is_that_of_either_order() -> None:
     prior = load_prior("gaussian")
-    known = joint.fabric_prior(WARP_WEFT)
+    known = joint.fabric_prior(DIRECTIONS)
     np.testing.assert_array_equal(known.covariance, prior.covariance)
     found = joint.fabric_prior(STIFF_SOFT)
     rng = np.random.default_rng(0)

@@ -18,7 +18,7 @@ from sim.cantilever import hang
 from sim.cantilever.elastica import aspect_ratio, heavy_elastica
 from sim.energies import plate_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
-from sim.scene import GRAVITY
+from sim.rig import GRAVITY
 
 
 def test_a_linear_fabric_reads_its_own_rigidity_within_peirce_s_approximation():

@@ -14,7 +14,7 @@ from drapenet.network.dataset import make_maps, maps_of_shard
 from drapenet.network.extrapolated import change, moves
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.sensitivity import follow
 
 SETUPS = Setups.load()

@@ -18,7 +18,7 @@ from drapenet.views.radial_map import drape_map
 from drapenet.views.specimen_offset import FILE, fit, main, specimen_placement
 from sim.drape import drape
 from sim.material import Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 RIG = Rig()
 FABRIC = Fabric([48e-6, 30e-6, 22e-6], [-96e-9, -60e-9, -44e-9])

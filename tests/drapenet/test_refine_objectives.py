@@ -16,7 +16,7 @@ from drapenet.refine.objective import (
     value,
 )
 from sim.mesh import grid_faces
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def dome(cells: int = 30) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ from drapenet.refine.unknowns import (
 from drapenet.views.radial_map import fused, side_direction
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
-from sim.scene import DISC_RIG, Rig
+from sim.rig import DISC_RIG, Rig
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.tangent import possible_contact
 from sim.solver.newton import NewtonOptions

@@ -20,7 +20,7 @@ from drapenet.refine.surface import CapturedShape, Cloud, fidelity
 from drapenet.refine.unknowns import Cloth
 from sim.drape import DrapeResult, drape
 from sim.mesh import vertex_normals
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions
 

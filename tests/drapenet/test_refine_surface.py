@@ -6,7 +6,7 @@ import pytest
 from common.errors import InputError
 from drapenet.refine.surface import Cloud, RobustPositions, distances
 from sim.mesh.specimens import Specimen, make_specimen
-from sim.scene import DISC_RIG
+from sim.rig import DISC_RIG
 
 
 def waves(

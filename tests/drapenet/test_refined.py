@@ -21,7 +21,7 @@ from drapenet.refine.unknowns import LAWS, OFFSET, Cloth
 from drapenet.result.estimate import Estimate
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
-from sim.scene import Rig
+from sim.rig import Rig
 
 THETA = np.concatenate([np.log(np.array([60, 40, 30]) * MICRO), np.full(3, -2e-3)])
 SPREAD = np.array([0.9, 0.8, 0.9, 1.4e-3, 1.4e-3, 1.4e-3])

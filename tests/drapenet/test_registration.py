@@ -8,7 +8,7 @@ from data.render.renderer import DepthRenderer
 from data.render.setups import Setups
 from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
 from drapenet.views.pose import camera_doubts, locate_camera
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:

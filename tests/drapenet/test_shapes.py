@@ -13,7 +13,7 @@ from drapenet.report.shapes import drape_glb
 from drapenet.views.radial_map import drape_map
 from sim.drape import drape
 from sim.material import MICRO, Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 RIG = Rig.from_name("square300_cylinder100")
 

@@ -22,7 +22,7 @@ from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.solver.newton import NewtonOptions
 
 

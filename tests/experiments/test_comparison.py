@@ -10,7 +10,7 @@ from experiments.comparison import compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 RIG = Rig()
 

@@ -11,7 +11,7 @@ from experiments.papers.descriptors import (
     interpolation,
 )
 from sim.mesh.specimens import Specimen, make_specimen
-from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
+from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 
 
 def waves(

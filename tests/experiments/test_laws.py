@@ -8,7 +8,7 @@ from experiments.papers import hung
 from experiments.papers.curves import KINDS, true_torque
 from sim.drape import drape
 from sim.laws import Laws
-from sim.scene import HUNG_SQUARE
+from sim.rig import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.solver.newton import NewtonOptions
 

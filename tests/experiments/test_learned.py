@@ -23,7 +23,7 @@ from experiments.papers.networks import (
 from experiments.papers.space import linear_fit
 from sim.drape import drape
 from sim.material import Fabric
-from sim.scene import Rig
+from sim.rig import Rig
 
 RIG = Rig()
 

@@ -12,7 +12,7 @@ from drapenet.network.targets import Symmetry
 from experiments.papers import stacked_views
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 
 def test_symmetries_of_views_are_those_of_the_specimen():

@@ -15,7 +15,8 @@ from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
 from sim.mesh.specimens import make_specimen
-from sim.scene import CONTACT_PRESSURE, GRAVITY, Rig, Scene
+from sim.rig import GRAVITY, Rig
+from sim.scene import CONTACT_PRESSURE, Scene
 from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions, Status
 from sim.start import interpolate_positions

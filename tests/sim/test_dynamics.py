@@ -10,7 +10,8 @@ from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.mesh.specimens import make_specimen
-from sim.scene import GRAVITY, Rig, Scene
+from sim.rig import GRAVITY, Rig
+from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion
 from sim.solver.newton import NewtonOptions, Status
 

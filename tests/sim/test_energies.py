@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.energies.contact import Cylinder, ObstacleContact
+from sim.energies.contact import ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.gravity import Gravity
 from sim.energies.hysteresis import Hysteresis
@@ -13,7 +13,7 @@ from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Cylinder, Rig
 from sim.solver.state import State, moved
 
 ANISOTROPIC = Fabric(alpha=[98.8e-6, 23.5e-6, 21.2e-6], beta=[-247e-9, -58.8e-9, -53e-9])

@@ -8,7 +8,7 @@ from sim.energies.gravity import Gravity
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import fold_count
-from sim.scene import DISC_RIG, GRAVITY, Rig
+from sim.rig import DISC_RIG, GRAVITY, Rig
 from sim.solver.newton import Status
 
 SOFT = Fabric(np.full(3, 20e-6))

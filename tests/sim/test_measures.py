@@ -14,7 +14,7 @@ from sim.measures import (
 )
 from sim.mesh import Mesh
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig
+from sim.rig import Rig
 
 RIG = Rig()
 

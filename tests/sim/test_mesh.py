@@ -15,7 +15,7 @@ from sim.mesh.specimens import (
     Specimen,
     make_specimen,
 )
-from sim.scene import DISC_RIG, HUNG_SQUARE, Rig
+from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 
 ON_PLATE = pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
 EDGES = pytest.mark.parametrize("edge", [0.0025, 0.006, 0.012])

@@ -9,7 +9,8 @@ from sim.energies.midedge import MidEdgeBending
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig, Scene
+from sim.rig import Rig
+from sim.scene import Scene
 from sim.solver.state import State, moved
 
 RIG = Rig()

@@ -11,7 +11,8 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import Corotational
 from sim.mesh.specimens import make_specimen
-from sim.scene import DISC_RIG, Rig, Scene
+from sim.rig import DISC_RIG, Rig
+from sim.scene import Scene
 from sim.solver.state import moved
 
 FABRICS = [Fabric([98.8e-6, 23.5e-6, 21.2e-6], [-247e-9, -58.8e-9, -53e-9]),

@@ -8,13 +8,13 @@ import pytest
 from common.errors import InputError
 from sim.cantilever import elastica
 from sim.drape import drape, scene_on
-from sim.energies.contact import Cylinder
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.measures import drape_coefficient, fold_count, max_penetration
 from sim.mesh import strip
 from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
-from sim.scene import DISC_RIG, HUNG_SQUARE, RIGS, Rig, Scene
+from sim.rig import DISC_RIG, HUNG_SQUARE, RIGS, Cylinder, Rig
+from sim.scene import Scene
 from sim.start import interpolate_positions
 
 

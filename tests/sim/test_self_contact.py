@@ -11,7 +11,8 @@ from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.mesh.specimens import make_specimen
-from sim.scene import Rig, Scene
+from sim.rig import Rig
+from sim.scene import Scene
 from sim.self_contact import (
     contact_distance,
     self_intersections,

@@ -18,7 +18,8 @@ from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.membranes import Corotational
 from sim.mesh import strip
-from sim.scene import GRAVITY, Scene
+from sim.rig import GRAVITY
+from sim.scene import Scene
 from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
 from sim.sensitivity.forward import tangent_sensitivities

@@ -11,7 +11,8 @@ from sim.laws import Laws
 from sim.material import Fabric
 from sim.membranes import OrthotropicStVK
 from sim.mesh.specimens import make_specimen
-from sim.scene import DISC_RIG, Rig, Scene
+from sim.rig import DISC_RIG, Rig
+from sim.scene import Scene
 from sim.similarity import similar
 from sim.solver.newton import NewtonOptions
 from sim.start import initial_positions
