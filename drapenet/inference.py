@@ -12,19 +12,16 @@ from common.ctrl_c import require_interruption
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from data.captures.capture import Capture
 from data.fabrics.nuisances import Nuisances, at_density
-from data.render.cameras import Camera
-from data.render.setups import Setups
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
 from drapenet.report.pages import render
 from drapenet.result.content import Result, interval_table, to_json
 from drapenet.result.estimate import Estimate, make_estimate
 from drapenet.result.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
-from drapenet.views.checks import measure, quality_doubts, require_plate
-from drapenet.views.pose import camera_doubts, locate_camera
-from drapenet.views.radial_map import DrapeMap, drape_coefficient, drape_map, turn_doubts
+from drapenet.views.checks import view_warnings
+from drapenet.views.located import LocatedViews
+from drapenet.views.radial_map import RadialMap, drape_coefficient, radial_map
 from sim.material import REFERENCE_DENSITY
-from sim.rig import Rig
 
 if TYPE_CHECKING:
     from drapenet.refine.refine import Refined
@@ -41,13 +38,13 @@ class Inferred:
 
     Attributes:
         estimate: with its warnings.
-        camera: with its pose estimated from the plate.
-        found: the network's input map, with the estimated turns of the table.
+        located: the views with the estimated pose and turns.
+        drape: the network's input map.
     """
 
     estimate: Estimate
-    camera: Camera
-    found: DrapeMap
+    located: LocatedViews
+    drape: RadialMap
 
 
 def infer_capture(
@@ -59,31 +56,12 @@ def infer_capture(
         header: of a checkpoint for the capture's rig.
         membrane: N/m along the yarns, of the fabric at its own density; None if unknown.
     """
-    rig = capture.rig
-    camera = locate_camera(capture.views, capture.intrinsics, rig)
-    found = drape_map(capture.views, camera, rig, turns=capture.turns)
+    located = LocatedViews.of(capture)
+    drape = radial_map(located)
     known = {} if membrane is None else at_density({"membrane": membrane}, capture.density,
                                                    REFERENCE_DENSITY)
-    draws, = predict(network_of(header), header, [found], **known)
-    return Inferred(make_estimate(draws, capture=capture, header=header), camera, found)
-
-
-def capture_doubts(
-    capture: Capture, setups: Setups, camera: Camera, found: DrapeMap
-) -> list[str]:
-    """One line for each possible fault of a capture: camera pose outside the ``setups`` trained on,
-    turns of the table, quality of the views (:mod:`drapenet.views.checks`).
-
-    Raises:
-        InputError: the views do not show cloth on a plate.
-    """
-    quality = measure(capture.views, camera, found, capture.rig, turns=capture.turns)
-    try:
-        require_plate(quality)
-    except InputError as error:
-        raise InputError(f"{capture.path}: {error}") from None
-    return [*camera_doubts(camera, setups), *turn_doubts(found.turns, capture.turns),
-            *quality_doubts(quality)]
+    draws, = predict(network_of(header), header, [drape], **known)
+    return Inferred(make_estimate(draws, capture=capture, header=header), located, drape)
 
 
 def estimate_capture(
@@ -106,34 +84,37 @@ def estimate_capture(
             simulation.
         progress: of the refinement, :func:`drapenet.refine.refine.refined_capture`.
 
-    An error during refinement leaves the network's estimate, with a doubt.
+    An error during refinement leaves the network's estimate, with a warning.
 
     Raises:
         InputError: strict, and something is wrong with the capture.
     """
-    known, rig = known or {}, capture.rig
+    known = known or {}
     inferred = infer_capture(capture, header, **known)
-    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    doubts = capture_doubts(capture, header.setups, camera, found)
-    if strict and (wrong := [*doubts, *capture.warnings]):  # pixels left out are the least of it
+    estimate, located = inferred.estimate, inferred.located
+    try:
+        warnings = view_warnings(located, inferred.drape, header.setups)
+    except InputError as error:
+        raise InputError(f"{capture.path}: {error}") from None
+    if strict and (wrong := [*warnings, *capture.warnings]):  # pixels left out are the least of it
         raise InputError(f"{capture.path}: refused because strict=true: {'; '.join(wrong)}; "
                          "strict=false estimates it with a warning", max_length=MAX_LIST_LENGTH)
     source: dict[str, Any] = {"checkpoint": header.identity}
-    about = _about(capture, found, rig)
+    about = _about(capture, inferred)
 
     def result(files: dict[str, bytes]) -> Result:
         """The result with the present estimate and warnings."""
-        known_so_far = replace(estimate, warnings=(*estimate.warnings, *doubts))
+        known_so_far = replace(estimate, warnings=(*estimate.warnings, *warnings))
         return Result(known_so_far, to_json(known_so_far, capture=about, source=source), files)
 
     if first:
         first(result({}).content)
     drape, files = None, {}
     if refine and (refine is True or refine["by"] != "none"):
-        refined = _refined(inferred, capture, doubts, seen=seen, known=known, progress=progress,
+        refined = _refined(inferred, capture, warnings, seen=seen, known=known, progress=progress,
                            settings=None if refine is True else refine)
         if refined:
-            doubts += refined.doubts
+            warnings += refined.warnings
             before = interval_table(estimate, estimate.density)
             source["refined"] = refined.content | {"before": before}
             if refined.draws:  # else the network's estimate is kept, and simulated below
@@ -144,51 +125,50 @@ def estimate_capture(
             from drapenet.report.drape import EDGE, resimulate
 
             stated = Nuisances(**at_density(known, capture.density, REFERENCE_DENSITY))
-            drape = resimulate(estimate.fabric, capture.views, camera, rig=rig,
-                               edge=EDGE if edge is None else edge, drapes=drapes,
-                               turns=found.turns, laws=stated.laws)
-            doubts += [] if drape else ["no drape of the estimate converged; the report shows none"]
+            drape = resimulate(estimate.fabric, located, edge=EDGE if edge is None else edge,
+                               drapes=drapes, laws=stated.laws)
+            if not drape:
+                warnings.append("no drape of the estimate converged; the report shows none")
         if drape:
             source["resimulation"] = drape.as_dict()
-            doubts += drape.doubts
+            warnings += drape.warnings
         if drapes:
-            files = _shown(result({}), inferred, capture, rig, drape)
+            files = _shown(result({}), inferred, capture, drape)
     except (KeyboardInterrupt, SystemError) as error:
         require_interruption(error)
         # A minute of refinement must not be lost for it.
-        doubts.append("interrupted: there is no report")
+        warnings.append("interrupted: there is no report")
     except InputError:  # a word that is out of range
         raise
     except Exception as error:  # nor for a font, a full memory or a name that cannot be drawn
-        doubts.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
+        warnings.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
     return result(files)
 
 
 def _refined(
-    inferred: Inferred, capture: Capture, doubts: list[str], **options: Any
+    inferred: Inferred, capture: Capture, warnings: list[str], **options: Any
 ) -> "Refined | None":
-    """The refinement of an estimate; None, with a line in ``doubts``, where there is none.
+    """The refinement of an estimate; None, with a line in ``warnings``, where there is none.
 
     ``options``: of :func:`drapenet.refine.refine.refined_capture`.
     """
     from drapenet.refine.refine import refined_capture
 
     try:
-        refined = refined_capture(inferred.estimate, capture, inferred.camera,
-                                  turns=inferred.found.turns, **options)
+        refined = refined_capture(inferred.estimate, capture, inferred.located, **options)
     except InputError:  # a word that is out of range
         raise
     except Exception as error:  # the network's estimate must not be lost for it
-        doubts.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
+        warnings.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
                       "network's estimate is given")
         return None
     if refined is None:
-        doubts.append("no drape of the estimate converged; it is not refined")
+        warnings.append("no drape of the estimate converged; it is not refined")
     return refined
 
 
 def _shown(
-    result: Result, inferred: Inferred, capture: Capture, rig: Rig, drape: "Resimulation | None"
+    result: Result, inferred: Inferred, capture: Capture, drape: "Resimulation | None"
 ) -> dict[str, bytes]:
     """Report files of a result, bytes by name."""
     from drapenet.report.figures import draw_report, draw_torques
@@ -198,15 +178,15 @@ def _shown(
     report = draw_report(result.estimate, capture.views, drape,
                          title=f"{name}: {capture.density * 1e3:g} g/m²")
     return {REPORT: report, TORQUES: draw_torques(result.estimate),
-            SHAPES: drape_glb(capture.views, inferred.camera, inferred.found, rig, drape),
+            SHAPES: drape_glb(inferred.located, drape),
             PAGE: render("report.html", name=name, content=result.content, report=report)}
 
 
-def _about(capture: Capture, found: DrapeMap, rig: Rig) -> dict[str, Any]:
+def _about(capture: Capture, inferred: Inferred) -> dict[str, Any]:
     """Description of the capture for ``estimate.json``."""
-    share = drape_coefficient(found, rig)
+    share = drape_coefficient(inferred.drape, capture.rig)
     return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
             "rig": capture.rig.name, "face": capture.face, "views": len(capture.views),
             "views_sha256": capture.digest,
-            "turns_deg": (np.degrees(found.turns).round(1) + 0.0).tolist(),  # no -0.0
+            "turns_deg": (np.degrees(inferred.located.turns).round(1) + 0.0).tolist(),  # no -0.0
             "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}

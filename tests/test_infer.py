@@ -469,8 +469,9 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
 ) -> None:
     rejected = SimpleNamespace(draws=None, content={
         "misfit_before": None, "misfit": 20.0, "simulations": 15, "status": "interrupted",
-        "specimen": {}}, doubts=("the network's estimate stands",),
-                               resimulation=SimpleNamespace(as_dict=dict, doubts=["another drape"]))
+        "specimen": {}}, warnings=("the network's estimate stands",),
+                               resimulation=SimpleNamespace(as_dict=dict,
+                                                            warnings=["another drape"]))
     monkeypatch.setattr("drapenet.refine.refine.refined_capture", lambda *_, **__: rejected)
     infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     content = json.loads((capture.parent / "out" / "estimate.json").read_text())

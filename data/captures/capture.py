@@ -326,7 +326,7 @@ def _read_metric(path: Path) -> Capture:
     capture = checked_capture(
         path, views, intrinsics, turns, 1e-3 * known.density_g_m2,
         None if direction is None else math.radians(direction) % math.pi, known.tester,
-        cut.doubts if cut else ())
+        cut.warnings if cut else ())
     return replace(capture, cut=cut, face=known.face)
 
 

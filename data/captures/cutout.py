@@ -49,7 +49,7 @@ class CutOut:
         views: (K, H, W) float32 m, depth of the cloth, 0 elsewhere and where it is unknown.
         plate: None if it was not found in frames that show only cloth.
         column: radius of the column under the plate, m; None if it is not visible.
-        doubts: warnings, one line each.
+        warnings: one line each.
     """
 
     frames: np.ndarray
@@ -57,7 +57,7 @@ class CutOut:
     views: np.ndarray
     plate: Plate | None
     column: float | None
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def is_raw(frame: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> bool:
@@ -110,7 +110,7 @@ def cut_out(
             f"no plate of {1e3 * rig.plate_diameter:g} mm diameter with cloth on it was found in "
             f"the frames (median depth {median:.3g} m); check tester, depth_unit_m and intrinsics, "
             "or set every pixel that is not cloth to 0")
-    doubts = [] if plate.table is not None else [
+    warnings = [] if plate.table is not None else [
         "no table is seen below the plate; look with python -m data.captures.preview whether "
         "only cloth is cut out"]
     local = plate.local(points)
@@ -128,7 +128,7 @@ def cut_out(
         if column is not None:
             cloth &= ~_column(cloth, radius, height, column, rig)
             if column > rig.plate_radius - 2 * _COLUMN_MARGIN[1]:
-                doubts.append("the column is nearly as wide as the plate: where cloth touches it "
+                warnings.append("the column is nearly as wide as the plate: where cloth touches it "
                               "the hem may be wrong; look at it with "
                               "python -m data.captures.preview")
     else:
@@ -137,7 +137,7 @@ def cut_out(
         unchanged = (background > 0) & (background - frames < _MIN_CHANGE * frames / 0.5)
         same = cloth & unchanged & ~top
         still = solid & (background > 0) & ~_within_reach(radius, height, rig)
-        doubts += _background_warnings(frames, background, cloth, same, still)
+        warnings += _background_warnings(frames, background, cloth, same, still)
         cloth &= ~_without_cloth_below(same, cloth)
     masks = np.empty_like(cloth)
     for k in range(len(frames)):
@@ -145,12 +145,12 @@ def cut_out(
             np.abs(height[k]) < _PLATE_TOLERANCE)
         kept, apart = _one_piece(cloth[k], on_plate)
         if apart:
-            doubts.append(f"view {k}: {apart} pixels within the cloth's reach are apart from it "
+            warnings.append(f"view {k}: {apart} pixels within the cloth's reach are apart from it "
                           "and left out; look at them with python -m data.captures.preview")
         cloth[k] = kept
         masks[k] = _completed(kept, solid[k])
     views = np.where(cloth & masks, frames, np.float32(0.0))
-    return CutOut(frames, masks, views, plate, column, tuple(doubts))
+    return CutOut(frames, masks, views, plate, column, tuple(warnings))
 
 
 def _background_warnings(
@@ -162,17 +162,17 @@ def _background_warnings(
     Pixel masks (K, H, W) bool: ``cloth``, candidates; ``same``, candidates with the depth of the
     background; ``still``, pixels outside the cloth's reach, which should be static.
     """
-    doubts = []
+    warnings = []
     share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
     if share > _MAX_SAME_SHARE:
-        doubts.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
+        warnings.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
                       f"reach (limit {_MAX_SAME_SHARE:.0%}): take it without cloth, and every view "
                       "with it")
     moved = np.abs(frames - background) > 3 * _MIN_CHANGE * frames / 0.5
     if still.any() and moved[still].mean() > _MAX_MOVED_SHARE:
-        doubts.append("background.png does not fit the frames: the camera or the scene has "
+        warnings.append("background.png does not fit the frames: the camera or the scene has "
                       "moved between them; take it again")
-    return doubts
+    return warnings
 
 
 def _within_reach(radius: np.ndarray, height: np.ndarray, rig: Rig) -> np.ndarray:

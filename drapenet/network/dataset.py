@@ -23,8 +23,9 @@ from data.fabrics.nuisances import NAMES
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.network.extrapolated import PARAMETERS, change, moves
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, DrapeMap, drape_map
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.located import locate
+from drapenet.views.radial_map import RadialMap, radial_map
 from sim.rig import Rig
 
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
@@ -142,8 +143,8 @@ def maps_of_shard(
                 step = change(own["theta"], table["theta"][chosen], rng)
                 shown = positions + np.tensordot(step, derivatives, 1)
             capture = setups.capture(shown, faces, rng, nominal=nominal)
-            camera = locate_camera(capture.views, capture.intrinsics, rig)
-            found.append(drape_map(capture.views, camera, rig, turns=capture.turns))
+            found.append(radial_map(
+                locate(capture.views, capture.intrinsics, rig, capture.turns)))
             scaled = own["nuisances"].copy()
             scaled[NAMES.index("membrane")] *= np.exp(step[-1])
             for name, value in zip(rows, (own["theta"] + step[:-1], scaled,
@@ -155,7 +156,7 @@ def maps_of_shard(
                 **{name: table[name][many] for name in ("fabric", "index")})
 
 
-def compressed(maps: list[DrapeMap]) -> tuple[np.ndarray, np.ndarray]:
+def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
     """Distances and weights of ``maps`` as in :class:`Maps`."""
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([one.distance for one in maps], np.float16).reshape(shape)

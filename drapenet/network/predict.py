@@ -16,7 +16,7 @@ from drapenet.network.checkpoint import Header
 from drapenet.network.dataset import compressed
 from drapenet.network.model import Batch, MapNet
 from drapenet.network.targets import MODULI, Symmetry
-from drapenet.views.radial_map import DrapeMap
+from drapenet.views.radial_map import RadialMap
 from sim.material import is_admissible
 
 DRAWS = 500
@@ -64,7 +64,7 @@ def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
 
 
 def predict(
-    network: MapNet, header: Header, maps: Sequence[DrapeMap], *,
+    network: MapNet, header: Header, maps: Sequence[RadialMap], *,
     membrane: float | None = None,
 ) -> list[Draws]:
     """Posterior samples of each capture.
@@ -74,7 +74,7 @@ def predict(
         membrane: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
     """
     given = np.full(len(maps), membrane, np.float32)  # None is NaN
-    batch = Batch.of(*compressed(maps), np.array([len(one.turns) for one in maps]), given)
+    batch = Batch.of(*compressed(maps), np.array([one.views for one in maps]), given)
     samples = sample_targets(network, header, batch)
     return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]
 

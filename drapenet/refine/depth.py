@@ -25,9 +25,11 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
+from common.types import Faces, Radians
 from data.render.cameras import Camera
-from data.render.renderer import QUARTERS, import_open3d
+from data.render.renderer import import_open3d
 from drapenet.refine.objective import Linearised, huber
+from drapenet.views.located import LocatedViews
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
 FOCAL, BORDER = "log_focal", "border"
@@ -135,29 +137,25 @@ class DepthViews:
 
     The specimen is rotated by ``turn`` (rad, the warp's direction in the first view) and by
     ``turns`` in each view, plus the table's error ``table_k`` in all but the first. The world is
-    tilted about its x and y axes and shifted, to correct the estimated pose of ``camera``.
+    tilted about its x and y axes and shifted, to correct the estimated pose of the camera.
 
     Args:
-        views: (K, H, W) z-depth, m, background 0.
-        camera: of all of them.
-        faces: (F, 3) of the mesh.
-        turns: (K,) rad, of the table in each view.
+        faces: of the mesh.
         turn: initial guess of the nuisance.
         weights: noise model and sampling of the pixels.
     """
 
     def __init__(
         self,
-        views: np.ndarray,
-        camera: Camera,
-        faces: np.ndarray,
+        located: LocatedViews,
+        faces: Faces,
         *,
-        turns: Sequence[float] = QUARTERS,
-        turn: float = 0.0,
+        turn: Radians = 0.0,
         weights: DepthWeights | None = None,
     ) -> None:
+        views, camera = located.views, located.camera
         self.camera, self.weights = camera, weights or DepthWeights()
-        self._turns = np.asarray(turns, dtype=np.float64)
+        self._turns = located.turns
         self.nuisances = (*POSE, *table_names(len(views)), FOCAL, BORDER)
         self.start = np.array([turn, *[0.0] * (len(self.nuisances) - 1)])
         self.scale = np.array([_SCALES.get(name, TABLE_SCALE) for name in self.nuisances])

@@ -19,7 +19,6 @@ from data.captures.capture import Capture
 from data.dataset.options import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
-from data.render.cameras import Camera
 from data.render.renderer import DepthRenderer
 from drapenet.network.predict import Draws
 from drapenet.refine.minimise import Status
@@ -31,6 +30,7 @@ from drapenet.refine.unknowns import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
 from drapenet.report.drape import Resimulation, beside, turned
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import fabric_prior
+from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult
 from sim.material import REFERENCE_DENSITY
 
@@ -54,18 +54,18 @@ class Refined:
         content: the part ``refined`` of ``estimate.json``.
         found: the search's result.
         resimulation: the refined drape beside the capture.
-        doubts: one line each.
+        warnings: one line each.
     """
 
     draws: Draws | None
     content: dict[str, Any]
     found: Found
     resimulation: Resimulation
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def refined_capture(
-    estimate: Estimate, capture: Capture, camera: Camera, *, turns: np.ndarray,
+    estimate: Estimate, capture: Capture, located: LocatedViews, *,
     seen: CapturedScan | None, known: Mapping[str, float],
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
@@ -75,7 +75,6 @@ def refined_capture(
     An interruption from the keyboard returns the best result so far.
 
     Args:
-        camera: of the views; turns: (K,) rad, of the table in each.
         seen: the scan of the capture; None for views.
         known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of the fabric at its own
         density.
@@ -87,8 +86,7 @@ def refined_capture(
     settings = settings or read_option("refine", "scan" if seen else "depth")
     if seen is None:
         source: Seen = CapturedViews(
-            capture.views, camera, turns=turns, turn=estimate.axis,
-            rig=capture.rig, edge=1e-3 * settings["edge_mm"],
+            located, turn=estimate.axis, edge=1e-3 * settings["edge_mm"],
             coarse=1e-3 * settings["coarse_mm"])
     else:
         source, axis = seen, flat_turn(seen.shape)
@@ -105,16 +103,17 @@ def refined_capture(
     else:
         turn = axis + best.cloth["warp"]
         positions = drape.positions
-        simulated = DepthRenderer(drape.positions, drape.faces).views(camera, 0.0, turns)
+        simulated = DepthRenderer(drape.positions, drape.faces).views(
+            located.camera, 0.0, located.turns)
     draws = None
     if theta is not None and found.improved and found.uncertainty.reduced_chi2 < MAX_REDUCED_CHI2:
         draws = Draws.possible(theta, np.full(len(theta), turn))
-    shown = beside(capture.views, simulated.astype(np.float32), camera, turns=turns, drape=drape,
-                   positions=positions, statuses=[drape.status.value])
+    shown = beside(located, simulated.astype(np.float32), drape=drape, positions=positions,
+                   statuses=[drape.status.value])
     near = fidelity(seen.shape, found.released) if seen and found.released else None
     scan = seen is not None
     return Refined(draws, _content(found, near, capture.density, scan=scan), found, shown,
-                   tuple(_doubts(found, theta, near, scan=scan)))
+                   tuple(_warnings(found, theta, near, scan=scan)))
 
 
 def _search(
@@ -171,28 +170,28 @@ def _samples(found: Found) -> np.ndarray | None:
     return rng.multivariate_normal(found.best.cloth.theta, found.uncertainty.theta, size=_DRAWS)
 
 
-def _doubts(
+def _warnings(
     found: Found, theta: np.ndarray | None, near: Fidelity | None, *, scan: bool
 ) -> list[str]:
     """One line for each fault of a search; ``near``: of the released drape of a ``scan``."""
-    doubts = []
+    warnings = []
     if theta is not None and found.uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
-        doubts.append("no simulated cloth fits the captured surface (squared misfit "
+        warnings.append("no simulated cloth fits the captured surface (squared misfit "
                       f"{found.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
                       f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check tester, "
                       "specimen, cut-out and intrinsics")
     elif not found.improved:
-        doubts.append("the refinement found no fabric that agrees better with the capture: the "
+        warnings.append("the refinement found no fabric that agrees better with the capture: the "
                       "network's estimate stands")
     elif theta is None:
-        doubts.append("the refinement gives no uncertainty: the network's estimate stands")
+        warnings.append("the refinement gives no uncertainty: the network's estimate stands")
     unsettled = scan and not near and found.status is not Status.INTERRUPTED
     if unsettled or (near and near.displacement_mm > MAX_DISPLACEMENT_MM):
         ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
                 f"{MAX_DISPLACEMENT_MM:g} mm)" if near else "does not come to rest at the scan")
-        doubts.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
+        warnings.append(f"the estimate's drape {ends}: check the specimen's size and the support, "
                       "and that the cloth hung freely")
-    return doubts
+    return warnings
 
 
 def _content(

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from common.ctrl_c import require_interruption
-from data.render.cameras import Camera
+from common.types import Metres, Radians
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.minimise import Limits, Status, minimise
 from drapenet.refine.objective import Objective, fit_nuisances
@@ -32,9 +32,9 @@ from drapenet.refine.springs import (
 )
 from drapenet.refine.surface import CapturedShape, RobustPositions
 from drapenet.refine.unknowns import Cloth, Knowledge
+from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult
 from sim.mesh.specimens import make_specimen
-from sim.rig import Rig
 from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions
 
@@ -89,21 +89,16 @@ class CapturedViews:
     """Depth views of a drape (:class:`Seen`).
 
     Args:
-        views: (K, H, W) z-depth, m, background 0.
-        camera: of all of them, initial guess.
-        turns: (K,) rad, of the table in each view.
+        located: the views; pose and turns are initial guesses.
         turn: direction of the warp in the first view, rad, initial guess.
-        rig: with a plate.
         edge: m, mesh edge at the rim in the last round; coarse: in the rounds before, which
             determine folds, pose and most of the fabric.
     """
 
     def __init__(
-        self, views: np.ndarray, camera: Camera, *, turns: Sequence[float], turn: float, rig: Rig,
-        edge: float, coarse: float,
+        self, located: LocatedViews, *, turn: Radians, edge: Metres, coarse: Metres
     ) -> None:
-        self._views, self._camera, self._rig = views, camera, rig
-        self._turns, self._turn = turns, turn
+        self._located, self._turn = located, turn
         self._objectives: dict[float, DepthViews] = {}
         coarse = max(edge, coarse)
         self.rounds = (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
@@ -112,17 +107,16 @@ class CapturedViews:
     def objective(self, edge: float) -> DepthViews:
         """The objective of the mesh with these edges at the rim."""
         if edge not in self._objectives:
-            mesh = make_specimen(self._rig, edge=edge).mesh
-            self._objectives[edge] = DepthViews(
-                self._views, self._camera, mesh.faces, turns=self._turns, turn=self._turn,
-                weights=DepthWeights().on_mesh(edge))
+            mesh = make_specimen(self._located.rig, edge=edge).mesh
+            self._objectives[edge] = DepthViews(self._located, mesh.faces, turn=self._turn,
+                                                weights=DepthWeights().on_mesh(edge))
         return self._objectives[edge]
 
     def held(self, level: Round, cloth: Cloth, nuisance: np.ndarray | None) -> Held:
         """See :class:`Seen`."""
         objective = self.objective(level.edge)
         points = objective.points(objective.start if nuisance is None else nuisance)
-        shape = captured_shape(cloth.fabric, *points, rig=self._rig, edge=level.edge)
+        shape = captured_shape(cloth.fabric, *points, rig=self._located.rig, edge=level.edge)
         near, at = nearest_points(shape.scene, shape.positions, *points, reach=REACH)
 
         def springs(pull: float) -> Hold:

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.types import Metres, Points, Turns, Views
 from data.render.cameras import Camera
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.renderer import DepthRenderer
+from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
-from sim.rig import Rig
 
 TURNS = 48  # orientations tried in the fit
 FIT_WIDTH = 120  # pixels, width of the images compared in it
@@ -53,7 +54,7 @@ class Resimulation:
     positions: np.ndarray
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """One line if the silhouettes overlap too little."""
         if self.overlap >= MIN_OVERLAP:
             return []
@@ -70,32 +71,23 @@ class Resimulation:
 
 
 def resimulate(
-    fabric: Fabric,
-    views: np.ndarray,
-    camera: Camera,
-    *,
-    rig: Rig,
-    edge: float,
-    drapes: int,
-    turns: Sequence[float],
-    laws: Laws | None = None,
+    fabric: Fabric, located: LocatedViews, *, edge: Metres, drapes: int, laws: Laws | None = None
 ) -> Resimulation | None:
-    """Simulate drapes of ``fabric`` and fit them to a capture; None if none converges.
+    """Simulate drapes of ``fabric`` and fit them to captured views; None if none converges.
 
     Args:
         fabric: stiff along warp.
-        views: (K, H, W) captured z-depth, m, as ``camera`` saw them.
-        edge: m, at the rim of the specimen's mesh.
-        turns: (K,) rad, how far the table had turned in each view.
+        edge: at the rim of the specimen's mesh.
         drapes: number to simulate, at most that of :data:`STARTS`.
         laws: of cloth of 300 g/m²; None: the defaults.
     """
+    views, camera, turns = located.views, located.camera, located.turns
     step = max(1, round(camera.width / FIT_WIDTH))
     captured = views[:, ::step, ::step] > 0
     small = camera.resized(captured.shape[2], captured.shape[1])
     best, statuses = None, []
     for start, seed in STARTS[:drapes]:
-        result = drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
+        result = drape(fabric, rig=located.rig, edge=edge, start=start, seed=seed, laws=laws)
         statuses.append(result.status.value)
         if not result.converged:
             continue
@@ -107,8 +99,8 @@ def resimulate(
     if best is None:
         return None
     _, renderer, orientation, side, result = best
-    return beside(views, renderer.views(camera, orientation, turns), camera, turns=turns,
-                  drape=result, positions=turned(result.positions * [side, 1, 1], orientation),
+    return beside(located, renderer.views(camera, orientation, turns), drape=result,
+                  positions=turned(result.positions * [side, 1, 1], orientation),
                   statuses=statuses)
 
 
@@ -119,30 +111,24 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 
 
 def beside(
-    views: np.ndarray, simulated: np.ndarray, camera: Camera, *, turns: Sequence[float],
-    drape: DrapeResult, positions: np.ndarray, statuses: Sequence[str],
+    located: LocatedViews, simulated: Views, *, drape: DrapeResult, positions: Points,
+    statuses: Sequence[str],
 ) -> Resimulation:
-    """Compare a drape, whose views (K, H, W) are ``simulated``, with the captured ``views``; other
-    arguments as for :class:`Resimulation`.
+    """Compare a drape, whose views are ``simulated``, with the captured views; other arguments as
+    for :class:`Resimulation`.
     """
-    profiles = tuple(radius_profile(v, camera, turns=turns) for v in (views, simulated))
+    profiles = tuple(radius_profile(views, located.camera, located.turns)
+                     for views in (located.views, simulated))
     return Resimulation(
         views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
-        overlap=silhouette_overlap(views, simulated), statuses=tuple(statuses), drape=drape,
+        overlap=silhouette_overlap(located.views, simulated), statuses=tuple(statuses), drape=drape,
         positions=positions)
 
 
-def radius_profile(
-    views: np.ndarray, camera: Camera, *, turns: Sequence[float] = QUARTERS
-) -> np.ndarray:
+def radius_profile(views: Views, camera: Camera, turns: Turns) -> np.ndarray:
     """Distance (BINS,), m, of the cloth from the axis by azimuth, at :data:`PROFILE_HEIGHT`.
 
     Cloth that faces the camera has the largest weight. NaN where no view shows cloth.
-
-    Args:
-        views: (K, H, W) z-depth, m, background 0.
-        camera: of all of them (:func:`drapenet.views.pose.locate_camera`).
-        turns: (K,) rad, how far the table had turned in each view.
     """
     total, weight = np.zeros((2, BINS))
     for turn, view in zip(turns, views, strict=True):

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from common.types import Views
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.content import interval_table, torque_samples
 from drapenet.result.estimate import Estimate
@@ -23,18 +24,9 @@ CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
 def draw_report(
-    estimate: Estimate,
-    views: np.ndarray,
-    resimulation: Resimulation | None,
-    *,
-    title: str,
+    estimate: Estimate, views: Views, resimulation: Resimulation | None, *, title: str
 ) -> bytes:
-    """The report as a PNG file.
-
-    Args:
-        views: (K, H, W) captured z-depth, m.
-        resimulation: None if no simulated drape converged.
-    """
+    """The report as a PNG file; ``resimulation`` is None if no simulated drape converged."""
     figure = Figure(figsize=(13, 12.5), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
     upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))

@@ -8,11 +8,10 @@ import numpy as np
 import trimesh
 from trimesh.visual.material import PBRMaterial
 
-from data.render.cameras import Camera
+from common.types import Faces, Points
 from drapenet.report.drape import Resimulation, turned
-from drapenet.views.radial_map import DrapeMap
+from drapenet.views.located import LocatedViews
 from sim.mesh import vertex_normals
-from sim.rig import Rig
 
 MAX_POINTS = 16_000  # of the captured surface, all views together
 MAX_JUMP = 6e-3  # m, range of depths within a triangle
@@ -21,44 +20,36 @@ _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows:
 _COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
 
 
-def drape_glb(
-    views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, drape: Resimulation | None
-) -> bytes:
-    """The scene as binary glTF.
-
-    Args:
-        views: (K, H, W) z-depth, m, background 0.
-        camera: with its estimated pose; found: the views' map, for the table's turns.
-        drape: None if no simulated drape converged; the node is omitted then.
-    """
+def drape_glb(located: LocatedViews, drape: Resimulation | None) -> bytes:
+    """The scene as binary glTF; without the node ``simulated`` if no simulated drape converged."""
     scene = trimesh.Scene()
-    _add(scene, "captured", *captured_surface(views, camera, found))
+    _add(scene, "captured", *captured_surface(located))
     if drape is not None:
         _add(scene, "simulated", drape.positions, drape.drape.faces)
-    column = trimesh.creation.cylinder(radius=0.985 * rig.plate_radius, height=_COLUMN, sections=64)
+    radius = 0.985 * located.rig.plate_radius
+    column = trimesh.creation.cylinder(radius=radius, height=_COLUMN, sections=64)
     _add(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces, flat=True)
     return scene.export(file_type="glb", include_normals=True)
 
 
-def captured_surface(
-    views: np.ndarray, camera: Camera, found: DrapeMap
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3), m, in the orientation of the first view, and triangles (F, 3) between pixels.
+def captured_surface(located: LocatedViews) -> tuple[Points, Faces]:
+    """Points in the orientation of the first view, and triangles between pixels.
 
-    Views are not merged where they overlap. Arguments as for :func:`drape_glb`.
+    Views are not merged where they overlap.
     """
+    views, camera = located.views, located.camera
     count = (views > 0).sum()
     step = max(1, int(np.ceil(np.sqrt(count / MAX_POINTS))))
     small = views[:, ::step, ::step]
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     points, faces, before = [], [], 0
-    for view, full, turn in zip(small, views, found.turns, strict=True):
+    for view, full, turn in zip(small, views, located.turns, strict=True):
         world = (camera.back_project(full)[::step, ::step] - shift) @ rotation
         cloth = view > 0
         number = np.full(view.shape, -1)
         number[cloth] = before + np.arange(cloth.sum())
         faces.append(_between(number, view))
-        points.append(turned(world[cloth] - [*found.centre, 0.0], -turn))
+        points.append(turned(world[cloth] - [*located.centre, 0.0], -turn))
         before += cloth.sum()
     return np.concatenate(points), np.concatenate(faces)
 

@@ -11,10 +11,13 @@ import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
 from common.errors import InputError
+from common.types import Turns
 from data.render.cameras import Camera
-from drapenet.views.pose import INNER_SHARE
-from drapenet.views.radial_map import DrapeMap, disagreement
+from data.render.setups import Setups
+from drapenet.views.located import INNER_SHARE, LocatedViews
+from drapenet.views.radial_map import RadialMap
 from drapenet.views.specimen_offset import specimen_placement
+from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
@@ -29,6 +32,10 @@ MAX_HOLES_SHARE = 0.05
 MAX_HOLE_PIXELS = 150  # pixels
 MAX_CUT_SHARE = 0.25
 MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
+MAX_TURN_ERROR = np.radians(6.0)
+"""rad, of the table in a view: 2.5 standard deviations of the training captures."""
+TILT, SHIFT = np.radians(2.0), 0.020
+"""rad and m, tolerances of the pose beyond the range trained on: the errors of the estimate."""
 MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
 RAYS = "depth is the length of the ray; give depth along the optical axis"
 MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
@@ -62,99 +69,141 @@ class Quality:
     pixel: float
 
 
-def measure(
-    views: np.ndarray, camera: Camera, found: DrapeMap, rig: Rig, *, turns: np.ndarray
-) -> Quality:
-    """Measure the quality of a capture.
+def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
+    """One line for each possible fault of a capture: pose of the camera outside the ``setups`` that
+    the network was trained on, turns of the table, quality of the views.
 
-    Args:
-        views: (K, H, W) z-depth, m, background 0.
-        camera: with its pose estimated from the plate.
-        found: the views' map.
-        turns: (K,) rad, nominal turns of the table.
+    Raises:
+        InputError: the views do not show cloth on a plate.
     """
-    clouds = [camera.cloth_points(view) for view in views]
-    gap = disagreement(clouds, turns, rig)
+    quality = measure(located, drape)
+    require_plate(quality)
+    return [*pose_warnings(located.camera, setups), *turn_warnings(located),
+            *quality_warnings(quality)]
+
+
+def pose_warnings(camera: Camera, setups: Setups) -> list[str]:
+    """One line for each property of ``camera`` outside the ``setups`` trained on."""
+    up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
+    pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
+    distance = float(np.linalg.norm(centre))
+    low, high = np.degrees(setups.pitch)
+    near, far = setups.distance
+    warnings = []
+    if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
+        warnings.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal "
+                        f"(limits {low:.0f}° to {high:.0f}°): check that the pictures "
+                        "are upright, their intrinsics, and the camera's position")
+    if not near - SHIFT < distance < far + SHIFT:
+        warnings.append(f"the plate is {1e3 * distance:.0f} mm away (limits "
+                        f"{1e3 * near:.0f} to {1e3 * far:.0f} mm): check the depth unit, the "
+                        "intrinsics and the camera's position")
+    return warnings
+
+
+def turn_warnings(located: LocatedViews) -> list[str]:
+    """One line for each of the table's turns that differs from the stated one."""
+    pairs = zip(located.turns, located.stated_turns, strict=True)
+    return [f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
+            f"{np.degrees(stated):.0f}°: the estimate may be wrong; take the views again"
+            for k, (turn, stated) in enumerate(pairs) if not abs(turn - stated) < MAX_TURN_ERROR]
+
+
+def measure(located: LocatedViews, drape: RadialMap) -> Quality:
+    """Measure the quality of a capture with the map ``drape``."""
+    views, camera, rig = located.views, located.camera, located.rig
+    gap = disagreement(located.clouds, located.turns, located.centre, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    log_scale, offset = specimen_placement(found, rig) if len(views) > 1 else (np.nan, np.nan)
-    bulge, off_plate = _flatness(np.concatenate(clouds) - [*found.centre, 0.0], rig)
+    log_scale, offset = specimen_placement(drape, rig) if len(views) > 1 else (np.nan, np.nan)
+    bulge, off_plate = _flatness(np.concatenate(located.clouds) - [*located.centre, 0.0], rig)
     return Quality(
         log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
-        misread=_misread(views, camera, clouds, turns, rig, gap),
+        misread=_misread(located, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
         cut=max(_cut(view) for view in views),
         pixel=float(np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx))
 
 
-def _misread(
-    views: np.ndarray, camera: Camera, clouds: list[np.ndarray], turns: np.ndarray, rig: Rig,
-    gap: float,
-) -> str:
+def _misread(located: LocatedViews, gap: float) -> str:
     """The alternative reading of the views that reduces their disagreement most; empty if none
     reduces it by :data:`MIN_IMPROVEMENT`.
     """
     if not np.isfinite(gap):
         return ""
+    clouds, camera, rig = located.clouds, located.camera, located.rig
+    gaps = {reading: disagreement(clouds, *register(clouds, turns, rig), rig)
+            for reading, turns in _turn_readings(located.stated_turns).items()}
+    along = located.views / np.linalg.norm(camera.directions(), axis=2)
+    clouds = [camera.cloth_points(view) for view in along]
+    gaps[RAYS] = disagreement(clouds, *register(clouds, located.stated_turns, rig), rig)
+    best = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
+    return best if gap > MIN_IMPROVEMENT * gaps[best] else ""
+
+
+def _turn_readings(stated: Turns) -> dict[str, Turns]:
+    """Other turns of the table, each different, by an explanation with its remedy."""
     readings = {"the table turned the other way, or the pictures are mirrored; give turns_deg, "
-                "number the views backwards, or switch off the mirroring": -turns}
-    count = len(views)
+                "number the views backwards, or switch off the mirroring": -stated}
+    count = len(stated)
     for later in range(1, count):
-        stayed = turns.copy()
-        stayed[later] = turns[later - 1]
+        stayed = stated.copy()
+        stayed[later] = stated[later - 1]
         readings[f"the table did not turn before view {later}; take it again"] = stayed
         for earlier in range(later):
             if count <= MAX_SWAPPED_VIEWS or later == earlier + 1:
-                swapped = turns.copy()
-                swapped[[earlier, later]] = turns[[later, earlier]]
+                swapped = stated.copy()
+                swapped[[earlier, later]] = stated[[later, earlier]]
                 readings[f"views {earlier} and {later} are swapped; number them as they were taken"
                          ] = swapped - swapped[0]
-    distinct: dict[str, np.ndarray] = {}
-    for name, other in readings.items():  # four quarter turns backwards are views 1 and 3 swapped
-        if not any(np.allclose(np.exp(1j * other), np.exp(1j * known))
-                   for known in distinct.values()):
-            distinct[name] = other
-    gaps = {name: disagreement(clouds, other, rig) for name, other in distinct.items()}
-    along = views / np.linalg.norm(camera.directions(), axis=2)
-    gaps[RAYS] = disagreement([camera.cloth_points(view) for view in along], turns, rig)
-    name = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
-    return name if gap > MIN_IMPROVEMENT * gaps[name] else ""
+    distinct: dict[str, Turns] = {}
+    for reading, turns in readings.items():  # four quarter turns backwards: views 1, 3 swapped
+        if not any(np.allclose(np.exp(1j * turns), np.exp(1j * other))
+                   for other in distinct.values()):
+            distinct[reading] = turns
+    return distinct
 
 
-def quality_doubts(quality: Quality) -> list[str]:
+def quality_warnings(q: Quality) -> list[str]:
     """One line for each exceeded limit: quantity, limit, remedy."""
-    q, doubts = quality, []
+    warnings = []
     if abs(q.log_scale) > MAX_LOG_SCALE:
-        doubts.append(f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can "
-                      f"be (sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and "
-                      "scale, fx and fy, the specimen's size and the cut-out")
+        warnings.append(
+            f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can be (sound "
+            f"captures: within {MAX_LOG_SCALE:.0%}): check depth unit and scale, fx and fy, the "
+            "specimen's size and the cut-out")
     if q.offset > MAX_OFFSET:
-        doubts.append(f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis "
-                      f"(at most {1e3 * MAX_OFFSET:g} mm): place it on the plate again")
+        warnings.append(
+            f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
+            f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again")
     if abs(q.bulge) > MAX_BULGE:
-        doubts.append(f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
-                      f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the "
-                      "length of the ray; check the lens's distortion")
+        warnings.append(
+            f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
+            f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of the "
+            "ray; check the lens's distortion")
     if q.misread:
-        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth, but fit better by a factor of more than {MIN_IMPROVEMENT:g} if "
-                      f"{q.misread}")
+        warnings.append(
+            f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth, but "
+            f"fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}")
     elif q.disagreement > MAX_DISAGREEMENT:
-        doubts.append(f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same "
-                      f"cloth (sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check "
-                      "turns_deg, fx and fy, and that the cloth did not move")
+        warnings.append(
+            f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth (sound "
+            f"captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, fx and fy, and that "
+            "the cloth did not move")
     if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS:
-        doubts.append(f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole "
-                      f"(sound captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): "
-                      "change exposure, light or distance")
+        warnings.append(
+            f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
+            f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, light "
+            "or distance")
     if q.cut > MAX_CUT_SHARE:
-        doubts.append(f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: "
-                      f"up to {MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the "
-                      "cloth; cut it out by geometry or colour")
+        warnings.append(
+            f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
+            f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out by "
+            "geometry or colour")
     if q.pixel > MAX_PIXEL:
-        doubts.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
-                      f"{1e3 * MAX_PIXEL:g} mm): move the camera nearer")
-    return doubts
+        warnings.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
+                        f"{1e3 * MAX_PIXEL:g} mm): move the camera nearer")
+    return warnings
 
 
 def require_plate(quality: Quality) -> None:

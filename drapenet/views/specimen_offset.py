@@ -29,8 +29,9 @@ from data.dataset.shards import Shard
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import AZIMUTHS, DrapeMap, drape_map
+from drapenet.views.directions import AZIMUTHS
+from drapenet.views.located import locate
+from drapenet.views.radial_map import RadialMap, radial_map
 from sim.rig import Rig
 
 FILE = Path(__file__).parents[1] / "weights" / "placement.json"
@@ -56,15 +57,15 @@ def _table() -> dict[str, Any]:
     return json.loads(FILE.read_text(encoding="utf-8"))
 
 
-def specimen_placement(found: DrapeMap, rig: Rig) -> tuple[float, float]:
-    """Logarithm of the apparent over the possible size of the drape in ``found``, and offset, m, of
+def specimen_placement(drape: RadialMap, rig: Rig) -> tuple[float, float]:
+    """Logarithm of the apparent over the possible size of the drape in ``drape``, and offset, m, of
     the specimen's centre from the plate's axis; NaN for a rig without coefficients.
     """
     if rig.name not in _table():
         return math.nan, math.nan
     scale, offset = (_table()[rig.name][name] for name in ("log_scale", "offset"))
-    return (float(_scale_features(found) @ scale["coefficients"] + scale["constant"]),
-            float(np.abs(_offset_features(found) @ offset["coefficients"])))
+    return (float(_scale_features(drape) @ scale["coefficients"] + scale["constant"]),
+            float(np.abs(_offset_features(drape) @ offset["coefficients"])))
 
 
 def _bands(values: np.ndarray) -> np.ndarray:
@@ -72,17 +73,17 @@ def _bands(values: np.ndarray) -> np.ndarray:
     return values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2)
 
 
-def _scale_features(found: DrapeMap) -> np.ndarray:
+def _scale_features(drape: RadialMap) -> np.ndarray:
     """(2 B,) mean and standard deviation of the distances, m, around the axis."""
-    bands = _bands(found.distance)
+    bands = _bands(drape.distance)
     return np.concatenate([bands.mean(axis=0), bands.std(axis=0)])
 
 
-def _offset_features(found: DrapeMap) -> np.ndarray:
+def _offset_features(drape: RadialMap) -> np.ndarray:
     """(2 B,) complex first harmonics of the distances, m, and of the visibility."""
     around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
     return np.concatenate([around @ _bands(values) / AZIMUTHS
-                           for values in (found.distance, (found.weight > 0).astype(float))])
+                           for values in (drape.distance, (drape.weight > 0).astype(float))])
 
 
 def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constant: bool) -> dict:
@@ -125,12 +126,11 @@ def main(config: PlacementConfig) -> None:
             seen = setups.capture(positions, faces, rng, nominal=nominal)
             for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                 views = seen.views * np.float32(math.exp(scale))
-                camera = locate_camera(views, seen.intrinsics, rig)
-                found = drape_map(views, camera, rig, turns=seen.turns)
-                scales.append((_scale_features(found), scale, int(fabric[row])))
+                drape = radial_map(locate(views, seen.intrinsics, rig, seen.turns))
+                scales.append((_scale_features(drape), scale, int(fabric[row])))
                 if scale == 0.0 and len(seen.views) > 1:
-                    turned = np.exp(1j * (seen.orientation - found.zero))
-                    offsets.append((_offset_features(found), drift[row] * turned,
+                    turned = np.exp(1j * (seen.orientation - drape.zero))
+                    offsets.append((_offset_features(drape), drift[row] * turned,
                                     int(fabric[row])))
             if len(scales) >= 3 * config.captures:
                 break

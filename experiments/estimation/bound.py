@@ -22,6 +22,7 @@ from data.render.cameras import Camera
 from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAWS, law_moves
+from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult
 from sim.rig import Rig
 from sim.sensitivity import Tangent
@@ -147,8 +148,7 @@ def depth_information(
     moves["plate"] = moves_with_plate(tangent, result.rig)
     views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(
-        views,
-        camera,
+        LocatedViews.exact(views, camera, result.rig, QUARTERS),
         result.faces,
         turn=orientation,
         weights=DepthWeights(sigma=noise, limit=1.0, border_sigma=np.inf, stride=1,

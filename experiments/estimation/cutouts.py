@@ -22,8 +22,7 @@ from data.captures.cutout import CutOut, cut_out
 from data.render.renderer import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import drape_map
+from drapenet.views.located import locate
 from experiments.common import ESTIMATOR_SOURCES, Config, Result, run_cases, table
 from experiments.known import known_drape
 from sim.material import LINEAR, REFERENCE_DENSITY
@@ -53,14 +52,13 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
         return {"failed": str(error)}
     empty = cut_out(scene.frames, intrinsics, tester, scene.background)
     found = {"failed": "", "iou": overlap(cut.masks, scene.cloth),
-             "iou_background": overlap(empty.masks, scene.cloth), "doubts": list(cut.doubts),
+             "iou_background": overlap(empty.masks, scene.cloth), "warnings": list(cut.warnings),
              "column_mm": 1e3 * scene.column,
              "column_found_mm": 1e3 * cut.column if cut.column else None,
              **plate_errors(cut, scene, tester)}
     perfect = np.where(scene.cloth & ~blended(scene, sensor), scene.frames, np.float32(0.0))
     for name, views in (("turn_deg", cut.views), ("turn_perfect_deg", perfect)):
-        camera = locate_camera(views, intrinsics, tester)
-        measured = drape_map(views, camera, tester, turns=np.array(QUARTERS)).turns
+        measured = locate(views, intrinsics, tester, np.array(QUARTERS)).turns
         found[name] = float(np.degrees(np.abs(measured - turns)).max())
     if estimated:
         found["shift"] = posterior_shifts(cut.views, perfect, scene, tester)

@@ -20,9 +20,9 @@ from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.inference import capture_doubts
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import drape_map
+from drapenet.views.checks import view_warnings
+from drapenet.views.located import locate
+from drapenet.views.radial_map import radial_map
 from experiments.common import Config, Result, table
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
@@ -163,10 +163,9 @@ def find_warnings(
         differing = (np.abs(checked.views - check_capture(sound).views) > 1e-6).sum()
         if differing < MAX_DIFFERING_PIXELS * len(checked.views):
             return ["corrected"]
-    camera = locate_camera(checked.views, checked.intrinsics, rig)
-    found = drape_map(checked.views, camera, rig, turns=checked.turns)
+    located = locate(checked.views, checked.intrinsics, rig, checked.turns)
     try:
-        return [*checked.warnings, *capture_doubts(checked, setups, camera, found)]
+        return [*checked.warnings, *view_warnings(located, radial_map(located), setups)]
     except InputError as error:
         return [str(error)]
 

@@ -59,9 +59,9 @@ def refine_scan(scan: "Registered") -> dict:
     header, shape = read_header(bundled(DISC_RIG)), scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
     inferred = infer_capture(capture, header)
-    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
-    result = refined_capture(estimate, capture, camera, turns=found.turns,
-                             seen=CapturedScan(shape), known={})
+    estimate = inferred.estimate
+    result = refined_capture(estimate, capture, inferred.located, seen=CapturedScan(shape),
+                             known={})
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
     network = estimate.samples
@@ -71,7 +71,7 @@ def refine_scan(scan: "Registered") -> dict:
     return {"refined": result.content, "theta": estimate.samples.mean(axis=0).tolist(),
             "gained": result.draws is not None, "axis": estimate.axis,
             "seconds": result.found.seconds, "registered_mm": 1e3 * scan.distance,
-            "spread": estimate.spread.tolist(), "doubts": list(result.doubts), "arrays": arrays}
+            "spread": estimate.spread.tolist(), "warnings": list(result.warnings), "arrays": arrays}
 
 
 def run(config: Config) -> Result:
@@ -92,7 +92,7 @@ def run(config: Config) -> Result:
     seconds = float(np.median([r["seconds"] for r in results.values()]))
     print(f"drapes released at the scan move by {np.mean(rest):.2f} mm on average, at most "
           f"{max(rest):.1f} mm; {len(away) - len(rest)} did not converge; "
-          f"{sum(bool(r['doubts']) for r in results.values())} with a warning; "
+          f"{sum(bool(r['warnings']) for r in results.values())} with a warning; "
           f"median {seconds:.0f} s")
     return Result({"summary": summary, "mean_away_mm": float(np.mean(rest)), "seconds": seconds,
                    "scans": results})

@@ -62,12 +62,12 @@ def case(
     header = read_header(bundled(tester))
     known = {"membrane": 200.0} if nuisances == "none" else {}
     inferred = infer_capture(capture, header, **known)
-    estimate, camera, found = inferred.estimate, inferred.camera, inferred.found
+    estimate = inferred.estimate
     fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
              if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refined_capture(estimate, capture, camera, turns=found.turns, seen=None, known=fixed,
+    refined = refined_capture(estimate, capture, inferred.located, seen=None, known=fixed,
                               settings=settings)
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}

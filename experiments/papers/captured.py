@@ -12,9 +12,10 @@ from data.dataset.plan import DrapePlan
 from data.fabrics.nuisances import Nuisances
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.inference import Inferred, capture_doubts, infer_capture
+from drapenet.inference import Inferred, infer_capture
 from drapenet.network.checkpoint import Header, bundled, read_header
 from drapenet.result.estimate import Estimate
+from drapenet.views.checks import view_warnings
 from experiments import known
 from experiments.common import REPORTS
 from sim.drape import DrapeResult
@@ -48,7 +49,7 @@ class NetworkEstimate:
         """Warnings of ``infer.py``."""
         one = self.inferred
         return [*one.estimate.warnings,
-                *capture_doubts(self.capture, header().setups, one.camera, one.found)]
+                *view_warnings(one.located, one.drape, header().setups)]
 
 
 @cache

@@ -14,7 +14,7 @@ from torch import nn
 
 from drapenet.network.model import KNOWN, MapNet
 from drapenet.network.posterior import Mixture, outputs_of
-from drapenet.views.radial_map import elevations
+from drapenet.views.directions import elevations
 from sim.rig import Rig
 
 COMPONENTS = 2  # of a posterior

@@ -18,8 +18,8 @@ from data.captures.capture import Capture, read_capture, write_capture
 from data.render.cameras import CameraRig
 from data.render.renderer import DepthRenderer
 from data.testers import TESTERS
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import drape_coefficient, drape_map
+from drapenet.views.located import LocatedViews
+from drapenet.views.radial_map import drape_coefficient, radial_map
 from sim.rig import SQUARE_RIG, Rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -454,8 +454,7 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, seed):
     for raw in ("false", "true"):  # the second replaces the first
         main([f"out={tmp_path / 'c'}", f"raw={raw}", "edge_mm=12", f"seed={seed}"])
         capture = read_capture(tmp_path / "c")
-        camera = locate_camera(capture.views, capture.intrinsics, Rig())
-        found = drape_map(capture.views, camera, Rig(), turns=capture.turns)
+        found = radial_map(LocatedViews.of(capture))
         coefficients.append(drape_coefficient(found, Rig()))
     assert (tmp_path / "c" / "background.png").is_file()
     assert capture.cut and len(capture.views) == 4

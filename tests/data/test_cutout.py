@@ -76,12 +76,12 @@ def test_the_column_is_measured_and_removed():
 def test_the_empty_scene_helps_and_a_moved_camera_is_reported(scene):
     intrinsics = scene.camera.intrinsics
     cut = cut_out(scene.frames, intrinsics, Rig(), scene.background)
-    assert overlaps(cut.masks, scene.cloth).min() > 0.98 and not cut.doubts
+    assert overlaps(cut.masks, scene.cloth).min() > 0.98 and not cut.warnings
     moved = np.roll(scene.background, 60, axis=0) + 0.1
     assert any("background.png" in doubt
-               for doubt in cut_out(scene.frames, intrinsics, Rig(), moved).doubts)
+               for doubt in cut_out(scene.frames, intrinsics, Rig(), moved).warnings)
     draped = cut_out(scene.frames, intrinsics, Rig(), scene.frames[1])
-    assert any("take it without cloth" in doubt for doubt in draped.doubts)
+    assert any("take it without cloth" in doubt for doubt in draped.warnings)
 
 
 def test_what_is_cut_out_stays_as_it_is(scene):

@@ -10,7 +10,7 @@ from cloths import skirt
 from common.configs import read_option
 from common.errors import InputError
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.views.pose import locate_camera
+from drapenet.views.located import locate_camera
 from sim.rig import Rig
 
 REAL = Setups.load()

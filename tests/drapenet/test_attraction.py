@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.springs import MAX_HINGE_ANGLE, captured_shape, smoothed
+from drapenet.views.located import LocatedViews
 from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.material import MICRO, Fabric
@@ -49,7 +50,8 @@ def test_soft_cloth_takes_the_captured_folds() -> None:
     camera, turn = CameraRig.load().nominal(), 0.4
     views = DepthRenderer(truth.positions, truth.faces).views(camera, turn)
     specimen = {"rig": Rig(), "edge": 4e-3}
-    objective = DepthViews(views, camera, make_specimen(**specimen).mesh.faces, turn=turn)
+    located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
+    objective = DepthViews(located, make_specimen(**specimen).mesh.faces, turn=turn)
     shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
     seen = objective.render(shape.positions, objective.start)
     apart = np.abs(seen - views)[(seen > 0) & (views > 0)]

@@ -7,16 +7,11 @@ import pytest
 
 from data.render.cameras import CameraRig, Pose
 from data.render.renderer import DepthRenderer
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import (
-    AZIMUTHS,
-    CENTRE_BIAS,
-    drape_coefficient,
-    drape_map,
-    elevations,
-    side_direction,
-    turn_doubts,
-)
+from drapenet.views.checks import turn_warnings
+from drapenet.views.directions import AZIMUTHS, elevations
+from drapenet.views.located import LocatedViews, locate
+from drapenet.views.radial_map import drape_coefficient, radial_map, side_direction
+from drapenet.views.turns import CENTRE_BIAS
 from sim.material import Fabric
 from sim.rig import Rig
 from tests.cloths import skirt
@@ -39,28 +34,27 @@ def seen_from(pitch, distance, roll=0.0):
     return replace(nominal, fx=focal, fy=focal, world_to_camera=pose.world_to_camera())
 
 
-def mapped(renderer, camera, orientation, *, wrong=WRONG, **options):
+def located(renderer, camera, orientation, *, wrong=WRONG):
     views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
-    nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
-    return drape_map(views, locate_camera(views, nominal, Rig()), Rig(), **options)
+    nominal = replace(CameraRig.load().intrinsics, fx=camera.fx, fy=camera.fy)
+    return locate(views, nominal, Rig(), QUARTERS)
 
 
 @pytest.mark.parametrize(("pitch", "distance", "roll"), [(45, 0.6, 2.0), (32, 0.45, 0.0)])
 def test_the_table_s_turns_and_the_plate_s_centre_are_measured(renderer, pitch, distance, roll):
     camera = seen_from(pitch, distance, roll)
-    found = mapped(renderer, camera, 0.3)
+    found = located(renderer, camera, 0.3)
     assert np.degrees(found.turns - QUARTERS) == pytest.approx(np.degrees(WRONG), abs=0.3)
-    nominal = replace(CameraRig.load().nominal(), fx=camera.fx, fy=camera.fy)
-    views = np.stack([renderer.view(camera, 0.3 + angle) for angle in QUARTERS + WRONG])
-    pose = locate_camera(views, nominal, Rig()).world_to_camera
+    pose = found.camera.world_to_camera
     centre = pose[:3, :3] @ [*found.centre, 0] + pose[:3, 3]
     assert centre == pytest.approx(camera.world_to_camera[:3, 3], abs=0.6e-3)
 
 
 def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
     """Compared where both cameras see cloth: a cell holds its mean."""
-    one = mapped(renderer, seen_from(45, 0.6), 0.3)
-    other = mapped(renderer, seen_from(33, 0.45, 3.0), 1.2, wrong=WRONG[::-1] - WRONG[-1])
+    one = radial_map(located(renderer, seen_from(45, 0.6), 0.3))
+    other = radial_map(located(renderer, seen_from(33, 0.45, 3.0), 1.2,
+                               wrong=WRONG[::-1] - WRONG[-1]))
     # Sides are known up to quarter turns.
     shifts = [np.roll(other.distance, k * AZIMUTHS // 4, axis=0) for k in range(4)]
     seen = [(one.weight > 1) & (np.roll(other.weight, k * AZIMUTHS // 4, axis=0) > 1)
@@ -70,22 +64,20 @@ def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
     assert min(gaps) < 3e-4 and 10 * min(gaps) < np.median(gaps)
 
 
-def test_a_table_that_turns_wrongly_is_doubted(renderer):
-    nominal = np.arange(4) * np.pi / 2
+def test_a_table_that_turns_wrongly_gives_a_warning(renderer):
     wrong = np.radians([0.0, 9.0, -1.0, 2.0])
-    found = mapped(renderer, seen_from(40, 0.5), 0.1, wrong=wrong)
-    doubt, = turn_doubts(found.turns, nominal)
-    assert "99° in view 1, not by 90°" in doubt
-    sound = mapped(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4))
-    assert not turn_doubts(sound.turns, nominal)
+    warning, = turn_warnings(located(renderer, seen_from(40, 0.5), 0.1, wrong=wrong))
+    assert "99° in view 1, not by 90°" in warning
+    assert not turn_warnings(located(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4)))
 
 
 @pytest.mark.parametrize("orientation", [0.0, 0.4, 1.2])
 def test_sides_and_marked_directions_become_azimuth_zero(renderer, orientation):
-    found = mapped(renderer, seen_from(40, 0.5), orientation)
+    views = located(renderer, seen_from(40, 0.5), orientation)
+    found = radial_map(views)
     off = (found.zero - orientation + np.pi / 4) % (np.pi / 2) - np.pi / 4
     assert abs(np.degrees(off)) < 4
-    marked = mapped(renderer, seen_from(40, 0.5), orientation, zero=orientation)
+    marked = radial_map(views, zero=orientation)
     assert marked.zero == orientation
     rest = side_direction(marked.distance, marked.weight, Rig())
     assert abs(np.degrees((rest + np.pi / 4) % (np.pi / 2) - np.pi / 4)) < 4
@@ -109,9 +101,10 @@ def test_distances_are_those_of_the_cloth(renderer):
     camera = seen_from(40, 0.5)
     views = np.stack([DepthRenderer(points, faces).view(camera, angle) for angle in QUARTERS])
     # As the plate of a drape is located: a little too near. A cone itself does not show it.
-    located = camera.world_to_camera.copy()
-    located[:3, 3] += located[:3, :3] @ [0.0, -CENTRE_BIAS, 0.0]
-    found = drape_map(views, replace(camera, world_to_camera=located), Rig(), zero=0.0)
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] += pose[:3, :3] @ [0.0, -CENTRE_BIAS, 0.0]
+    found = radial_map(LocatedViews.registered(
+        views, replace(camera, world_to_camera=pose), Rig(), QUARTERS), zero=0.0)
     borders = elevations(Rig())
     up = (borders[1:] + borders[:-1]) / 2
     # From (0, -0.06): r = 0.05 + 2/3 t, z = 0.06 - t, cut by the direction (cos up, sin up).
@@ -139,6 +132,7 @@ def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
             faces += [[a, a + count, b], [b, a + count, b + count]]
     cone = DepthRenderer(np.array(points), np.array(faces))
     camera = seen_from(pitch, 0.5)
-    found = drape_map(cone.views(camera), camera, Rig(), zero=0.0)
+    found = radial_map(
+        LocatedViews.registered(cone.views(camera), camera, Rig(), QUARTERS), zero=0.0)
     expected = np.pi * (0.11**2 - 0.05**2) / (0.09 - np.pi * 0.05**2)
     assert drape_coefficient(found, Rig()) == pytest.approx(expected, abs=0.008)

@@ -11,23 +11,24 @@ from data.fabrics.fabrics import from_theta
 from drapenet.inference import infer_capture
 from drapenet.network.checkpoint import bundled, load_model, read_header
 from drapenet.network.predict import DRAWS, predict
-from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, DrapeMap
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.radial_map import RadialMap
 from sim.material import is_admissible
 
 
 @pytest.fixture(scope="module")
-def drape_map_of_a_capture() -> DrapeMap:
+def radial_map_of_a_capture() -> RadialMap:
     azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     distance = 0.08 + 0.01 * np.cos(2 * azimuth) + 0.004 * np.sin(5 * azimuth)
     distance = distance[:, None] * np.linspace(0.9, 1.1, ELEVATIONS)
-    return DrapeMap(distance, np.ones_like(distance), 0.3, np.arange(4) * np.pi / 2, np.zeros(2))
+    return RadialMap(distance, np.ones_like(distance), 0.3, 4)
 
 
 def test_samples_are_possible_fabrics_in_the_first_view_s_axes(
-    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap, one_thread: None
+    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap, one_thread: None
 ) -> None:
     header = read_header(untrained_checkpoint)
-    draws, = predict(load_model(header), header, [drape_map_of_a_capture])
+    draws, = predict(load_model(header), header, [radial_map_of_a_capture])
     assert is_admissible(*from_theta(draws.theta)).all()
     assert len(draws.theta) == len(draws.axis) == round(8 * DRAWS * (1 - draws.impossible))
     assert (draws.axis == 0.3).all()
@@ -35,12 +36,12 @@ def test_samples_are_possible_fabrics_in_the_first_view_s_axes(
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_quarter_turn_of_the_map_exchanges_the_yarns(
-    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap, quarters: int, one_thread: None
+    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap, quarters: int, one_thread: None
 ) -> None:
     header = read_header(untrained_checkpoint)
-    network, one = load_model(header), drape_map_of_a_capture
-    turned = DrapeMap(np.roll(one.distance, quarters * AZIMUTHS // 4, axis=0), one.weight,
-                      one.zero - quarters * np.pi / 2, one.turns, one.centre)
+    network, one = load_model(header), radial_map_of_a_capture
+    turned = RadialMap(np.roll(one.distance, quarters * AZIMUTHS // 4, axis=0), one.weight,
+                       one.zero - quarters * np.pi / 2, one.views)
     first, second = (draws.theta for draws in predict(network, header, [one, turned]))
     order = [2, 1, 0, 5, 4, 3] if quarters % 2 else list(range(6))
     deviation = first.std(axis=0)
@@ -50,12 +51,12 @@ def test_a_quarter_turn_of_the_map_exchanges_the_yarns(
 
 
 def test_what_is_known_changes_the_answer(
-    untrained_checkpoint: Path, drape_map_of_a_capture: DrapeMap
+    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap
 ) -> None:
     header = read_header(untrained_checkpoint)
     network = load_model(header)
-    unknown, = predict(network, header, [drape_map_of_a_capture])
-    known, = predict(network, header, [drape_map_of_a_capture], membrane=1000.0)
+    unknown, = predict(network, header, [radial_map_of_a_capture])
+    known, = predict(network, header, [radial_map_of_a_capture], membrane=1000.0)
     assert abs(known.theta.mean(axis=0) - unknown.theta.mean(axis=0)).max() > 1e-6
 
 

@@ -12,9 +12,9 @@ from scipy import ndimage
 from common.errors import InputError
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.views.checks import measure, quality_doubts, require_plate
-from drapenet.views.pose import locate_camera
-from drapenet.views.radial_map import drape_map
+from drapenet.views.checks import Quality, measure, quality_warnings, require_plate
+from drapenet.views.located import locate
+from drapenet.views.radial_map import radial_map
 from drapenet.views.specimen_offset import FILE, fit, main, specimen_placement
 from sim.drape import drape
 from sim.material import Fabric
@@ -35,11 +35,13 @@ def sound() -> SyntheticCapture:
                          nominal=CameraRig.load())
 
 
-def doubts(capture: SyntheticCapture) -> str:
-    camera = locate_camera(capture.views, capture.intrinsics, RIG)
-    found = drape_map(capture.views, camera, RIG, turns=capture.turns)
-    return "; ".join(quality_doubts(measure(capture.views, camera, found, RIG,
-                                            turns=capture.turns)))
+def quality(capture: SyntheticCapture, rig: Rig = RIG) -> Quality:
+    located = locate(capture.views, capture.intrinsics, rig, capture.turns)
+    return measure(located, radial_map(located))
+
+
+def warnings(capture: SyntheticCapture) -> str:
+    return "; ".join(quality_warnings(quality(capture)))
 
 
 def test_coefficients_of_the_placement_are_written_to_out_alone(
@@ -50,15 +52,14 @@ def test_coefficients_of_the_placement_are_written_to_out_alone(
     fitted, bundled = json.loads(out.read_text()), json.loads(before)
     assert FILE.read_bytes() == before
     assert fitted.keys() == bundled.keys() and fitted[RIG.name] != bundled[RIG.name]
-    camera = locate_camera(sound.views, sound.intrinsics, RIG)
-    found = drape_map(sound.views, camera, RIG, turns=sound.turns)
+    found = radial_map(locate(sound.views, sound.intrinsics, RIG, sound.turns))
     placement = specimen_placement(found, RIG)
     monkeypatch.setattr("drapenet.views.specimen_offset.FILE", out)  # is read once
     assert specimen_placement(found, RIG) == placement
 
 
-def test_a_sound_capture_is_not_doubted(sound: SyntheticCapture) -> None:
-    assert doubts(sound) == ""
+def test_a_sound_capture_gives_no_warning(sound: SyntheticCapture) -> None:
+    assert warnings(sound) == ""
 
 
 def _rays(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
@@ -97,7 +98,7 @@ def test_a_fault_is_named(
     sound: SyntheticCapture, spoil: Callable[[np.ndarray, SyntheticCapture], np.ndarray], said: str
 ) -> None:
     views = spoil(sound.views.copy(), sound)
-    assert said in doubts(replace(sound, views=views.astype(np.float32)))
+    assert said in warnings(replace(sound, views=views.astype(np.float32)))
 
 
 @pytest.mark.parametrize("spoil", [
@@ -105,25 +106,19 @@ def test_a_fault_is_named(
 def test_what_cannot_be_a_drape_on_the_plate_is_refused(
     sound: SyntheticCapture, spoil: Callable[[np.ndarray], np.ndarray]
 ) -> None:
-    camera = locate_camera(sound.views, sound.intrinsics, RIG)
-    found = drape_map(sound.views, camera, RIG, turns=sound.turns)
-    require_plate(measure(sound.views, camera, found, RIG, turns=sound.turns))
+    require_plate(quality(sound))
     views = np.ascontiguousarray(spoil(sound.views), np.float32)
-    camera = locate_camera(views, sound.intrinsics, RIG)
-    found = drape_map(views, camera, RIG, turns=sound.turns)
     with pytest.raises(InputError, match="upright"):
-        require_plate(measure(views, camera, found, RIG, turns=sound.turns))
+        require_plate(quality(replace(sound, views=views)))
 
 
 def test_a_specimen_off_the_axis_is_measured() -> None:
     shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
     seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
                          nominal=CameraRig.load())
-    camera = locate_camera(seen.views, seen.intrinsics, RIG)
-    found = drape_map(seen.views, camera, RIG, turns=seen.turns)
-    measured = measure(seen.views, camera, found, RIG, turns=seen.turns)
+    measured = quality(seen)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)
-    assert "from the plate's axis" in "; ".join(quality_doubts(measured))
+    assert "from the plate's axis" in "; ".join(quality_warnings(measured))
 
 
 def test_a_scale_is_regressed_on_features() -> None:

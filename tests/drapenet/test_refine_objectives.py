@@ -1,12 +1,13 @@
 """Objectives: values that are known, and derivatives against differences."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from data.render.cameras import Camera, CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.renderer import QUARTERS, DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.laid import surface_positions
 from drapenet.refine.objective import (
@@ -15,6 +16,7 @@ from drapenet.refine.objective import (
     huber,
     value,
 )
+from drapenet.views.located import LocatedViews
 from sim.mesh import grid_faces
 from sim.rig import Rig
 
@@ -27,6 +29,12 @@ def dome(cells: int = 30) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([x, y, z]), grid_faces(np.eye(cells, dtype=bool))
 
 
+def located(
+    views: np.ndarray, camera: Camera, turns: Sequence[float] = QUARTERS
+) -> LocatedViews:
+    return LocatedViews.exact(views, camera, Rig(), turns)
+
+
 @pytest.fixture(scope="module")
 def camera() -> Camera:
     return CameraRig.load().nominal()
@@ -36,7 +44,7 @@ def camera() -> Camera:
 def compared(camera: Camera) -> tuple[np.ndarray, DepthViews]:
     positions, faces = dome()
     views = DepthRenderer(positions, faces).views(camera, 0.3)
-    return positions, DepthViews(views, camera, faces, turn=0.3)
+    return positions, DepthViews(located(views, camera), faces, turn=0.3)
 
 
 def test_robust_residuals_and_their_derivatives() -> None:
@@ -91,7 +99,7 @@ def test_views_of_any_turns_are_compared(camera: Camera) -> None:
     positions, faces = dome()
     turns = (0.0, 0.9, 2.0)
     views = DepthRenderer(positions, faces).views(camera, 0.3, turns)
-    objective = DepthViews(views, camera, faces, turns=turns, turn=0.3)
+    objective = DepthViews(located(views, camera, turns), faces, turn=0.3)
     assert objective.nuisances == (*POSE, "table_1", "table_2", FOCAL, BORDER)
     there = objective.start.copy()
     there[objective.nuisances.index("table_2")] = 0.05
@@ -102,7 +110,7 @@ def test_views_of_any_turns_are_compared(camera: Camera) -> None:
 def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
     positions, faces = dome()
     views = DepthRenderer(positions - [0, 0, 2e-4], faces).views(camera, 0.0)
-    fine, coarse = (DepthViews(views, camera, faces, weights=DepthWeights(
+    fine, coarse = (DepthViews(located(views, camera), faces, weights=DepthWeights(
         border_sigma=np.inf).on_mesh(edge)) for edge in (EDGE, 2 * EDGE))
     costs = [value(d.residuals(positions, d.start)) for d in (fine, coarse)]
     assert costs[0] > 1.0
@@ -113,7 +121,7 @@ def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:
     positions, faces = dome()
     views = DepthRenderer(positions, faces).views(camera) + np.float32(0)
     weights = DepthWeights(limit=1.0, border_sigma=np.inf, border_limit=np.inf)
-    objective = DepthViews(views, camera, faces, weights=weights)
+    objective = DepthViews(located(views, camera), faces, weights=weights)
     x, y, _ = positions.T
     moves = np.stack([np.column_stack([np.sin(20 * y), 0 * x, np.cos(15 * x)]), positions])
     found = objective.linearised(positions, objective.start)

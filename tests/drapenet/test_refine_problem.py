@@ -32,6 +32,7 @@ from drapenet.refine.unknowns import (
     Knowledge,
     cloth_moves,
 )
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import fused, side_direction
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
@@ -284,7 +285,8 @@ def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
     camera = CameraRig.load().nominal()
     for turn in (0.2, 1.3, 2.5):
         views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)
-        objective = DepthViews(views, camera, shape.faces)
+        objective = DepthViews(
+            LocatedViews.exact(views, camera, Rig(), QUARTERS), shape.faces)
         points = objective.points(objective.start)[0]
         found = side_direction(*fused([points], np.zeros(1), Rig()), Rig())
         gap = (found - turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
@@ -298,7 +300,7 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     views = DepthRenderer(truth.positions, truth.faces).views(camera, 1.0)
     prior = load_prior("gaussian")
     values = []
-    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.02, rig=Rig(), edge=3e-3,
+    seen = CapturedViews(LocatedViews.exact(views, camera, Rig(), QUARTERS), turn=1.02, edge=3e-3,
                          coarse=3.5e-3)
     found = search(seen, [Cloth.of(prior.mean)], free=THETA_NAMES, known=Knowledge.of(prior),
                    progress=lambda _, value: values.append(value))
@@ -319,7 +321,7 @@ def test_an_interrupted_search_hands_back_the_best_so_far(shape: DrapeResult) ->
         if simulations >= 4 and math.isfinite(value):
             raise KeyboardInterrupt
 
-    seen = CapturedViews(views, camera, turns=QUARTERS, turn=1.0, rig=Rig(), edge=7e-3,
+    seen = CapturedViews(LocatedViews.exact(views, camera, Rig(), QUARTERS), turn=1.0, edge=7e-3,
                          coarse=3.5e-3)
     seen.rounds = (Round(8e-3, (0.3,), 2), Round(7e-3, (0.1,), 4))
     found = search(seen, [Cloth.of(AWAY), Cloth.of(THETA)], free=THETA_NAMES, progress=stop)

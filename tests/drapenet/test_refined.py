@@ -19,6 +19,7 @@ from drapenet.refine.search import CapturedViews, Found
 from drapenet.refine.surface import Fidelity
 from drapenet.refine.unknowns import LAWS, OFFSET, Cloth
 from drapenet.result.estimate import Estimate
+from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO
 from sim.rig import Rig
@@ -54,8 +55,7 @@ def run(
     def search(seen: CapturedViews, starts: list[Cloth], *, free: list[str], **more) -> Found:
         asked.update(starts=starts, free=free)
         names = (*(name for name in (*THETA_NAMES, *LAWS, *OFFSET) if name in free), "turn")
-        objective = CapturedViews(capture.views, camera, turns=QUARTERS, turn=0.5, rig=Rig(),
-                                  edge=8e-3, coarse=8e-3).objective(8e-3)
+        objective = CapturedViews(located, turn=0.5, edge=8e-3, coarse=8e-3).objective(8e-3)
         nuisance = objective.start
         trial = Trial(np.zeros(len(names)), Cloth.of(THETA + 0.1), nuisance, shape, 10.0, 10.0)
         return Found(trial, objective, start_value, Uncertainty(
@@ -63,8 +63,9 @@ def run(
 
     monkeypatch.setattr(refine, "search", search)
     capture, camera = capture_of(shape), CameraRig.load().nominal()
+    located = LocatedViews.exact(capture.views, camera, Rig(), QUARTERS)
     result = refine.refined_capture(
-        before("stiff", "bias", "soft"), capture, camera, turns=np.array(QUARTERS), seen=None,
+        before("stiff", "bias", "soft"), capture, located, seen=None,
         known=known or {}, settings=read_option("refine", "depth") | {"edge_mm": 8.0})
     return result, asked
 
@@ -75,7 +76,7 @@ def test_the_posterior_is_that_of_the_search(
     result, asked = run(draped, monkeypatch)
     assert result.draws.theta.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
     assert result.draws.theta.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
-    assert (result.draws.axis == 0.5).all() and not result.doubts
+    assert (result.draws.axis == 0.5).all() and not result.warnings
     assert result.resimulation.overlap > 0.97
     membrane = result.content["specimen"]["membrane_n_per_m"]
     assert membrane["interval_68"][1] / membrane["median"] == pytest.approx(math.exp(0.1))
@@ -98,7 +99,7 @@ def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
 ) -> None:
     result, _ = run(draped, monkeypatch, start_value=10.2)
     assert result.draws is None
-    assert any("the network's estimate stands" in line for line in result.doubts)
+    assert any("the network's estimate stands" in line for line in result.warnings)
 
 
 @pytest.mark.parametrize(("near", "status", "doubt"), [
@@ -111,6 +112,6 @@ def test_cloth_let_go_at_a_scan_stays_there(
     """After an interruption nothing was let go, so nothing is said."""
     found, _ = run(draped, monkeypatch)
     ended = replace(found.found, status=status)
-    doubts = refine._doubts(ended, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
+    warnings = refine._warnings(ended, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
                              scan=True)
-    assert len(doubts) == (doubt is not None) and (doubt or "") in "".join(doubts)
+    assert len(warnings) == (doubt is not None) and (doubt or "") in "".join(warnings)

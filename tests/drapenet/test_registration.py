@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.renderer import QUARTERS, DepthRenderer
 from data.render.setups import Setups
 from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
-from drapenet.views.pose import camera_doubts, locate_camera
+from drapenet.views.checks import pose_warnings
+from drapenet.views.located import locate_camera
 from sim.rig import Rig
 
 
@@ -36,28 +37,28 @@ def test_the_camera_is_found_again(seed: int) -> None:
     assert np.linalg.norm(found[:3, 2] - camera.world_to_camera[:3, 2]) < 5e-3  # rad
 
 
-def test_a_camera_outside_the_set_ups_is_doubted() -> None:
+def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
     rig = CameraRig.load()
     views = DepthRenderer(*skirt(7)).views(rig.sample(np.random.default_rng(1)), 0.2)
 
-    def doubts(pictures: np.ndarray, **changes: float) -> str:
+    def warnings(pictures: np.ndarray, **changes: float) -> str:
         nominal = replace(rig.nominal(), **changes)
-        return "; ".join(camera_doubts(locate_camera(pictures, nominal, Rig()), Setups.load()))
+        return "; ".join(pose_warnings(locate_camera(pictures, nominal, Rig()), Setups.load()))
 
-    assert doubts(views) == ""
-    assert "upright" in doubts(views[:, ::-1])
-    assert "above the horizontal" in doubts(views, fx=100.0, fy=100.0)
-    assert "mm away" in doubts(1.5 * views)
+    assert warnings(views) == ""
+    assert "upright" in warnings(views[:, ::-1])
+    assert "above the horizontal" in warnings(views, fx=100.0, fy=100.0)
+    assert "mm away" in warnings(1.5 * views)
     speck = np.zeros_like(views)
     speck[:, 80:82, 100] = 0.5
-    assert doubts(speck)  # no plate at all: no crash
+    assert warnings(speck)  # no plate at all: no crash
 
 
 @pytest.mark.parametrize("folds", [4, 7, 11])
 def test_folds_are_counted(folds: int) -> None:
     camera = CameraRig.load().nominal()
     views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
-    profile = radius_profile(views, locate_camera(views, camera, Rig()))
+    profile = radius_profile(views, locate_camera(views, camera, Rig()), QUARTERS)
     assert count_folds(profile) == folds
     # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
     assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)
@@ -68,7 +69,7 @@ def test_the_profile_turns_with_the_specimen() -> None:
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
         views = DepthRenderer(vertices, faces).views(camera, orientation)
-        profile = radius_profile(views, camera)
+        profile = radius_profile(views, camera, QUARTERS)
         azimuth = (np.nanargmax(profile) + 0.5) / len(profile) * 2 * np.pi
         assert np.cos(azimuth - orientation) > 0.9
 

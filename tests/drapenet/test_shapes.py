@@ -10,7 +10,7 @@ from data.render.cameras import CameraRig
 from data.render.renderer import DepthRenderer
 from drapenet.report.drape import beside, turned
 from drapenet.report.shapes import drape_glb
-from drapenet.views.radial_map import drape_map
+from drapenet.views.located import LocatedViews
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
@@ -25,11 +25,10 @@ def test_captured_surface_lies_on_the_drape_that_was_captured():
     turns = np.radians([0.0, 70.0, 180.0, 250.0])
     renderer = DepthRenderer(result.positions, result.faces)
     views = renderer.views(camera, 0.4, turns)
-    found = drape_map(views, camera, RIG, turns=turns)
-    shown = beside(views, views, camera, turns=turns, drape=result,
+    located = LocatedViews.registered(views, camera, RIG, turns)
+    shown = beside(located, views, drape=result,
                    positions=turned(result.positions, 0.4), statuses=["converged"])
-    scene = trimesh.load(io.BytesIO(drape_glb(views, camera, found, RIG, shown)),
-                         file_type="glb")
+    scene = trimesh.load(io.BytesIO(drape_glb(located, shown)), file_type="glb")
     simulated, captured = (scene.geometry[name] for name in ("simulated", "captured"))
     # glTF's y is up: right, up, towards the camera.
     lies = turned(result.positions, 0.4)[:, [0, 2, 1]] * [1, 1, -1]

@@ -9,7 +9,7 @@ import torch
 
 from common.command import schema_of
 from common.errors import InputError
-from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS, elevations
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS, elevations
 from experiments.papers.__main__ import main
 from experiments.papers.learned import UniformPrior, stiff_first
 from experiments.papers.networks import (

@@ -1,9 +1,17 @@
-"""Camera pose relative to the plate, estimated from the views of a capture."""
+"""Views of a drape with the camera's pose and the turns of the table, estimated from the views.
+
+The pose is that of the flat top of the drape; turns and centre are refined by the overlap of views.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from common.types import Points, Turns, Views
+from data.captures.capture import Capture
 from data.render.cameras import Camera, Intrinsics
-from data.render.setups import Setups
+from drapenet.views.turns import register
 from sim.rig import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
@@ -11,8 +19,54 @@ INNER_SHARE = 0.7  # of the plate's radius, within which the cloth is flat
 _MAX_POINTS = 6000  # used to find the initial plane
 _PITCHES = np.radians([25.0, 32.0, 38.0, 44.0, 50.0])
 """rad, initial guesses of the camera's pitch."""
-TILT, SHIFT = np.radians(2.0), 0.020
-"""rad and m, tolerances of the pose beyond the range trained on: the errors of the estimate."""
+
+
+@dataclass(frozen=True)
+class LocatedViews:
+    """Views of a drape on the plate of ``rig``.
+
+    Attributes:
+        camera: with its pose relative to the plate; world x is parallel to the picture's rows.
+        turns: estimated; stated_turns: those of the capture.
+        centre: (2,) m, of the plate in the camera's world axes, from the overlap of the views.
+    """
+
+    views: Views
+    camera: Camera
+    rig: Rig
+    turns: Turns
+    stated_turns: Turns
+    centre: np.ndarray
+
+    @classmethod
+    def of(cls, capture: Capture) -> "LocatedViews":
+        """The views of a capture."""
+        return locate(capture.views, capture.intrinsics, capture.rig, capture.turns)
+
+    @classmethod
+    def registered(
+        cls, views: Views, camera: Camera, rig: Rig, turns: Turns
+    ) -> "LocatedViews":
+        """Views of a posed camera; their turns are estimated, starting from the stated ones."""
+        clouds = [camera.cloth_points(view) for view in views]
+        refined, centre = register(clouds, turns, rig)
+        return cls(views, camera, rig, refined, turns, centre)
+
+    @classmethod
+    def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":
+        """Views whose pose and turns are known, such as rendered ones."""
+        turns = np.asarray(turns, dtype=float)
+        return cls(views, camera, rig, turns, turns, np.zeros(2))
+
+    @cached_property
+    def clouds(self) -> list[Points]:
+        """Points of the cloth in each view, in the camera's world axes."""
+        return [self.camera.cloth_points(view) for view in self.views]
+
+
+def locate(views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns) -> LocatedViews:
+    """Estimate the pose of the camera and the turns of the table from views with stated turns."""
+    return LocatedViews.registered(views, locate_camera(views, intrinsics, rig), rig, turns)
 
 
 def locate_camera(views: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> Camera:
@@ -82,24 +136,3 @@ def _plate(
         near = np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius
         inner = near & (above > -DEPTH_STEP)
     return normal, centre, weight
-
-
-def camera_doubts(camera: Camera, setups: Setups) -> list[str]:
-    """One line for each property of ``camera`` outside the ``setups`` that the network was
-    trained on.
-    """
-    up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
-    pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
-    distance = float(np.linalg.norm(centre))
-    low, high = np.degrees(setups.pitch)
-    near, far = setups.distance
-    doubts = []
-    if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
-        doubts.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal "
-                      f"(limits {low:.0f}° to {high:.0f}°): check that the pictures "
-                      "are upright, their intrinsics, and the camera's position")
-    if not near - SHIFT < distance < far + SHIFT:
-        doubts.append(f"the plate is {1e3 * distance:.0f} mm away (limits "
-                      f"{1e3 * near:.0f} to {1e3 * far:.0f} mm): check the depth unit, the "
-                      "intrinsics and the camera's position")
-    return doubts
