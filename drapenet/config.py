@@ -1,6 +1,5 @@
 """Types and ranges of the keys in ``configs/``, where they are documented and have defaults."""
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
@@ -43,7 +42,7 @@ class TrainConfig:
     neighbours: bool
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
     fabrics: FromZero
-    device: str
+    device: Annotated[str, Field(pattern="^(auto|cpu|cuda)$")]
     workers: FromOne
     threads: FromZero
     half_precision: bool
@@ -57,18 +56,6 @@ class TrainConfig:
         for name in ("data", "out", "maps", "device", "workers", "threads", "half_precision"):
             del settings[name]
         return settings
-
-
-def learning_rate(optim: OptimConfig, progress: float) -> float:
-    """Learning rate at ``progress``, the completed share of the training."""
-    if progress < optim.warm_up:
-        return optim.learning_rate * (0.04 + 0.96 * _half_cosine(1 - progress / optim.warm_up))
-    return optim.learning_rate * _half_cosine((progress - optim.warm_up) / (1 - optim.warm_up))
-
-
-def _half_cosine(x: float) -> float:
-    """Half a cosine, from 1 at 0 to 0 at 1."""
-    return (1 + math.cos(math.pi * x)) / 2
 
 
 @dataclass

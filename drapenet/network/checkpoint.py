@@ -1,8 +1,4 @@
-"""Checkpoints: a safetensors file with the weights, and their description in its metadata.
-
-Each file is replaced in one step. A checkpoint is not unpickled; the state of a training run, for
-an exact resume, is a file of ``torch.save`` of which only tensors and plain values are read.
-"""
+"""Checkpoints: a safetensors file with the weights, and their description in its metadata."""
 
 from __future__ import annotations
 
@@ -16,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PlainValidator, model_validator
 
-from common.documents import Excerpt, Schema, differences, parse_json, read_bytes, require_regular
+from common.documents import Excerpt, Schema, parse_json, read_bytes
 from common.errors import InputError, one_line
-from common.files import remove_partial, replace_file, replacing
+from common.files import replace_file
+from common.types import Theta
 from data.captures.capture import Capture, require_one_fabric
 from data.fabrics.fabrics import THETA_NAMES
 from sim.material import SWAPPED
@@ -35,10 +32,15 @@ SCHEMA = "drapenet-checkpoint"
 """Key of the description in the metadata of a checkpoint."""
 SCHEMA_VERSION = 3
 
-MAX_WEIGHTS_BYTES = 2 << 30  # bytes
+MAX_WEIGHTS_BYTES = 2 << 30
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
-_Theta = Annotated[list[float], _SIX]
 _Positive = Annotated[float, Field(gt=0)]
+
+
+def _rig(name: object) -> Rig:
+    with suppress(InputError):
+        return Rig.from_name(name if isinstance(name, str) else "")
+    raise ValueError("is not the name of a tester")
 
 
 class _Model(Schema):
@@ -55,8 +57,8 @@ class _Targets(Schema):
 
 
 class _Fabrics(Schema):
-    low: _Theta
-    high: _Theta
+    low: Annotated[list[float], _SIX]
+    high: Annotated[list[float], _SIX]
     deviation: Annotated[list[_Positive], _SIX]
 
 
@@ -67,12 +69,6 @@ class _Dataset(Excerpt):
 
 class _Config(Excerpt):
     setup: dict[str, Any]
-
-
-def _rig(name: object) -> Rig:
-    with suppress(InputError):
-        return Rig.from_name(name if isinstance(name, str) else "")
-    raise ValueError("is not the name of a tester")
 
 
 class Header(Excerpt):
@@ -111,8 +107,8 @@ class Header(Excerpt):
         return TargetScale(np.array(self.targets.mean), np.array(self.targets.std))
 
     @property
-    def spread(self) -> np.ndarray:
-        """(6,) standard deviation of theta over the training fabrics, averaged over both orders of
+    def spread(self) -> Theta:
+        """Standard deviation of theta over the training fabrics, averaged over both orders of
         the yarns, because the first yarns of an estimate need not be the dataset's warp.
         """
         spread = np.array(self.fabrics.deviation)
@@ -145,13 +141,7 @@ def bundled(rig: Rig) -> Path:
 
 
 def read_header(path: str | Path) -> Header:
-    """Read and check the description in the checkpoint ``path``.
-
-    No weights are read and torch is not imported.
-
-    Raises:
-        InputError: a missing or unreadable file, another schema, or incomplete content.
-    """
+    """Read and check the description in the checkpoint ``path``, without torch."""
     from safetensors import SafetensorError, safe_open
 
     path = Path(path)
@@ -173,16 +163,11 @@ def read_header(path: str | Path) -> Header:
 
 
 def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
-    """Header of the checkpoint for captures of one fabric; of the bundled one if none is given.
-
-    Raises:
-        InputError: different testers or densities, captures with and without a marked warp, the
-            same views twice, or a checkpoint of another tester.
-    """
-    require_one_fabric([one.rig for one in captures],
-                       [one.warp_direction is not None for one in captures],
-                       [one.density for one in captures],
-                       [(str(one.path), one.digest) for one in captures])
+    """Header of the checkpoint for captures of one fabric; of the bundled one if none is given."""
+    require_one_fabric([capture.rig for capture in captures],
+                       [capture.warp_direction is not None for capture in captures],
+                       [capture.density for capture in captures],
+                       [(str(capture.path), capture.digest) for capture in captures])
     header = read_header(checkpoint or bundled(captures[0].rig))
     if header.rig != captures[0].rig:
         raise InputError(f"the capture is of the tester {captures[0].rig.name} but the checkpoint "
@@ -191,11 +176,7 @@ def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
 
 
 def load_model(header: Header) -> MapNet:
-    """The network of a checkpoint, in float32 on the CPU, in evaluation mode.
-
-    Raises:
-        InputError: the weights do not match the description.
-    """
+    """The network of a checkpoint, in float32 on the CPU, in evaluation mode."""
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
@@ -214,12 +195,7 @@ def load_model(header: Header) -> MapNet:
 def save_checkpoint(
     path: Path, *, model: torch.nn.Module, description: dict[str, Any], half: bool
 ) -> None:
-    """Write the checkpoint ``path`` (.safetensors).
-
-    Args:
-        description: of the network, in JSON types, without the version.
-        half: store all but running statistics in half precision.
-    """
+    """Write the checkpoint ``path``; ``half``: all but running statistics in half precision."""
     from safetensors.torch import save
 
     tensors = {}
@@ -229,45 +205,3 @@ def save_checkpoint(
         tensors[name] = (value.half() if narrow else value).cpu().contiguous()
     content = {"schema_version": SCHEMA_VERSION} | description
     replace_file(path, save(tensors, metadata={SCHEMA: json.dumps(content)}))
-
-
-def save_state(
-    path: Path, *, model: torch.nn.Module, optimizer: torch.optim.Optimizer, record: dict[str, Any]
-) -> None:
-    """Write the state of a training run for an exact resume."""
-    import torch
-
-    for pattern in ("*.safetensors", path.name):  # of runs killed during a write
-        remove_partial(path.parent, pattern)
-    with replacing(path) as file:
-        torch.save({"record": record, "model": model.state_dict(),
-                    "optimizer": optimizer.state_dict()}, file)
-
-
-def load_state(
-    path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
-) -> dict[str, Any]:
-    """Load the state of :func:`save_state` into ``model`` and ``optimizer``; return its record.
-
-    Raises:
-        InputError: the file is damaged, of another network, or of a run other than ``run``.
-    """
-    import torch
-
-    require_regular(path, MAX_WEIGHTS_BYTES, "training's state")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        record = state["record"]
-        changed = differences(record["run"], run)
-        if not changed:
-            model.load_state_dict(state["model"])
-            optimizer.load_state_dict(state["optimizer"])
-    except Exception as error:  # damaged files raise any exception
-        raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
-                         ) from None
-    if changed:
-        names = ", ".join(name.removeprefix("settings.") for name in changed)
-        raise InputError(f"{path.parent} contains a training with other settings ({names}); choose "
-                         "another out=, or remove it (epochs must be the same, because the "
-                         "learning rate depends on them)")
-    return record

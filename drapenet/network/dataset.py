@@ -16,20 +16,20 @@ import numpy as np
 from tqdm import tqdm
 
 from common.files import remove_partial, replace_file
+from common.types import Theta
 from common.workers import worker_pool
-from data.dataset.manifest import finished_manifest, json_digest
+from data.dataset.manifest import json_digest, only_tester
 from data.dataset.shards import Shard
 from data.fabrics.nuisances import NAMES
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.network.extrapolated import PARAMETERS, change, moves
-from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.network.model import compressed
 from drapenet.views.located import locate
-from drapenet.views.radial_map import RadialMap, radial_map
+from drapenet.views.radial_map import radial_map
 from sim.rig import Rig
 
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
-WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 
 
 @dataclass(frozen=True)
@@ -37,20 +37,17 @@ class Maps:
     """Maps of N captures and their truth.
 
     Attributes:
-        distance: (N, AZIMUTHS, ELEVATIONS) float16, m.
-        weight: (N, AZIMUTHS, ELEVATIONS) uint8, logarithm of 1 + weight in :data:`WEIGHT_UNIT`.
-        theta: (N, 6) float64, see :mod:`data.fabrics.fabrics`.
-        warp: (N,) true azimuth of the warp in the map, rad.
+        distance, weight: (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.network.model.compressed`.
+        warp: (N,) rad, true azimuth of the warp in the map.
         nuisances: (N, 8) of :data:`data.fabrics.nuisances.NAMES`.
         views: (N,) number of views.
         fabric, index: (N,) of the drape in the dataset.
-        moved: (N,) bool, whether it is a neighbour of that drape
-        (:mod:`drapenet.network.extrapolated`).
+        moved: (N,) whether it shows a neighbour of the fabric (:mod:`.extrapolated`).
     """
 
     distance: np.ndarray
     weight: np.ndarray
-    theta: np.ndarray
+    theta: Theta
     warp: np.ndarray
     nuisances: np.ndarray
     views: np.ndarray
@@ -62,7 +59,7 @@ class Maps:
         return len(self.index)
 
     def nuisance(self, name: str) -> np.ndarray:
-        """(N,) one of the nuisances."""
+        """(N,) values of a nuisance."""
         return self.nuisances[:, NAMES.index(name)]
 
     def chosen(self, rows: np.ndarray) -> "Maps":
@@ -77,33 +74,29 @@ class Maps:
 
 
 def make_maps(
-    root: str | Path, out: Path, *, rig: Rig, setups: Setups, captures: int, seed: int,
+    root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
     neighbours: bool = False, workers: int = 1, shards: int | None = None,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``.
 
     Args:
+        manifest: of the complete dataset.
         out: folder of the cached files; each set of arguments has a subfolder.
-        rig: the dataset's.
         neighbours: all captures of a drape but the first show a neighbour of its fabric.
         workers: processes of one thread each; files do not depend on it.
         shards: number of shards used; None: all.
-
-    Raises:
-        InputError: no finished dataset.
     """
-    manifest = finished_manifest(root)
-    settings = {"dataset": manifest["identity"], "setups": asdict(setups), "seed": seed,
-                "captures": captures, "neighbours": neighbours}
+    options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours}
+    settings = options | {"dataset": manifest["identity"], "setups": asdict(setups)}
     folder = out / f"maps_{json_digest(settings)[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
     files = {Path(root) / name: folder / f"{Path(name).stem}.npz"
              for name in list(manifest["shards"])[:shards]}
     missing = [shard for shard in files if not files[shard].exists()]
     if missing:
+        rig = only_tester(root, manifest)
         with worker_pool(workers) as pool:
-            running = [pool.submit(_write_maps, shard, files[shard], rig=rig, setups=setups,
-                                   captures=captures, seed=seed, neighbours=neighbours)
+            running = [pool.submit(_write_maps, shard, files[shard], rig=rig, **options)
                        for shard in missing]
             for done in tqdm(as_completed(running), total=len(running), unit="shard", desc="maps"):
                 done.result()
@@ -127,38 +120,30 @@ def maps_of_shard(
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
     nominal = CameraRig.load(rig)
-    found = []
+    maps = []
     rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
     drapes = Shard(shard)
     table = {name: drapes.column(name) for name in _COLUMNS}
-    chosen = np.flatnonzero(table["status"] == "converged")
-    for row in chosen:
-        own = {name: column[row] for name, column in table.items()}
+    converged = np.flatnonzero(table["status"] == "converged")
+    for row in converged:
+        drape = {name: column[row] for name, column in table.items()}
         positions, _, faces = drapes.mesh(row)
-        derivatives = moves(own, positions, drapes.origin(row), rig) if neighbours else None
+        derivatives = moves(drape, positions, drapes.origin(row), rig) if neighbours else None
         for number in range(captures):
-            rng = np.random.default_rng([seed, int(own["index"]), number])
-            step, shown = np.zeros(PARAMETERS), positions
+            rng = np.random.default_rng([seed, int(drape["index"]), number])
+            step, moved = np.zeros(PARAMETERS), positions
             if derivatives is not None and number:
-                step = change(own["theta"], table["theta"][chosen], rng)
-                shown = positions + np.tensordot(step, derivatives, 1)
-            capture = setups.capture(shown, faces, rng, nominal=nominal)
-            found.append(radial_map(
+                step = change(drape["theta"], table["theta"][converged], rng)
+                moved = positions + np.tensordot(step, derivatives, 1)
+            capture = setups.capture(moved, faces, rng, nominal=nominal)
+            maps.append(radial_map(
                 locate(capture.views, capture.intrinsics, rig, capture.turns)))
-            scaled = own["nuisances"].copy()
-            scaled[NAMES.index("membrane")] *= np.exp(step[-1])
-            for name, value in zip(rows, (own["theta"] + step[:-1], scaled,
-                                          capture.orientation - found[-1].zero,
+            nuisances = drape["nuisances"].copy()
+            nuisances[NAMES.index("membrane")] *= np.exp(step[-1])
+            for name, value in zip(rows, (drape["theta"] + step[:-1], nuisances,
+                                          capture.orientation - maps[-1].zero,
                                           len(capture.views), step.any()), strict=True):
                 rows[name].append(value)
-    many = np.repeat(chosen, captures)
-    return Maps(*compressed(found), **{name: np.array(values) for name, values in rows.items()},
+    many = np.repeat(converged, captures)
+    return Maps(*compressed(maps), **{name: np.array(values) for name, values in rows.items()},
                 **{name: table[name][many] for name in ("fabric", "index")})
-
-
-def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and weights of ``maps`` as in :class:`Maps`."""
-    shape = (len(maps), AZIMUTHS, ELEVATIONS)
-    distance = np.array([one.distance for one in maps], np.float16).reshape(shape)
-    weight = np.array([np.log1p(one.weight) for one in maps]).reshape(shape)
-    return distance, np.minimum(np.rint(weight / WEIGHT_UNIT), 255).astype(np.uint8)

@@ -33,7 +33,6 @@ from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior.table import TablePrior
 from drapenet.config import EvaluateConfig
-from drapenet.network.calibration import covered, inside, ranks, rms_with_interval
 from drapenet.network.checkpoint import Header, bundled, load_model, read_header
 from sim.rig import Rig
 
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
 
 REDUCTION = 5  # divides the number of drapes for all conditions but "as trained"
 _BATCH_SIZE = 64  # captures
+_RESAMPLES = 400  # of the bootstrap
 _FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _HIGH_HYSTERESIS = 0.25  # share of the loading torque
 
@@ -114,11 +114,10 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
 def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> dict[str, Any]:
     """Errors and coverage on captures of unseen fabrics.
 
-    Args:
-        network: of ``header``, in evaluation mode.
-        known: whether the network is given the membrane.
+    ``network``: of ``header``; ``known``: whether it is given the membrane.
     """
     with deferred():  # importing torch takes seconds; input errors come first
+        from drapenet.network.posterior import covered, inside, ranks
         from drapenet.network.predict import sample_targets
         from drapenet.network.targets import MODULI
         from drapenet.network.training import CaptureSet
@@ -144,14 +143,20 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
     }
 
 
+def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
+    """Root mean square of errors (N, 3), and its 95 % bootstrap interval over fabrics (N,)."""
+    _, place = np.unique(fabric, return_inverse=True)
+    count = np.bincount(place)
+    squares = np.bincount(place, np.square(errors).mean(axis=1))
+    drawn = np.random.default_rng(0).integers(len(count), size=(_RESAMPLES, len(count)))
+    resampled = np.sqrt(squares[drawn].sum(axis=1) / count[drawn].sum(axis=1))
+    return {"rmse": float(np.sqrt(squares.sum() / count.sum())),
+            "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist()}
+
+
 def require_unseen(header: Header, generation: dict) -> None:
-    """Check that a dataset's configuration gives none of a checkpoint's training fabrics.
-
-    Args:
-        generation: :meth:`data.dataset.simulate.DatasetConfig.as_dict`.
-
-    Raises:
-        InputError: both datasets have the same seed and prior.
+    """InputError if a dataset's configuration, ``generation``, gives fabrics that a checkpoint was
+    trained on.
     """
     training = header.dataset.generation
     # A fabric depends on the prior, the seed and its index only.
@@ -183,8 +188,8 @@ def main(config: EvaluateConfig) -> None:
     few = -(-base.drapes // (REDUCTION * base.drapes_per_shard))  # shards for other set-ups
     for name, cell in tqdm(cells.items(), desc="matrix", unit="cell", leave=False):
         folder = out / cell.drapes.replace(" ", "_").replace("/", "d")
-        generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
-        maps = make_maps(folder, folder, rig=header.rig,
+        manifest = generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
+        maps = make_maps(folder, manifest, folder,
                          setups=replace(header.setups, **cell.setups),
                          captures=config.captures, seed=config.seed,
                          workers=config.workers, shards=few if cell.setups else None)

@@ -1,35 +1,43 @@
-"""ResNet-18 on maps of drapes, with circular padding in azimuth."""
+"""The network: a ResNet-18 on maps of drapes, with circular padding in azimuth."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import torch
-import torchvision
 from torch.nn.functional import pad
 
-from drapenet.network.dataset import WEIGHT_UNIT
 from drapenet.network.posterior import Mixture, outputs_of
 from drapenet.network.targets import Symmetry
-from drapenet.views.radial_map import AZIMUTHS
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.radial_map import RadialMap
 
 CHANNELS = 4
 """Distance, weight, cosine and sine of twice the azimuth, which encode the origin of azimuths."""
 KNOWN = 5
 """Number of scalar inputs, see :func:`known_of`."""
+WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 _MEMBRANE = 316.0  # N/m, unit of the input
 _NO_FRICTION = (1.0, -1.0)
 """Two inputs of the bundled networks, trained with friction beside the moduli: there is none, as
 the moduli are those of the loading curve."""
 
+MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
+
+
+def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, m, float16, and logarithms of 1 + weight in :data:`WEIGHT_UNIT`, uint8, of maps.
+    """
+    shape = (len(maps), AZIMUTHS, ELEVATIONS)
+    distance = np.array([part.distance for part in maps], np.float16).reshape(shape)
+    weight = np.array([np.log1p(part.weight) for part in maps]).reshape(shape)
+    return distance, np.minimum(np.rint(weight / WEIGHT_UNIT), 255).astype(np.uint8)
+
 
 def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
-    """(N, KNOWN) float32 scalar inputs of the network.
-
-    Args:
-        views: (N,) number of views of the map.
-        membrane: (N,) N/m along the yarns, NaN if unknown.
-    """
+    """(N, KNOWN) scalar inputs: numbers of views, and N/m along the yarns, NaN if unknown."""
     given, value = torch.isfinite(membrane), torch.log(membrane / _MEMBRANE)
     constants = [torch.full(views.shape, number) for number in _NO_FRICTION]
     return torch.stack([views.float() / 4 - 1, given.float(),
@@ -38,29 +46,21 @@ def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class Batch:
-    """Inputs of the network for N captures, and targets.
-
-    Attributes:
-        distance, weight: (N, AZIMUTHS, ELEVATIONS) float32, m and logarithm of 1 + weight.
-        known: (N, KNOWN), see :func:`known_of`.
-        targets: (N, T) standardised; None in inference.
+    """Inputs of the network for N captures: distance, m, logarithm of 1 + weight, (N, KNOWN)
+    scalars; and (N, T) standardised targets, None in inference.
     """
 
-    distance: torch.Tensor
-    weight: torch.Tensor
+    distance: MapTensor
+    weight: MapTensor
     known: torch.Tensor
     targets: torch.Tensor | None = None
 
     @classmethod
-    def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, given: np.ndarray,
+    def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, membrane: np.ndarray,
            targets: torch.Tensor | None = None) -> "Batch":
-        """Batch of maps in the types of :class:`drapenet.network.dataset.Maps`.
-
-        Args:
-            given: (N,) membrane, N/m along the yarns; NaN if unknown.
-        """
+        """Batch of :func:`compressed` maps; ``views`` and ``membrane`` as for :func:`known_of`."""
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
-                   known_of(torch.from_numpy(views), torch.from_numpy(given)), targets)
+                   known_of(torch.from_numpy(views), torch.from_numpy(membrane)), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its maps, not to its targets."""
@@ -74,20 +74,39 @@ class Batch:
 
 
 class CircularConv(torch.nn.Conv2d):
-    """Convolution of maps (N, C, elevations, azimuths) with circular padding in azimuth."""
+    """3 x 3 convolution of maps (N, C, elevations, azimuths), circular in azimuth."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__(inputs, outputs, 3, stride=stride, bias=False)
 
     def forward(self, maps: torch.Tensor) -> torch.Tensor:
-        rows, columns = self.kernel_size[0] // 2, self.kernel_size[1] // 2
-        maps = pad(pad(maps, (columns, columns, 0, 0), mode="circular"), (0, 0, rows, rows))
-        return torch.nn.functional.conv2d(maps, self.weight, self.bias, self.stride)
+        around = pad(pad(maps, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
+        return torch.nn.functional.conv2d(around, self.weight, self.bias, self.stride)
+
+
+class BasicBlock(torch.nn.Module):
+    """Residual block of ResNet-18 (He et al. 2016, section 4.1)."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1, self.bn1 = CircularConv(inputs, outputs, stride), torch.nn.BatchNorm2d(outputs)
+        self.conv2, self.bn2 = CircularConv(outputs, outputs), torch.nn.BatchNorm2d(outputs)
+        self.downsample: torch.nn.Module = torch.nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.downsample = torch.nn.Sequential(
+                torch.nn.Conv2d(inputs, outputs, 1, stride=stride, bias=False),
+                torch.nn.BatchNorm2d(outputs))
+
+    def forward(self, maps: torch.Tensor) -> torch.Tensor:
+        residual = self.bn2(self.conv2(self.bn1(self.conv1(maps)).relu()))
+        return (residual + self.downsample(maps)).relu()
 
 
 class MapNet(torch.nn.Module):
-    """Network from maps (N, AZIMUTHS, ELEVATIONS) of distances and weights to a mixture.
+    """Network from maps of distances and weights to a mixture of ``components`` Gaussians.
 
     Args:
-        width: features of the first stage; 64 as in ResNet-18.
-        components: of the mixture.
+        width: features of the first stage; 64 in ResNet-18.
         targets: their number, see :mod:`drapenet.network.targets`.
         distance, spread: m, mean and standard deviation of the training distances.
     """
@@ -97,53 +116,34 @@ class MapNet(torch.nn.Module):
     ) -> None:
         super().__init__()
         self.distance, self.spread = distance, spread
-        block = torchvision.models.resnet.BasicBlock
-        network = torchvision.models.ResNet(block, [2, 2, 2, 2])
-        widths = [width, 2 * width, 4 * width, 8 * width]
-        network.inplanes = width
+        widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
-            torch.nn.Conv2d(CHANNELS, width, 3, stride=2, padding=1, bias=False),
-            torch.nn.BatchNorm2d(width), torch.nn.ReLU(inplace=True))
+            CircularConv(CHANNELS, width, stride=2), torch.nn.BatchNorm2d(width), torch.nn.ReLU())
         self.stages = torch.nn.Sequential(*(
-            network._make_layer(block, planes, 2, stride=1 if k == 0 else 2)
-            for k, planes in enumerate(widths)))
-        _make_circular(self)
+            torch.nn.Sequential(BasicBlock(before, after, stride=2 if k else 1),
+                                BasicBlock(after, after, stride=1))
+            for k, (before, after) in enumerate(pairwise(widths))))
         self.shape = {"components": components, "targets": targets}
         features = widths[-1] * (1 + 2 * len(_HARMONICS)) + KNOWN
         self.head = torch.nn.Sequential(
-            torch.nn.Linear(features, 256), torch.nn.ReLU(inplace=True),
+            torch.nn.Linear(features, 256), torch.nn.ReLU(),
             torch.nn.Linear(256, outputs_of(**self.shape)))
 
-    def forward(
-        self, distance: torch.Tensor, weight: torch.Tensor, known: torch.Tensor
-    ) -> Mixture:
-        """Distance (N, AZIMUTHS, ELEVATIONS), m; weight, the logarithm of 1 + the map's; known."""
+    def forward(self, distance: MapTensor, weight: MapTensor, known: torch.Tensor) -> Mixture:
+        """The posterior of a :class:`Batch`."""
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
-        where = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth)])
-        where = where[None, :, None, :].expand(len(distance), 2, distance.shape[2], AZIMUTHS)
+        place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth)])
+        place = place[None, :, None, :].expand(len(distance), 2, distance.shape[2], AZIMUTHS)
         maps = torch.stack([(distance.transpose(1, 2) - self.distance) / self.spread,
                             weight.transpose(1, 2).clamp(max=4.0) - 1.0], dim=1)
-        found = self.stages(self.stem(torch.cat([maps, where.to(maps)], dim=1)))
-        around = found.mean(dim=2)
-        angle = (torch.arange(around.shape[2]) + 0.5) * (2 * torch.pi / around.shape[2])
+        features = self.stages(self.stem(torch.cat([maps, place.to(maps)], dim=1))).mean(dim=2)
+        angle = (torch.arange(features.shape[2]) + 0.5) * (2 * torch.pi / features.shape[2])
         waves = [torch.ones_like(angle)]
         for harmonic in _HARMONICS:
             waves += [torch.cos(harmonic * angle), torch.sin(harmonic * angle)]
-        pooled = around @ torch.stack(waves, dim=1).to(around) / around.shape[2]
+        pooled = features @ torch.stack(waves, dim=1).to(features) / features.shape[2]
         return self.posterior(self.head(torch.cat([pooled.flatten(1), known], dim=1)))
 
     def posterior(self, outputs: torch.Tensor) -> Mixture:
         """The posterior of the head's outputs (N, :func:`outputs_of`)."""
         return Mixture.of_outputs(outputs, **self.shape)
-
-
-def _make_circular(module: torch.nn.Module) -> None:
-    """Replace all convolutions within ``module`` by circular ones."""
-    for name, child in module.named_children():
-        if isinstance(child, torch.nn.Conv2d) and child.kernel_size[0] > 1:
-            around = CircularConv(child.in_channels, child.out_channels, child.kernel_size,
-                                stride=child.stride, bias=child.bias is not None)
-            around.load_state_dict(child.state_dict())
-            setattr(module, name, around)
-        else:
-            _make_circular(child)

@@ -1,4 +1,4 @@
-"""Posterior of the moduli as a mixture of Gaussians.
+"""Posterior of the moduli as a mixture of Gaussians, and its calibration.
 
 The network's last layer gives the parameters of a mixture with full covariances over the
 standardised targets (:mod:`drapenet.network.targets`); training maximises the likelihood of the
@@ -7,11 +7,17 @@ true targets.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
+import numpy as np
 import torch
 from torch.nn.functional import softplus
 
+LEVELS = (0.50, 0.68, 0.90)
 _MIN_DIAGONAL = 1e-2  # minimum of a factor's diagonal; standardised targets
+
+Samples = Annotated[np.ndarray, "(S, N, T) draws of T targets for N captures"]
+Ranks = Annotated[np.ndarray, "(N, T) share of the draws below the truth; uniform if calibrated"]
 
 
 @dataclass(frozen=True)
@@ -58,11 +64,11 @@ class Mixture:
         """(count, N, T) draws; mixture and generator must be on the CPU."""
         shares = self.logits.softmax(dim=1)
         chosen = torch.multinomial(shares, count, replacement=True, generator=generator).T
-        every = torch.arange(len(shares))
+        captures = torch.arange(len(shares))
         white = torch.randn(count, *self.means[:, 0].shape, 1, generator=generator)
-        moved = torch.linalg.solve_triangular(
-            self.factors[every, chosen].transpose(-1, -2), white, upper=True)
-        return self.means[every, chosen] + moved[..., 0]
+        offset = torch.linalg.solve_triangular(
+            self.factors[captures, chosen].transpose(-1, -2), white, upper=True)
+        return self.means[captures, chosen] + offset[..., 0]
 
     def cpu(self) -> "Mixture":
         """The mixture in float32 on the CPU."""
@@ -72,3 +78,20 @@ class Mixture:
 def outputs_of(*, components: int, targets: int) -> int:
     """Number of parameters of a mixture."""
     return components * (1 + targets + targets * (targets + 1) // 2)
+
+
+def ranks(draws: Samples, truth: np.ndarray) -> Ranks:
+    """Ranks of the truth (N, T) among the draws."""
+    return (draws < truth).mean(axis=0)
+
+
+def covered(places: Ranks) -> np.ndarray:
+    """(L, T) share of captures inside the central intervals of :data:`LEVELS`."""
+    levels = np.array(LEVELS)[:, None, None]
+    return (np.abs(places - 0.5) <= levels / 2).mean(axis=1)
+
+
+def inside(places: Ranks) -> dict[str, float]:
+    """:func:`covered` over all targets, by level, such as "68%"."""
+    return {f"{level:.0%}": share for level, share in
+            zip(LEVELS, covered(places).mean(axis=1).tolist(), strict=True)}

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from common.types import Theta
 from data.fabrics.fabrics import from_theta
 from drapenet.network.checkpoint import Header
-from drapenet.network.dataset import compressed
-from drapenet.network.model import Batch, MapNet
+from drapenet.network.model import Batch, MapNet, compressed
+from drapenet.network.posterior import Samples
 from drapenet.network.targets import MODULI, Symmetry
 from drapenet.views.radial_map import RadialMap
 from sim.material import is_admissible
@@ -28,29 +29,26 @@ class Draws:
     """Samples of one capture's posterior.
 
     Attributes:
-        theta: (S, 6) at 300 g/m² along one yarn direction, the bias, the other yarn direction.
+        theta: (S, 6) along one yarn direction, the bias, the other yarn direction.
         axis: (S,) direction of the former yarns in the first view, rad.
         impossible: share of all samples that is not admissible and was removed.
     """
 
-    theta: np.ndarray
+    theta: Theta
     axis: np.ndarray
     impossible: float
 
     @classmethod
-    def possible(cls, theta: np.ndarray, axis: np.ndarray) -> "Draws":
-        """The admissible ones of samples theta (S, 6) and axis (S,); all if none is."""
+    def possible(cls, theta: Theta, axis: np.ndarray) -> "Draws":
+        """The admissible samples; all if none is."""
         possible = is_admissible(*from_theta(theta))
         kept = possible if possible.any() else ~possible
         return cls(theta[kept], axis[kept], float(1 - possible.mean()))
 
 
 @torch.no_grad()
-def sample_targets(network: MapNet, header: Header, batch: Batch) -> np.ndarray:
-    """(8 DRAWS, N, T) samples of the targets (:mod:`drapenet.network.targets`), not standardised.
-
-    ``network``: of ``header``, in evaluation mode.
-    """
+def sample_targets(network: MapNet, header: Header, batch: Batch) -> Samples:
+    """8 :data:`DRAWS` samples of the targets, not standardised; ``network``: of ``header``."""
     symmetry, many = Symmetry.all(), len(batch.known)
     disc = len(header.scale.mean) > MODULI
     drawn = []
@@ -67,21 +65,17 @@ def predict(
     network: MapNet, header: Header, maps: Sequence[RadialMap], *,
     membrane: float | None = None,
 ) -> list[Draws]:
-    """Posterior samples of each capture.
+    """Posterior samples of each capture; ``network``: of ``header``.
 
-    Args:
-        network: of ``header``, in evaluation mode.
-        membrane: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
+    ``membrane``: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
     """
-    given = np.full(len(maps), membrane, np.float32)  # None is NaN
-    batch = Batch.of(*compressed(maps), np.array([one.views for one in maps]), given)
+    views = np.array([drape.views for drape in maps])
+    batch = Batch.of(*compressed(maps), views, np.full(len(maps), membrane, np.float32))  # or NaN
     samples = sample_targets(network, header, batch)
-    return [_draws(samples[:, k], one.zero) for k, one in enumerate(maps)]
-
-
-def _draws(targets: np.ndarray, zero: float) -> Draws:
-    """Draws of targets (S, T) for a map that begins at ``zero``, rad."""
-    axis = np.full(len(targets), zero)
-    if targets.shape[1] > MODULI:
-        axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
-    return Draws.possible(targets[:, :MODULI], axis)
+    draws = []
+    for targets, drape in zip(samples.swapaxes(0, 1), maps, strict=True):
+        axis = np.full(len(targets), drape.zero)
+        if targets.shape[1] > MODULI:
+            axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
+        draws.append(Draws.possible(targets[:, :MODULI], axis))
+    return draws

@@ -2,31 +2,28 @@
 
 A square is cut along its yarns and its map begins at a side: its six targets are theta
 (:mod:`data.fabrics.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a
-disc are
-not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns first,
-and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes an axis
-single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for equal
-yarns, where the direction of the stiffer ones jumps by a right angle.
+disc are not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns
+first, and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes
+an axis single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for
+equal yarns, where the direction of the stiffer ones jumps by a right angle.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
 
+from common.types import Theta
 from drapenet.views.radial_map import AZIMUTHS
 from sim.material import FIRST, SECOND, SWAPPED
 
 MODULI = 6  # the first targets; a disc has two more
+Targets = Annotated[np.ndarray, "(..., T), T = 6 for squares and 8 for discs"]
 
 
-def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray:
-    """Targets (N, 6), or (N, 8) of discs, not standardised.
-
-    Args:
-        theta: (N, 6).
-        warp: (N,) azimuth of the warp in the map, rad.
-    """
+def targets_of(theta: Theta, warp: np.ndarray, *, disc: bool) -> Targets:
+    """Targets, not standardised; ``warp``: (N,) rad, azimuths of the warp in the maps."""
     if not disc:
         odd = np.rint(warp / (np.pi / 2)).astype(int) % 2 == 1
         return np.where(odd[:, None], theta[:, SWAPPED], theta)
@@ -39,11 +36,9 @@ def targets_of(theta: np.ndarray, warp: np.ndarray, *, disc: bool) -> np.ndarray
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Rotations and reflections of maps that give equally likely captures.
-
-    Attributes:
-        cells: (N,) int, azimuth cells by which the map is rotated; quarter turns for squares.
-        mirror: (N,) bool, whether it is reflected at azimuth 0 before.
+    """Rotations and reflections of maps that give equally likely captures: (N,) azimuth cells by
+    which a map is rotated, quarter turns for squares, and whether it is reflected at azimuth 0
+    before.
     """
 
     cells: torch.Tensor
@@ -85,19 +80,15 @@ class Symmetry:
 
 @dataclass(frozen=True)
 class TargetScale:
-    """Standardisation of the targets.
+    """Standardisation of the targets, by a mean and a deviation of each."""
 
-    Attributes:
-        mean, std: (T,) float64, in the targets' units.
-    """
-
-    mean: np.ndarray
-    std: np.ndarray
+    mean: Targets
+    std: Targets
 
     @staticmethod
-    def fit(targets: np.ndarray, *, disc: bool) -> "TargetScale":
-        """Scale of a training set's targets (N, T), invariant under the symmetries: equal for both
-        yarns of squares, with zero mean for directions on discs.
+    def fit(targets: Targets, *, disc: bool) -> "TargetScale":
+        """Scale of a training set's targets, invariant under the symmetries: equal for both yarns
+        of squares, with zero mean for directions on discs.
         """
         mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
         if disc:
@@ -106,10 +97,10 @@ class TargetScale:
             mean, std = (mean + mean[SWAPPED]) / 2, (std + std[SWAPPED]) / 2
         return TargetScale(mean, std)
 
-    def encode(self, targets: np.ndarray) -> np.ndarray:
-        """Standardised targets (..., T)."""
+    def encode(self, targets: Targets) -> Targets:
+        """Standardised targets."""
         return (targets - self.mean) / self.std
 
-    def decode(self, standardised: np.ndarray) -> np.ndarray:
-        """Targets (..., T), not standardised."""
+    def decode(self, standardised: Targets) -> Targets:
+        """Targets, not standardised."""
         return standardised * self.std + self.mean

@@ -1,27 +1,31 @@
-"""Captures, batches, validation and metadata of ``train.py``.
+"""Captures, optimisation, validation and state of ``train.py``.
 
 Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state
 at the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
 finished epochs, and a resumed run gives the same weights as an uninterrupted one.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from common.errors import InputError
+from common.documents import differences, require_regular
+from common.errors import InputError, one_line
+from common.files import remove_partial, replacing
 from common.provenance import release
 from data.dataset.manifest import finished_manifest, only_tester
 from data.dataset.splits import split_by_fabric
 from data.render.setups import Setups
-from drapenet.config import ModelConfig, TrainConfig
-from drapenet.network.calibration import inside, ranks
+from drapenet.config import ModelConfig, OptimConfig, TrainConfig
+from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.model import Batch, MapNet
+from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
 from sim.material import REFERENCE_DENSITY
 
@@ -34,19 +38,13 @@ _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 
 
 def choose_device(config: TrainConfig) -> torch.device:
-    """Set threads and reproducible kernels; return the device.
-
-    Raises:
-        InputError: CUDA is requested but not available, or an unknown device.
-    """
+    """Set threads and reproducible kernels; return the device."""
     if config.threads > 0:
         torch.set_num_threads(config.threads)
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     if config.device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if config.device not in ("cpu", "cuda"):
-        raise InputError(f"unknown device '{config.device}'; use auto, cpu or cuda")
     if config.device == "cuda" and not torch.cuda.is_available():
         raise InputError("no CUDA device is available; use device=cpu")
     return torch.device(config.device)
@@ -56,7 +54,6 @@ class CaptureSet:
     """Maps of captures with standardised targets.
 
     Args:
-        maps: of captures of one rig.
         disc: whether specimens are discs.
         scale: of the targets; None: fitted to these captures.
 
@@ -82,18 +79,15 @@ class CaptureSet:
     def batch(
         self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
     ) -> Batch:
-        """The captures of ``rows``.
-
-        Args:
-            rows: (N,) int.
-            revealed: (N,) bool, whether the membrane is given to the network.
-            symmetry: rotations and reflections to apply.
+        """The captures of ``rows`` (N,) after ``symmetry``; ``revealed``: (N,) bool, whether the
+        membrane is given to the network.
         """
         maps, targets = self.maps, self.targets[rows]
         if symmetry is not None:
             targets = symmetry.of_targets(targets, disc=self.disc)
-        given = np.where(revealed, maps.nuisance("membrane")[rows], np.nan)
-        batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], given, targets)
+        membrane = np.where(revealed, maps.nuisance("membrane")[rows], np.nan)
+        batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], membrane,
+                         targets)
         return batch if symmetry is None else batch.turned(symmetry)
 
     def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
@@ -118,14 +112,10 @@ class CaptureSet:
 def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     """Training and validation captures, of different fabrics, computed if missing; and the
     dataset's manifest.
-
-    Raises:
-        InputError: no finished dataset, too few drapes, or invalid set-ups.
     """
     manifest = finished_manifest(config.data)
-    rig = only_tester(config.data, manifest)
-    disc = rig.specimen == "disc"
-    maps = make_maps(config.data, Path(config.maps), rig=rig,
+    disc = only_tester(config.data, manifest).specimen == "disc"
+    maps = make_maps(config.data, manifest, Path(config.maps),
                      setups=Setups.from_config(config.setup), captures=config.captures,
                      seed=config.seed, neighbours=config.neighbours, workers=config.workers)
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
@@ -145,13 +135,66 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     return known, CaptureSet(unseen, disc=disc, scale=known.scale), manifest
 
 
+def learning_rate(optim: OptimConfig, progress: float) -> float:
+    """One-cycle cosine schedule; ``progress`` is the completed share of the training."""
+    if progress < optim.warm_up:
+        return optim.learning_rate * (0.04 + 0.96 * _half_cosine(1 - progress / optim.warm_up))
+    return optim.learning_rate * _half_cosine((progress - optim.warm_up) / (1 - optim.warm_up))
+
+
+def _half_cosine(x: float) -> float:
+    """Half a cosine, from 1 at 0 to 0 at 1."""
+    return (1 + math.cos(math.pi * x)) / 2
+
+
+def make_optimizer(network: torch.nn.Module, optim: OptimConfig) -> torch.optim.AdamW:
+    """The optimiser of a training."""
+    return torch.optim.AdamW(network.parameters(), weight_decay=optim.weight_decay)
+
+
+def schedule(
+    captures: CaptureSet, config: TrainConfig, *, epoch: int, bar: "tqdm"
+) -> Iterator[tuple[float, Batch]]:
+    """Steps of an epoch for :func:`fit`, with a progress bar over all batches."""
+    size = config.optim.batch_size
+    steps = len(captures) // size
+    for step, batch in enumerate(captures.epoch(seed=config.seed, epoch=epoch, size=size)):
+        yield (epoch + step / steps) / config.epochs, batch
+        bar.update()
+
+
+def fit(
+    network: torch.nn.Module, schedule: Iterable[tuple[float, Any]], *,
+    optimizer: torch.optim.Optimizer, optim: OptimConfig,
+) -> float:
+    """Train ``network`` by maximum likelihood; return the mean loss.
+
+    Args:
+        schedule: of each step, the completed share of the training and the batch, with ``targets``
+            and ``through`` (:class:`drapenet.network.model.Batch`).
+    """
+    device = next(network.parameters()).device
+    network.train()
+    losses = []
+    for progress, batch in schedule:
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate(optim, progress)
+        loss = -batch.through(network).log_likelihood(batch.targets.to(device)).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), optim.clip)
+        optimizer.step()
+        losses.append(loss.detach())
+    return torch.stack(losses).mean().item()
+
+
 @torch.no_grad()
 def validate(network: MapNet, captures: CaptureSet) -> dict:
     """Metrics of the network on ``captures``, with unknown nuisances and without symmetries.
 
     Returns:
         ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
-        of the means, standardised; ``inside`` (:func:`drapenet.network.calibration.inside`);
+        of the means, standardised; ``inside`` (:func:`drapenet.network.posterior.inside`);
         ``samples``, the number of captures.
     """
     network.eval()
@@ -215,3 +258,39 @@ def describe(
         "config": config.defining(),
         "versions": {"project": release(), "torch": torch.__version__},
     }
+
+
+def save_state(
+    path: Path, *, model: torch.nn.Module, optimizer: torch.optim.Optimizer, record: dict[str, Any]
+) -> None:
+    """Write the state of a training run for an exact resume."""
+    for pattern in ("*.safetensors", path.name):  # of runs killed during a write
+        remove_partial(path.parent, pattern)
+    with replacing(path) as file:
+        torch.save({"record": record, "model": model.state_dict(),
+                    "optimizer": optimizer.state_dict()}, file)
+
+
+def load_state(
+    path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
+) -> dict[str, Any]:
+    """Load the state of :func:`save_state`, of the same ``run``, into ``model`` and ``optimizer``;
+    return its record. Only tensors and plain values are read.
+    """
+    require_regular(path, MAX_WEIGHTS_BYTES, "training's state")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        record = state["record"]
+        changed = differences(record["run"], run)
+        if not changed:
+            model.load_state_dict(state["model"])
+            optimizer.load_state_dict(state["optimizer"])
+    except Exception as error:  # damaged files raise any exception
+        raise InputError(f"{path} cannot be resumed ({one_line(error)}); remove it to start again"
+                         ) from None
+    if changed:
+        names = ", ".join(name.removeprefix("settings.") for name in changed)
+        raise InputError(f"{path.parent} contains a training with other settings ({names}); choose "
+                         "another out=, or remove it (epochs must be the same, because the "
+                         "learning rate depends on them)")
+    return record

@@ -21,8 +21,8 @@ from data.captures.capture import Capture
 from data.fabrics.nuisances import NAMES
 from data.render.cameras import CameraRig
 from data.render.setups import Setups
-from drapenet.network.calibration import inside, ranks
 from drapenet.network.checkpoint import bundled, read_header
+from drapenet.network.posterior import inside, ranks
 from experiments.common import (
     ESTIMATOR_SOURCES,
     Config,

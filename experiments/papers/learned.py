@@ -24,11 +24,12 @@ from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import load_prior
 from data.fabrics.prior.base import Stored
 from data.fabrics.prior.table import TablePrior
-from drapenet.config import ModelConfig, TrainConfig, learning_rate
-from drapenet.network.calibration import inside, ranks, rms_with_interval
+from drapenet.config import ModelConfig, TrainConfig
 from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.evaluate import rms_with_interval
+from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI, TargetScale
-from drapenet.network.training import CaptureSet
+from drapenet.network.training import CaptureSet, learning_rate
 from experiments.common import ESTIMATOR_SOURCES, load_arrays, run_cases
 from experiments.papers.networks import (
     COMPONENTS,
@@ -151,7 +152,8 @@ def drapes_folder(name: str, config: dict[str, Any]) -> Path:
 
 def load_maps(name: str, config: dict[str, Any]) -> Maps:
     """Maps of the captures of a set, computed unless they are stored."""
-    return make_maps(drapes_folder(name, config), Path(config["work"]), rig=RIG,
+    root = drapes_folder(name, config)
+    return make_maps(root, finished_manifest(root), Path(config["work"]),
                      setups=setups(), captures=config["captures"], seed=config["seed"],
                      workers=config.get("workers", 1))
 

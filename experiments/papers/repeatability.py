@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from data.dataset.plan import STARTS
 from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.network.dataset import Maps, compressed
+from drapenet.network.dataset import Maps
+from drapenet.network.model import compressed
 from drapenet.network.training import CaptureSet
 from drapenet.report.figures import COLOURS
 from experiments.common import ESTIMATOR_SOURCES, label_log_axes, load_arrays, table

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.render.setups import Setups
-from drapenet.network.calibration import inside, ranks
+from drapenet.network.posterior import inside, ranks
 from experiments.common import ESTIMATOR_SOURCES
 from experiments.papers.captured import (
     capture_drape,

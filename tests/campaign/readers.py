@@ -55,14 +55,9 @@ from data.render.setups import Setups
 from drapenet.batch.captures import entries_of
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
-from drapenet.network.checkpoint import (
-    header_for,
-    load_model,
-    load_state,
-    save_checkpoint,
-    save_state,
-)
+from drapenet.network.checkpoint import header_for, load_model, save_checkpoint
 from drapenet.network.model import MapNet
+from drapenet.network.training import load_state, save_state
 from drapenet.refine.scans import read_cloud
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, checked_upload, write_upload

@@ -11,6 +11,7 @@ from checkpoints import change_description, description
 
 import drapenet.network.evaluate
 from common.errors import InputError
+from data.dataset.manifest import finished_manifest
 from data.fabrics.prior import load_prior, prior_content
 from data.render.setups import Setups
 from drapenet.network.checkpoint import load_model, read_header
@@ -30,7 +31,8 @@ def write_fabrics(file: Path) -> Path:
 def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is(
     untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
 ) -> None:
-    maps = make_maps(cloth_dataset, tmp_path, rig=Rig(), setups=Setups.load(), captures=1, seed=1)
+    maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), tmp_path,
+                     setups=Setups.load(), captures=1, seed=1)
     header = read_header(untrained_checkpoint)
     result = judge(load_model(header), header, maps, known=False)
     figure = result["log_alpha"]
@@ -75,9 +77,10 @@ def test_the_command_prints_a_line_a_cell(
     untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture, table: bool,
 ) -> None:
-    def make(config: object, out: Path, *, workers: int) -> None:
+    def make(config: object, out: Path, *, workers: int) -> dict:
         if not out.exists():
             cloths.write_dataset(out, drapes=6, seed=config.sampling.seed)
+        return finished_manifest(out)
 
     monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", make)
     monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {

@@ -21,7 +21,8 @@ from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import load_prior
 from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
-from drapenet.network.checkpoint import load_state, read_header
+from drapenet.network.checkpoint import read_header
+from drapenet.network.training import load_state
 from drapenet.refine.scans import read_cloud
 from sim.rig import DISC_RIG
 

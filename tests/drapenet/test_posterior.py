@@ -5,8 +5,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from drapenet.network.calibration import LEVELS, covered, ranks
-from drapenet.network.posterior import Mixture, outputs_of
+from drapenet.network.posterior import LEVELS, Mixture, covered, outputs_of, ranks
 
 
 @pytest.fixture

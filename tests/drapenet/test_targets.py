@@ -6,7 +6,7 @@ import torch
 
 from drapenet.network.model import KNOWN, MapNet, known_of
 from drapenet.network.targets import Symmetry, TargetScale, targets_of
-from drapenet.views.radial_map import AZIMUTHS, ELEVATIONS
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from sim.material import SWAPPED
 
 THETA = np.array([[-10.0, -10.5, -11.0, -1e-3, -2e-3, -3e-3]])
