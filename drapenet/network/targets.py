@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from common.types import Theta
-from drapenet.views.radial_map import AZIMUTHS
+from drapenet.views.directions import AZIMUTHS
 from sim.material import FIRST, SECOND, SWAPPED
 
 MODULI = 6  # the first targets; a disc has two more

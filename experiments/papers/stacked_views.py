@@ -11,7 +11,7 @@ from data.render.setups import Setups
 from drapenet.network.dataset import Maps
 from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
 from drapenet.network.training import CaptureSet
-from drapenet.views.radial_map import AZIMUTHS
+from drapenet.views.directions import AZIMUTHS
 from experiments.papers.networks import Prediction
 from sim.rig import Rig
 
