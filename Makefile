@@ -9,7 +9,7 @@ DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset dataset-testers train evaluate bench-sim bench bench-gpu docs studies example validate matrix clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset dataset-testers train evaluate bench-sim bench docs studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -93,9 +93,6 @@ bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 
 bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
 	for name in speed render throughput; do $(BIN)/python -m experiments $$name || exit 1; done
-
-bench-gpu: $(STAMP)  ## compare rendering on the GPU and on the CPU
-	$(BIN)/python -m experiments render device=cuda out=docs/validation/render_gpu.json
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers membranes meshes default_mesh convergence; do \

@@ -3,8 +3,8 @@
     python examples/make_capture.py out=examples/captures/twill
     python examples/make_capture.py raw=true out=outputs/raw  # uncropped scenes
 
-Simulates the drape on a finer mesh than in training, renders it with a random deviation of the
-camera from its nominal pose, adds sensor noise, and writes four views with ``capture.yaml``. With
+Simulates the drape on a finer mesh than in training, renders it with a camera of a random
+set-up, adds sensor noise, and writes four views with ``capture.yaml``. With
 ``raw=true`` the views also show tester, table and wall, ``background.png`` shows the scene without
 cloth, and the warp direction is random. ``truth.json`` contains the moduli.
 """
@@ -14,18 +14,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.capture import checked_density, whole_turns, write_capture
-from data.render.cameras import CameraRig
-from data.render.rasterise import camera_tensors
-from data.render.renderer import VIEWS, DepthRenderer
+from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
-from data.render.sensor import load_sensor
-from data.render.structured_light import StructuredLight
+from data.render.sensors import StructuredLight, load_sensor
+from data.render.setups import Setups
 from data.testers import named_tester
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
@@ -59,7 +56,6 @@ def main(config: MakeCaptureConfig) -> None:
                          "another out=")
     require_folder(out)
     density, tester = checked_density(config.density), named_tester(config.tester)
-    nominal = CameraRig.load(tester)
     noise = load_sensor(config.sensor)
     if isinstance(noise, StructuredLight):
         # 8-bit quantisation belongs to the published format, not to 16-bit captures.
@@ -72,21 +68,18 @@ def main(config: MakeCaptureConfig) -> None:
 
     rng = np.random.default_rng(config.seed)
     direction, background = math.radians(config.warp_direction), None
-    intrinsics = nominal.intrinsics  # users know only the nominal ones
     if config.raw:
         scene = raw_scene(result.positions, result.faces, rng, rig=tester,
                           turns=whole_turns(VIEWS), sensor=config.sensor)
         views, background, direction = scene.frames, scene.background, scene.orientation
-        intrinsics = scene.camera.intrinsics  # of a camera with another focal length
+        camera = scene.camera
     else:
-        camera = nominal.sample(rng)
-        drawn = DepthRenderer(result.positions, result.faces)
-        views = torch.from_numpy(drawn.views(camera, direction))
-        generator = torch.Generator().manual_seed(config.seed)
-        views = noise(views, camera_tensors([camera])[0][0], generator).numpy()
+        camera = Setups.load().camera(rng, tester)
+        views = DepthRenderer(result.positions, result.faces).views(camera, direction)
+        views = noise(views, camera, config.seed)
     for file in old:
         file.unlink()
-    write_capture(out, views=views, intrinsics=intrinsics, density=density,
+    write_capture(out, views=views, intrinsics=camera.intrinsics, density=density,
                   rig=tester, warp_direction=direction, background=background)
     truth = {
         "density_g_m2": config.density,

@@ -1,6 +1,7 @@
 """A dataset of pieces of cloth that hang in folds, none of them symmetric, at little cost."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,8 +12,8 @@ from data.dataset.plan import SamplingConfig
 from data.dataset.shards import Shard, shard_name, write_shard
 from data.dataset.simulate import DatasetConfig, make_record
 from data.fabrics.prior import load_prior
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import Camera, camera_pose, nominal_camera
+from data.render.rays import DepthRenderer
 from sim.laws import Laws
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 from sim.rig import Rig
@@ -54,12 +55,20 @@ def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: o
     return root
 
 
+def varied_camera(rng: np.random.Generator) -> Camera:
+    """The nominal camera with another pose."""
+    pose = {"distance": rng.normal(0.527, 0.01), "pitch": rng.normal(0.66, 0.02),
+            "above": rng.normal(0.036, 0.01), "aside": rng.normal(0.0, 0.01),
+            "roll": rng.normal(0.0, 0.04)}
+    return replace(nominal_camera(), world_to_camera=camera_pose(**pose))
+
+
 def capture_views(*, orientation: float = 0.4, turns: Sequence[float] | None = None) -> tuple:
     """Views (4, 90, 120), m, of a skirt, and the intrinsics of their camera."""
     fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
     shape = skirt(fabric, rig=Rig(), edge=0.012, start="sine", seed=0, offset=(0.0, 0.0),
                   laws=None)
-    camera = CameraRig.load().nominal().resized(120, 90)
+    camera = nominal_camera().resized(120, 90)
     turns = np.arange(4) * np.pi / 2 if turns is None else turns
     return (DepthRenderer(shape.positions, shape.faces).views(camera, orientation, turns),
             camera.intrinsics)

@@ -44,7 +44,7 @@ from data.captures.pictures import (
     read_picture,
 )
 from data.captures.plate import plate_diameter
-from data.render.cameras import CameraRig, Intrinsics
+from data.render.cameras import Intrinsics, nominal_camera
 from data.testers import Tester, described_tester, named_tester, tester_choices
 from sim.rig import SQUARE_RIG, Rig
 
@@ -356,7 +356,7 @@ def _read_published(path: Path) -> Capture:
     counts = counts[:, ::keep, ::keep]
     views = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
     warning = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
-    intrinsics = CameraRig.load(SQUARE_RIG).intrinsics
+    intrinsics = nominal_camera(SQUARE_RIG).intrinsics
     return checked_capture(path, views, intrinsics, whole_turns(len(views)), density, None,
                            SQUARE_RIG, (warning,))
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from data.render.cameras import Intrinsics
-from data.render.renderer import import_open3d
+from data.render.rays import import_open3d
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 _MAX_DEPTH = 2.5  # m, of table and plate

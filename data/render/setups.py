@@ -7,22 +7,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-import torch
-from pydantic import Field
+from pydantic import AfterValidator, Field, field_validator
 from scipy import ndimage
 
 from common.configs import read_option
 from common.documents import Schema
-from common.errors import InputError
+from common.types import Faces, Points, Radians, Turns, Views
 from common.units import si
 from data.captures.pictures import MAX_VIEWS
-from data.render.cameras import Camera, CameraRig, Intrinsics, Pose
-from data.render.rasterise import camera_tensors, render_batch
-from data.render.sensor import load_sensor
-from data.render.sensor_noise import Share
+from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera, size_ratio
+from data.render.raster import rasterise
+from data.render.sensors import Share, load_sensor
+from sim.rig import SQUARE_RIG, Rig
 
 REFERENCE_DISTANCE = 0.527
 """m, at which offsets parallel to the picture are stated, for specimens of 300 mm."""
@@ -33,21 +32,29 @@ class SyntheticCapture:
     """A capture as a user has it, with the true orientation and sensor, which a user does not know.
 
     Attributes:
-        views: (K, H, W) float32 z-depth, m, background 0.
         intrinsics: nominal, as stated in the capture.
-        turns: (K,) rad, nominal turns of the table.
-        orientation: true direction of the warp in the first view, rad.
+        turns: nominal ones.
+        orientation: true direction of the warp in the first view.
         sensor: name of its file in ``configs/sensor``.
     """
 
-    views: np.ndarray
+    views: Views
     intrinsics: Intrinsics
-    turns: np.ndarray
-    orientation: float
+    turns: Turns
+    orientation: Radians
     sensor: str
 
 
-_Limits = Annotated[list[float], Field(min_length=2, max_length=2)]
+def _in_order(limits: list[float]) -> list[float]:
+    if not limits[0] <= limits[1]:
+        raise ValueError(f"from {limits[0]:g} to {limits[1]:g}: the smaller one first")
+    return limits
+
+
+def _limits(least: float, most: float) -> Any:
+    """Type of a smaller and a larger number between ``least`` and ``most``."""
+    return Annotated[list[Annotated[float, Field(ge=least, le=most)]],
+                     Field(min_length=2, max_length=2), AfterValidator(_in_order)]
 
 
 class SetupFile(Schema):
@@ -55,11 +62,11 @@ class SetupFile(Schema):
 
     remedy = "see configs/setup/real.yaml"
     views: list[Share] = Field(max_length=MAX_VIEWS)
-    distance_mm: _Limits
-    pitch_deg: _Limits
-    fill: _Limits
-    above_mm: _Limits
-    aside_mm: _Limits
+    distance_mm: _limits(1, 100_000)
+    pitch_deg: _limits(-90, 90)
+    fill: _limits(0.01, 100)
+    above_mm: _limits(-200, 200)
+    aside_mm: _limits(-200, 200)
     roll_deg: float = Field(ge=0, le=90)
     focal_percent: float = Field(ge=0, le=50)
     turn_deg: float = Field(ge=0, le=90)
@@ -69,14 +76,19 @@ class SetupFile(Schema):
     hem_share: Share
     hem_mm: float = Field(ge=0, le=1000)
 
+    @field_validator("views", "sensors")
+    @classmethod
+    def _add_up(cls, shares: list[float] | dict[str, float]) -> list[float] | dict[str, float]:
+        total = sum(shares.values() if isinstance(shares, dict) else shares)
+        if abs(total - 1) >= 1e-6:
+            raise ValueError(f"the shares add up to {total:g}; they must add up to 1")
+        return shares
+
 
 @dataclass(frozen=True)
 class Setups:
     """Distribution of set-ups; SI units and radians, see ``configs/setup``. ``orientation`` is the
     direction of the warp in the first view.
-
-    Raises:
-        InputError: limits in the wrong order, or shares that do not add up to 1.
     """
 
     views: tuple[float, ...]
@@ -95,18 +107,6 @@ class Setups:
     hem: float
     orientation: tuple[float, float] = (0.0, 2 * np.pi)
 
-    def __post_init__(self) -> None:
-        for name in ("distance", "pitch", "fill", "above", "aside", "orientation"):
-            low, high = getattr(self, name)
-            if not low <= high:
-                raise InputError(f"setup: {name} from {low:g} to {high:g}: the smaller one first")
-        for name in ("views", "sensors"):
-            shares = getattr(self, name)
-            shares = list(shares.values()) if isinstance(shares, dict) else shares
-            if not (min(shares, default=-1) >= 0 and abs(sum(shares) - 1) < 1e-6):
-                raise InputError(f"setup: the shares of {name} add up to {sum(shares):g}; they "
-                                 "must add up to 1, and none may be negative")
-
     @classmethod
     def load(cls, name: str = "real") -> "Setups":
         """Read ``configs/setup/NAME.yaml``; InputError if it does not exist."""
@@ -118,55 +118,41 @@ class Setups:
         return cls(**si(SetupFile.of(config, "setup").model_dump()))
 
     def capture(
-        self,
-        positions: np.ndarray,
-        faces: np.ndarray,
-        rng: np.random.Generator,
-        *,
-        nominal: CameraRig | None = None,
+        self, positions: Points, faces: Faces, rng: np.random.Generator, *, rig: Rig = SQUARE_RIG
     ) -> SyntheticCapture:
-        """Simulate a capture of a drape with vertices (V, 3), m, and triangles (F, 3).
-
-        Args:
-            nominal: camera of the rig; None: of the square on its cylinder.
-        """
-        camera = self.camera(rng, nominal or CameraRig.load())
+        """Simulate a capture of a drape on the tester ``rig``."""
+        camera = self.camera(rng, rig)
         count = 1 + int(rng.choice(len(self.views), p=self.views))
         turns = np.arange(count) * (2 * np.pi / count)
         wrong = rng.normal(0.0, self.turn, count)
         wrong[0] = 0.0
         orientation = float(rng.uniform(*self.orientation))
-        intrinsics, poses = camera_tensors([camera])
-        views = render_batch(
-            torch.from_numpy(positions[None]), torch.from_numpy(faces[None].astype(np.int64)),
-            angles=torch.from_numpy((orientation + turns + wrong)[None]), intrinsics=intrinsics,
-            world_to_camera=poses, height=camera.height, width=camera.width)
+        views = rasterise(positions, faces, camera, orientation + turns + wrong)
         name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
-        generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
-        noisy = load_sensor(name)(views, intrinsics, generator)[0].numpy()
-        self._cut_out(noisy, views[0].numpy(), camera, rng)
+        noisy = load_sensor(name)(views, camera, int(rng.integers(2**63)))
+        self._cut_out(noisy, views, camera, rng)
         scale = 1 + self.focal * rng.standard_normal()
-        given = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
-        return SyntheticCapture(noisy, given, turns, orientation, name)
+        stated = replace(camera.intrinsics, fx=camera.fx * scale, fy=camera.fy * scale)
+        return SyntheticCapture(noisy, stated, turns, orientation, name)
 
-    def camera(self, rng: np.random.Generator, nominal: CameraRig) -> Camera:
-        """Draw a camera with random pose; ``nominal``: of the rig."""
+    def camera(self, rng: np.random.Generator, rig: Rig) -> Camera:
+        """Draw a camera with random pose in front of ``rig``."""
+        nominal, size = nominal_camera(rig), size_ratio(rig)
         distance = rng.uniform(*self.distance)
         ratio = distance / REFERENCE_DISTANCE
         # The nominal distance is in proportion to the size of the specimen.
-        size = nominal.pose.distance / REFERENCE_DISTANCE
         offset = size * ratio
-        pose = Pose(distance, rng.uniform(*self.pitch), offset * rng.uniform(*self.above),
-                    offset * rng.uniform(*self.aside), self.roll * rng.standard_normal())
-        given = nominal.intrinsics
-        focal = given.fx / size * ratio * rng.uniform(*self.fill)
-        return Camera(focal, focal, given.cx, given.cy, given.width, given.height,
-                      pose.world_to_camera())
+        pose = camera_pose(
+            distance=distance, pitch=rng.uniform(*self.pitch),
+            above=offset * rng.uniform(*self.above), aside=offset * rng.uniform(*self.aside),
+            roll=self.roll * rng.standard_normal())
+        focal = nominal.fx / size * ratio * rng.uniform(*self.fill)
+        return replace(nominal, fx=focal, fy=focal, world_to_camera=pose)
 
     def _cut_out(
-        self, noisy: np.ndarray, views: np.ndarray, camera: Camera, rng: np.random.Generator
+        self, noisy: Views, views: Views, camera: Camera, rng: np.random.Generator
     ) -> None:
-        """Remove, in place, parts of the cloth in views (K, H, W), as an imperfect cut-out does."""
+        """Remove, in place, parts of the cloth, as an imperfect cut-out does."""
         border = int(rng.integers(self.border + 1))
         lowest = None
         if rng.random() < self.hem_share:

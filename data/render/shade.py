@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import trimesh
 
-from data.render.renderer import import_open3d
+from common.types import Faces, Metres, Points, Views
+from data.render.rays import RayScene
 from sim.mesh import vertex_normals
 
 # Colours and intensities are linear, 0 to 1.
@@ -19,43 +20,31 @@ _MIDDLE = -0.07  # m, height of the picture's centre in views from the side
 
 
 def shade(
-    positions: np.ndarray,
-    faces: np.ndarray,
+    positions: Points,
+    faces: Faces,
     *,
-    plate_radius: float,
+    plate_radius: Metres,
     elevation: float = 25.0,
     size: tuple[int, int] = (640, 520),
-    field: float = 0.40,
+    field: Metres = 0.40,
     supersampling: int = 3,
 ) -> np.ndarray:
-    """Orthographic image (H, W, 3) uint8 of a drape on its cylinder above a floor.
+    """Orthographic image (H, W, 3) uint8 of a drape, z up, on its cylinder above a floor.
 
     Args:
-        positions: (V, 3) m, z up.
-        faces: (F, 3).
-        plate_radius: of the cylinder, m; 0 for none.
+        plate_radius: of the cylinder; 0 for none.
         elevation: of the viewer, who looks towards +y, degrees; 90 looks straight down with +y up.
         size: width and height, px.
-        field: width of the picture, m.
+        field: width of the picture.
         supersampling: rays along each side of a pixel.
-
-    Raises:
-        InputError: open3d's system libraries are missing.
     """
-    open3d = import_open3d()
     floor = min(positions[:, 2].min(), -0.11) - 0.02
-    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     meshes = [(positions, faces)]
     if plate_radius > 0:
         # Slightly lower and narrower than the plate, so that the cloth covers it.
         radius, top = 0.985 * plate_radius, -1e-3
         stand = trimesh.creation.revolve([[radius, floor], [radius, top], [0, top]], sections=96)
         meshes.append((stand.vertices, stand.faces))
-    for points, triangles in meshes:
-        scene.add_triangles(
-            open3d.core.Tensor(points.astype(np.float32)),
-            open3d.core.Tensor(triangles.astype(np.uint32)),
-        )
     normals = [vertex_normals(*mesh) for mesh in meshes]
     width, height = size[0] * supersampling, size[1] * supersampling
     right, up, forward = _view(elevation)
@@ -65,22 +54,18 @@ def shade(
     # From above, the plate is always in the middle.
     middle = np.array([0.0, 0.0, _MIDDLE if elevation < 80 else 0.0])
     starts = middle - _VIEWER_DISTANCE * forward + x[None, :, None] * right + y[:, None, None] * up
-    rays = np.concatenate([starts, np.broadcast_to(forward, starts.shape)], -1)
-    hits = scene.cast_rays(open3d.core.Tensor(rays.astype(np.float32)), nthreads=1)
-    distance = hits["t_hit"].numpy()
-    which, triangle = hits["geometry_ids"].numpy(), hits["primitive_ids"].numpy()
-    uv = hits["primitive_uvs"].numpy()
+    hits = RayScene(*meshes).cast(starts, np.broadcast_to(forward, starts.shape))
 
     image = _background(starts, forward, floor, positions)
     for k, (colour, (_, triangles)) in enumerate(zip((_CLOTH, _STAND), meshes, strict=False)):
-        seen = np.isfinite(distance) & (which == k)
-        corners = triangles[triangle[seen].astype(int)]
-        u, v = uv[seen].T[..., None]
+        shown = hits.mesh == k
+        corners = triangles[hits.face[shown]]
+        u, v = hits.uv[shown].T[..., None]
         n = normals[k]
         normal = (1 - u - v) * n[corners[:, 0]] + u * n[corners[:, 1]] + v * n[corners[:, 2]]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         normal *= -np.sign(normal @ forward)[:, None]  # two-sided shading
-        image[seen] = colour * _illumination(normal, right, up, forward)[:, None]
+        image[shown] = colour * _illumination(normal, right, up, forward)[:, None]
     image = image.reshape(size[1], supersampling, size[0], supersampling, 3).mean((1, 3))
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
 
@@ -118,10 +103,8 @@ def _background(
     return image
 
 
-def thumbnails(views: np.ndarray) -> bytes:
-    """PNG of depth images (K, H, W), m, background 0, side by side, cropped to the cloth; near
-    parts are bright.
-    """
+def thumbnails(views: Views) -> bytes:
+    """PNG of depth images side by side, cropped to the cloth; near parts are bright."""
     tiles = []
     for view in views:
         rows, columns = np.nonzero(view > 0)

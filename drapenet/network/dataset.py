@@ -21,7 +21,6 @@ from common.workers import worker_pool
 from data.dataset.manifest import json_digest, only_tester
 from data.dataset.shards import Shard
 from data.fabrics.nuisances import NAMES
-from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.network.extrapolated import PARAMETERS, change, moves
 from drapenet.network.model import compressed
@@ -119,7 +118,6 @@ def maps_of_shard(
     shard: Path, *, rig: Rig, setups: Setups, captures: int, seed: int, neighbours: bool
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
-    nominal = CameraRig.load(rig)
     maps = []
     rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
     drapes = Shard(shard)
@@ -135,7 +133,7 @@ def maps_of_shard(
             if derivatives is not None and number:
                 step = change(drape["theta"], table["theta"][converged], rng)
                 moved = positions + np.tensordot(step, derivatives, 1)
-            capture = setups.capture(moved, faces, rng, nominal=nominal)
+            capture = setups.capture(moved, faces, rng, rig=rig)
             maps.append(radial_map(
                 locate(capture.views, capture.intrinsics, rig, capture.turns)))
             nuisances = drape["nuisances"].copy()

@@ -27,7 +27,6 @@ from scipy.ndimage import (
 
 from common.types import Faces, Radians
 from data.render.cameras import Camera
-from data.render.renderer import import_open3d
 from drapenet.refine.objective import Linearised, huber
 from drapenet.views.located import LocatedViews
 
@@ -162,7 +161,6 @@ class DepthViews:
         known = dict.fromkeys(POSE, np.inf) | {FOCAL: FOCAL_DEVIATION, BORDER: BORDER_DEVIATION}
         self.deviation = np.array([known.get(name, TABLE_DEVIATION) for name in self.nuisances])
         self._faces = faces
-        self._open3d = import_open3d()
         self._nominal_rays = camera.directions()
         self._views = [_prepare(view, camera, self.weights) for view in views]
         pixels = sum(len(view.depth) for view in self._views)
@@ -180,12 +178,12 @@ class DepthViews:
 
     def render(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """Views (K, H, W) z-depth, m, of the drape at ``positions`` (V, 3), m."""
-        scene = self._scene(positions)
+        scene = RayScene((positions, self._faces))
         views = []
         for k in range(len(self._views)):
             rotation, shift, _ = self._pose(k, nuisance)
             directions = self._directions(nuisance)
-            face, _ = self._cast(scene, directions, rotation, shift)
+            face = scene.cast(-rotation.T @ shift, directions @ rotation).face
             seen = np.nonzero(face >= 0)
             view = np.zeros(face.shape)
             view[seen] = self._hits(positions, face[seen], directions[seen], rotation, shift).depth
@@ -208,11 +206,12 @@ class DepthViews:
     def _evaluate(
         self, positions: np.ndarray, nuisance: np.ndarray, *, derivatives: bool
     ) -> Linearised:
-        scene, directions = self._scene(positions), self._directions(nuisance)
+        scene, directions = RayScene((positions, self._faces)), self._directions(nuisance)
         depths, borders = [], []
         for k, view in enumerate(self._views):
             rotation, shift, changes = self._pose(k, nuisance)
-            face, depth = self._cast(scene, directions, rotation, shift)
+            rays = scene.cast(-rotation.T @ shift, directions @ rotation)
+            face, depth = rays.face, np.where(rays.face >= 0, rays.distance, 0.0)
             both = _smooth(depth, self.weights.jump)[view.rows, view.columns]
             pixels = view.rows[both], view.columns[both]
             hits = self._hits(positions, face[pixels], directions[pixels], rotation, shift)
@@ -266,13 +265,6 @@ class DepthViews:
                                           self._zoom(nuisance))
         return residual, slope[:, None] / own.border_sigma * gradient, -slope / own.border_sigma
 
-    def _scene(self, positions: np.ndarray) -> object:
-        scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
-        tensor = self._open3d.core.Tensor
-        scene.add_triangles(tensor(positions.astype(np.float32)),
-                            tensor(self._faces.astype(np.uint32)))
-        return scene
-
     def _directions(self, nuisance: np.ndarray) -> np.ndarray:
         """Rays through the pixels (H, W, 3), z = 1, with the focal length of the nuisances."""
         return self._nominal_rays / [self._zoom(nuisance), self._zoom(nuisance), 1.0]
@@ -283,18 +275,6 @@ class DepthViews:
 
     def _value(self, name: str, nuisance: np.ndarray) -> float:
         return float(nuisance[self.nuisances.index(name)])
-
-    def _cast(
-        self, scene: object, directions: np.ndarray, rotation: np.ndarray, shift: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Index of each pixel's triangle (H, W), -1 for none, and z-depth, m, or 0."""
-        rays = np.empty((*directions.shape[:2], 6), dtype=np.float32)
-        rays[..., :3] = -rotation.T @ shift
-        rays[..., 3:] = directions @ rotation
-        hit = scene.cast_rays(self._open3d.core.Tensor(rays), nthreads=1)
-        face, depth = hit["primitive_ids"].numpy().astype(np.int64), hit["t_hit"].numpy()
-        seen = np.isfinite(depth)
-        return np.where(seen, face, -1), np.where(seen, depth, 0.0)
 
     def _hits(
         self,

@@ -19,7 +19,7 @@ from data.captures.capture import Capture
 from data.dataset.options import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
-from data.render.renderer import DepthRenderer
+from data.render.rays import DepthRenderer
 from drapenet.network.predict import Draws
 from drapenet.refine.minimise import Status
 from drapenet.refine.objective import fit_nuisances

@@ -18,8 +18,8 @@ from common.documents import read_bytes
 from common.errors import InputError
 from data.captures.capture import Capture
 from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
-from data.render.cameras import CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.search import CapturedScan
 from drapenet.refine.springs import captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
@@ -117,7 +117,7 @@ def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
     Args:
         density: kg/m², of the fabric.
     """
-    camera = CameraRig.load(shape.rig).nominal()
+    camera = nominal_camera(shape.rig)
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
     return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, None,
                    shape.rig, path, ())

@@ -13,7 +13,7 @@ import numpy as np
 
 from common.types import Metres, Points, Turns, Views
 from data.render.cameras import Camera
-from data.render.renderer import DepthRenderer
+from data.render.rays import DepthRenderer
 from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws

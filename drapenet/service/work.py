@@ -40,7 +40,7 @@ def change_state(folder: Path, **values: object) -> None:
 def warm_up(parent: int) -> None:
     """Import and cache, in a worker of the process ``parent``, what the first estimate needs."""
     follow(parent)
-    from data.render.renderer import import_open3d
+    from data.render.rays import import_open3d
     from drapenet.inference import network_of
     from drapenet.network.checkpoint import bundled, read_header
     from drapenet.report.drape import EDGE

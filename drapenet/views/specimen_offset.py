@@ -26,7 +26,6 @@ from common.errors import InputError
 from common.files import replace_file, require_file
 from data.dataset.manifest import finished_manifest
 from data.dataset.shards import Shard
-from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
 from drapenet.views.directions import AZIMUTHS
@@ -114,7 +113,6 @@ def main(config: PlacementConfig) -> None:
     require_file(Path(config.out))
     rig, setups = Rig.from_name(config.rig), Setups.load()
     manifest, root = finished_manifest(config.data), Path(config.data)
-    nominal = CameraRig.load(rig)
     scales: list[tuple[np.ndarray, float, int]] = []
     offsets: list[tuple[np.ndarray, complex, int]] = []
     for name in reversed(list(manifest["shards"])):  # networks are trained on the first
@@ -123,7 +121,7 @@ def main(config: PlacementConfig) -> None:
         for row in np.flatnonzero(drapes.column("status") == "converged"):
             positions, _, faces = drapes.mesh(row)
             rng = np.random.default_rng([config.seed, len(scales)])
-            seen = setups.capture(positions, faces, rng, nominal=nominal)
+            seen = setups.capture(positions, faces, rng, rig=rig)
             for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                 views = seen.views * np.float32(math.exp(scale))
                 drape = radial_map(locate(views, seen.intrinsics, rig, seen.turns))

@@ -19,7 +19,7 @@ import numpy as np
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NAMES, Nuisances
 from data.render.cameras import Camera
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAWS, law_moves
 from drapenet.views.located import LocatedViews

@@ -19,7 +19,7 @@ import numpy as np
 from common.errors import InputError
 from data.captures.capture import Capture
 from data.captures.cutout import CutOut, cut_out
-from data.render.renderer import QUARTERS
+from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.located import locate

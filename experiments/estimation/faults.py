@@ -18,7 +18,6 @@ from data.captures.capture import Capture, checked_capture
 from data.dataset.manifest import finished_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
-from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import locate
@@ -186,10 +185,10 @@ def run(config: Config) -> Result:
     """Check captures without and with faults; print the share with a warning of each."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
-    nominal, source = CameraRig.load(rig), drapes(Path(config["data"]))
+    source = drapes(Path(config["data"]))
 
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
-        return setups.capture(positions, faces, rng, nominal=nominal)
+        return setups.capture(positions, faces, rng, rig=rig)
 
     messages: dict[str, list[list[str]]] = {}
     for number in tqdm(range(config["sound"]), desc="sound", mininterval=5):

@@ -23,7 +23,7 @@ from data.dataset.plan import SamplingConfig, Stream, plan_drape, stream
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES, Nuisances
 from data.fabrics.prior import load_prior
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from experiments.common import Config, Result, label_log_axes, table
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
@@ -73,7 +73,7 @@ def bounds_of_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pix
     for nuisances, cases in ((Nuisances(), ideal), (plan.nuisances, rows)):
         result = drape(fabric, rig=nuisances.rig(Rig()), edge=1e-3 * edge_mm, start=plan.start,
                        seed=plan.seed, offset=tuple(plan.offset), laws=nuisances.laws)
-        found = depth_information(result, CameraRig.load().nominal(), nuisances=nuisances,
+        found = depth_information(result, nominal_camera(), nuisances=nuisances,
                                   orientation=turn, noise=noise_mm / MM,
                                   pixels_per_measurement=pixels)
         if not found.ok:

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from common.configs import read_option
 from data.captures.capture import Capture
 from data.fabrics.nuisances import NAMES
-from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.network.posterior import inside, ranks
@@ -56,7 +55,7 @@ def case(
     if nuisances == "none":
         setups = replace(setups, **CLEAN)
     seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
-                          nominal=CameraRig.load(tester))
+                          rig=tester)
     capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
                       Path(), ())
     header = read_header(bundled(tester))

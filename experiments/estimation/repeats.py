@@ -19,7 +19,7 @@ from data.dataset.options import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.result.estimate import Estimate
@@ -46,7 +46,7 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
              f"dataset.starts_per_fabric={drapes}"]
     config = config_from_options(compose_config("generate", words, schema=Options))
     tester, setups = Rig.from_name(rig), Setups.load("real")
-    header, camera = read_header(bundled(tester)), CameraRig.load(tester)
+    header = read_header(bundled(tester))
     arrays = {}
     for index in range(number * drapes, (number + 1) * drapes):
         plan = plan_drape(index, config=config.sampling, prior=config.prior)
@@ -56,12 +56,12 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
         if not shape.converged:
             continue
         seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, index]),
-                              nominal=camera)
+                              rig=tester)
         capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
                           Path(str(index)), ())
         one = estimate_capture(capture, header, refine=refined, drapes=0).estimate
         along = math.cos(2 * (one.axis - seen.orientation)) >= 0
-        found = depth_information(shape, camera.nominal(), nuisances=plan.nuisances,
+        found = depth_information(shape, nominal_camera(tester), nuisances=plan.nuisances,
                                   orientation=seen.orientation)
         arrays[f"samples_{index}"] = one.samples if along else one.samples[:, SWAPPED]
         arrays[f"fisher_{index}"] = found.fisher

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from common.errors import InputError
 from data.captures.capture import write_capture
-from data.render.renderer import QUARTERS
+from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, raw_scene
 from drapenet.result.output import DONE
 from experiments.common import ROOT, Config, Result

@@ -10,7 +10,6 @@ import numpy as np
 from data.captures.capture import Capture
 from data.dataset.plan import DrapePlan
 from data.fabrics.nuisances import Nuisances
-from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.inference import Inferred, infer_capture
 from drapenet.network.checkpoint import Header, bundled, read_header
@@ -105,7 +104,7 @@ def ideal_setups(**changes: object) -> Setups:
 def capture_drape(shape: DrapeResult, setups: Setups, rng: np.random.Generator) -> SyntheticCapture:
     """Capture a drape with a random set-up."""
     return setups.capture(shape.positions, shape.faces, rng,
-                          nominal=CameraRig.load(RIG))
+                          rig=RIG)
 
 
 def infer(synthetic: SyntheticCapture, *, density: float = REFERENCE_DENSITY) -> NetworkEstimate:

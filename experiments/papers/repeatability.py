@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.dataset.plan import STARTS
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.network.dataset import Maps
 from drapenet.network.model import compressed
@@ -78,7 +78,7 @@ def _network_inputs(
     maps = Maps(distance, weight, np.tile(theta, (count, 1)),
                 orientation - [one.zero for one in found], np.zeros((count, 8)),
                 np.full(count, 4), np.zeros(count, int), np.arange(count), np.zeros(count, bool))
-    focal = CameraRig.load(RIG).intrinsics.fx
+    focal = nominal_camera(RIG).intrinsics.fx
     return {**{field.name: getattr(maps, field.name) for field in fields(Maps)},
             "pictures": np.array([downsample(one.views) for one in captures]),
             "focal": np.array([one.intrinsics.fx / focal - 1 for one in captures]),

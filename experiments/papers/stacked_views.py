@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from data.dataset.shards import Shard
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from drapenet.network.dataset import Maps
 from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
@@ -39,7 +39,8 @@ def capture_views(
     nominal focal length, less 1; ``orientation`` (N,) of the warp in the first view, rad.
     ``dataset`` is the digest of the drapes, a part of the key of the stored result.
     """
-    distribution, nominal = setups(fixed=fixed), CameraRig.load(Rig.from_name(rig))
+    distribution, tester = setups(fixed=fixed), Rig.from_name(rig)
+    nominal = nominal_camera(tester)
     views, focal, orientation = [], [], []
     drapes = Shard(shard)
     index = drapes.column("index")
@@ -47,12 +48,12 @@ def capture_views(
         positions, _, faces = drapes.mesh(row)
         for number in range(captures):
             rng = np.random.default_rng([seed, int(index[row]), number])  # as in make_maps
-            capture = distribution.capture(positions, faces, rng, nominal=nominal)
+            capture = distribution.capture(positions, faces, rng, rig=tester)
             views.append(downsample(capture.views))
-            focal.append(capture.intrinsics.fx / nominal.intrinsics.fx - 1)
+            focal.append(capture.intrinsics.fx / nominal.fx - 1)
             orientation.append(capture.orientation)
     return {"dataset": dataset, "arrays": {
-        "views": np.array(views).reshape(len(focal), 4, -1, nominal.intrinsics.width // BLOCK),
+        "views": np.array(views).reshape(len(focal), 4, -1, nominal.width // BLOCK),
         "focal": np.array(focal), "orientation": np.array(orientation)}}
 
 

@@ -1,101 +1,77 @@
 """Views per second of the rasteriser and of ray casting, and the differences between them.
 
-Four views of each of several drapes of fabrics from the bundled prior. The renderers are timed in
+Four views each of drapes of fabrics from the bundled prior, on one core. The renderers are timed in
 turn, several times, and the shortest times are reported, because other processes may interfere.
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.ndimage import binary_erosion
 
 from common.errors import InputError
+from common.types import Faces, Points, Views
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from data.render.cameras import Camera, CameraRig
-from data.render.rasterise import camera_points, camera_tensors, rasterise_tensors, render_batch
-from data.render.renderer import VIEWS, DepthRenderer
+from data.render.cameras import Camera
+from data.render.raster import rasterise
+from data.render.rays import QUARTERS, VIEWS, DepthRenderer
+from data.render.setups import Setups
 from experiments.common import Config, Result, table
 from sim.drape import drape
+from sim.rig import SQUARE_RIG
 
 SIZES = ((240, 180), (120, 90))  # pixels; that of captures, and half of it
 SEED = 4
 
 
 @dataclass(frozen=True)
-class Drapes:
-    """Drapes on one mesh, with a camera and four angles each.
+class Shot:
+    """A drape, its camera, and the direction of the warp in the first view, rad."""
 
-    Attributes:
-        positions: (N, V, 3) m; faces: (F, 3); angles: (N, 4) rad; cameras: one per drape.
-    """
+    positions: Points
+    faces: Faces
+    camera: Camera
+    orientation: float
 
-    positions: torch.Tensor
-    faces: torch.Tensor
-    angles: torch.Tensor
-    cameras: list[Camera]
+    def resized(self, width: int, height: int) -> "Shot":
+        """The same at another picture size."""
+        return Shot(self.positions, self.faces, self.camera.resized(width, height),
+                    self.orientation)
 
-    def first(self, count: int) -> "Drapes":
-        """``count`` drapes, repeated if there are fewer."""
-        index = torch.arange(count) % len(self.positions)
-        return Drapes(self.positions[index], self.faces, self.angles[index],
-                      [self.cameras[k] for k in index.tolist()])
+    def raster(self) -> Views:
+        """Four views by the rasteriser."""
+        return rasterise(self.positions, self.faces, self.camera,
+                         self.orientation + np.array(QUARTERS))
 
-    def settings(self, width: int, height: int, device: str = "cpu") -> dict:
-        """Arguments of :func:`data.render.rasterise.render_batch` at an image size in pixels."""
-        cameras = [camera.resized(width, height) for camera in self.cameras]
-        intrinsics, poses = camera_tensors(cameras, device=device)
-        return {"positions": self.positions.to(device), "faces": self.faces.to(device),
-                "angles": self.angles.to(device), "intrinsics": intrinsics,
-                "world_to_camera": poses, "height": height, "width": width}
+    def rays(self, renderer: DepthRenderer | None = None) -> Views:
+        """Four views by ray casting; without a ``renderer`` the search tree is built first."""
+        renderer = renderer or DepthRenderer(self.positions, self.faces)
+        return renderer.views(self.camera, self.orientation)
 
 
-def make_drapes(count: int, edge: float) -> Drapes:
+def make_shots(count: int, edge: float) -> list[Shot]:
     """Drapes of ``count`` fabrics from the prior, with edges of ``edge``, m, at the rim."""
-    rng, prior, rig = np.random.default_rng(SEED), load_prior("gaussian"), CameraRig.load()
-    results = [drape(fabric_from_theta(sample_admissible(prior, rng)[0]), edge=edge)
-               for _ in range(count)]
-    angles = rng.uniform(0, 2 * np.pi, (count, 1)) + np.arange(VIEWS) * (np.pi / 2)
-    return Drapes(torch.from_numpy(np.stack([result.positions for result in results])),
-                  torch.from_numpy(results[0].faces), torch.from_numpy(angles),
-                  [rig.sample(rng) for _ in results])
+    rng, prior, setups = np.random.default_rng(SEED), load_prior("gaussian"), Setups.load()
+    shots = []
+    for _ in range(count):
+        shape = drape(fabric_from_theta(sample_admissible(prior, rng)[0]), edge=edge)
+        shots.append(Shot(shape.positions, shape.faces, setups.camera(rng, SQUARE_RIG),
+                          rng.uniform(0, 2 * np.pi)))
+    return shots
 
 
-def ray_casters(drapes: Drapes, width: int, height: int, threads: int) -> Iterator[Callable]:
-    """One function per drape that casts the rays of its four views; builds the search tree."""
-    for k, camera in enumerate(drapes.cameras):
-        renderer = DepthRenderer(drapes.positions[k].numpy(), drapes.faces.numpy(),
-                                 threads=threads)
-        camera, angles = camera.resized(width, height), drapes.angles[k].tolist()
-        yield lambda r=renderer, c=camera, angles=angles: [r.view(c, angle) for angle in angles]
-
-
-def agreement(drapes: Drapes, threads: int) -> dict[str, float]:
+def agreement(shots: list[Shot]) -> dict[str, float]:
     """Differences between rasteriser and ray casting; depths, mm, except at silhouettes."""
-    width, height = SIZES[0]
-    views = render_batch(**drapes.settings(width, height)).numpy()
-    rays = np.array([see() for see in ray_casters(drapes, width, height, threads)])
-    cloth, seen = views > 0, rays > 0
-    inside = binary_erosion(cloth & seen, np.ones((1, 1, 3, 3), dtype=bool))
+    views, rays = (np.stack(renderings) for renderings in
+                   zip(*((shot.raster(), shot.rays()) for shot in shots), strict=True))
+    inside = binary_erosion((views > 0) & (rays > 0), np.ones((1, 1, 3, 3), dtype=bool))
     error = 1e3 * np.abs(views - rays.astype(float))[inside]
-    return {"cloth_pixels": int(seen.sum()), "interior_pixels": int(inside.sum()),
-            "silhouette_pixels_that_differ": int((cloth != seen).sum()),
+    return {"cloth_pixels": int((rays > 0).sum()), "interior_pixels": int(inside.sum()),
+            "silhouette_pixels_that_differ": int(((views > 0) != (rays > 0)).sum()),
             "rms_mm": float(np.sqrt(np.square(error).mean())), "largest_mm": float(error.max())}
-
-
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Limit the threads of PyTorch, which the rasteriser uses."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def shortest_times(work: dict[str, Callable], repeats: int) -> dict[str, float]:
@@ -110,58 +86,31 @@ def shortest_times(work: dict[str, Callable], repeats: int) -> dict[str, float]:
     return {name: min(values) for name, values in seconds.items()}
 
 
-def view_rates(drapes: Drapes, width: int, height: int, config: dict) -> dict[str, float]:
-    """Views per second of each renderer at an image size in pixels."""
-    part = drapes.first(config["batch"] // VIEWS)
-    settings = part.settings(width, height)
-    intrinsics = settings["intrinsics"].float()[:, None].expand(-1, VIEWS, -1)
-    faces = settings["faces"].expand(len(part.positions), -1, -1)
-    casts = list(ray_casters(part, width, height, config["threads"]))
-
-    def tensors() -> None:
-        points = camera_points(settings["positions"].float(), settings["angles"],
-                               settings["world_to_camera"])
-        rasterise_tensors(points, faces, intrinsics, height=height, width=width)
-
-    work = {
-        "rays": lambda: [views() for views in casts],
-        "rays, with building the tree":
-            lambda: [views() for views in ray_casters(part, width, height, config["threads"])],
-        "rasteriser": lambda: render_batch(**settings),
-        "rasteriser, PyTorch only": tensors,
-    }
-    with torch_threads(config["threads"]):
-        rates = {name: len(part.positions) * VIEWS / value
-                 for name, value in shortest_times(work, config["repeats"]).items()}
-    if config["device"] == "cuda":
-        many = drapes.first(config["gpu_batch"] // VIEWS).settings(width, height, "cuda")
-
-        def on_gpu() -> None:
-            render_batch(**many)
-            torch.cuda.synchronize()
-
-        seconds = shortest_times({"gpu": on_gpu}, config["repeats"])["gpu"]
-        rates[f"rasteriser, GPU, {config['gpu_batch']} at once"] = config["gpu_batch"] / seconds
-    return rates
+def view_rates(shots: list[Shot], repeats: int) -> dict[str, float]:
+    """Views per second of each renderer."""
+    renderers = [DepthRenderer(shot.positions, shot.faces) for shot in shots]
+    seconds = shortest_times({
+        "rays": lambda: [shot.rays(renderer)
+                         for shot, renderer in zip(shots, renderers, strict=True)],
+        "rays, with building the tree": lambda: [shot.rays() for shot in shots],
+        "rasteriser": lambda: [shot.raster() for shot in shots],
+    }, repeats)
+    return {name: len(shots) * VIEWS / value for name, value in seconds.items()}
 
 
 def run(config: Config) -> Result:
     """Time both renderers; print the table."""
-    for key, least in (("drapes", 1), ("batch", VIEWS), ("threads", 1), ("repeats", 1),
-                       ("gpu_batch", VIEWS)):
-        if config[key] < least:
-            raise InputError(f"{key}={config[key]} must be at least {least}")
-    if config["device"] not in ("cpu", "cuda"):
-        raise InputError(f"device={config['device']}: choose cpu or cuda")
-    if config["device"] == "cuda" and not torch.cuda.is_available():
-        raise InputError("device=cuda: PyTorch finds no GPU here; time the CPU with device=cpu")
-    drapes = make_drapes(config["drapes"], 1e-3 * config["edge_mm"])
-    rates = {f"{w}x{h}": view_rates(drapes, w, h, config) for w, h in SIZES}
-    found = agreement(drapes, config["threads"])
-    print(f"{found['silhouette_pixels_that_differ']} of {found['cloth_pixels']} pixels differ, "
-          f"depth within {found['largest_mm']:.2g} mm")
-    first = next(iter(rates.values()))
-    print(f"views per second, batch of {config['batch']}, {config['threads']} threads")
-    print(table(["image", *first], [[name, *(round(v) for v in row.values())]
-                                    for name, row in rates.items()]))
-    return Result({"agreement": {"rasteriser": found}, "views_per_second": rates})
+    for key in ("drapes", "timed", "repeats"):
+        if config[key] < 1:
+            raise InputError(f"{key}={config[key]} must be at least 1")
+    shots = make_shots(config["drapes"], 1e-3 * config["edge_mm"])
+    rates = {f"{w}x{h}": view_rates([shot.resized(w, h) for shot in shots[: config["timed"]]],
+                                    config["repeats"]) for w, h in SIZES}
+    differences = agreement(shots)
+    print(f"{differences['silhouette_pixels_that_differ']} of {differences['cloth_pixels']} pixels "
+          f"differ, depth within {differences['largest_mm']:.2g} mm")
+    print(f"views per second of {min(config['timed'], len(shots))} drapes")
+    names = next(iter(rates.values()))
+    print(table(["image", *names], [[size, *(round(v) for v in row.values())]
+                                    for size, row in rates.items()]))
+    return Result({"agreement": {"rasteriser": differences}, "views_per_second": rates})

@@ -50,7 +50,6 @@ from data.dataset.shards import SEAL_SIZE, _seal
 from data.dataset.simulate import DatasetConfig, make_record
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
-from data.render.cameras import CameraRig
 from data.render.setups import Setups
 from drapenet.batch.captures import entries_of
 from drapenet.export.formats import TARGETS
@@ -384,7 +383,7 @@ def _setup(folder: Path) -> None:
 
 def _read_setup(folder: Path) -> None:
     setups = Setups.from_config(read_json(folder / "setup.json"))
-    setups.camera(np.random.default_rng(0), CameraRig.load())
+    setups.camera(np.random.default_rng(0), Rig())
 
 
 def _upload(folder: Path) -> None:

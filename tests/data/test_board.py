@@ -10,7 +10,7 @@ from PIL import Image
 from common.errors import InputError
 from data.captures.board import PAPER, board_intrinsics, board_picture, board_turns, shows_board
 from data.captures.frames import read_frames
-from data.render.cameras import Intrinsics, Pose
+from data.render.cameras import Intrinsics, camera_pose
 
 INTRINSICS = Intrinsics(fx=610.0, fy=610.0, cx=319.5, cy=239.5, width=640, height=480)
 TURNS = np.radians([0.0, 87.0, 181.5, 271.0])
@@ -21,7 +21,7 @@ TABLE = -0.22  # m, below the plate
 def pictures() -> np.ndarray:
     """(4, 480, 640) uint8 of the sheet, beside the column of a table that turns."""
     sheet = np.array(Image.open(io.BytesIO(board_picture())))
-    to_camera = Pose(0.75, np.radians(40.0), 0.1, 0.0, 0.0).world_to_camera()
+    to_camera = camera_pose(distance=0.75, pitch=np.radians(40.0), above=0.1)
     height, width = sheet.shape
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
     flat = (pixels / [width, height] - 0.5) * PAPER * [1, -1]  # the sheet's top away from us

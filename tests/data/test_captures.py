@@ -15,8 +15,8 @@ from words import last
 
 from common.errors import InputError
 from data.captures.capture import Capture, read_capture, write_capture
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
 from data.testers import TESTERS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import drape_coefficient, radial_map
@@ -24,7 +24,7 @@ from sim.rig import SQUARE_RIG, Rig
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
-RIG = CameraRig.load()
+CAMERA = nominal_camera()
 
 
 def cone(count: int = 24) -> tuple[np.ndarray, np.ndarray]:
@@ -47,14 +47,14 @@ def renderer() -> DepthRenderer:
 
 @pytest.fixture(scope="module")
 def views(renderer) -> np.ndarray:
-    return renderer.views(RIG.nominal(), 0.3)
+    return renderer.views(CAMERA, 0.3)
 
 
 @pytest.fixture
 def folder(tmp_path, views) -> Path:
     """A good capture in the 16-bit format."""
     path = tmp_path / "capture"
-    write_capture(path, views=views, intrinsics=RIG.intrinsics, density=0.15, rig=SQUARE_RIG,
+    write_capture(path, views=views, intrinsics=CAMERA.intrinsics, density=0.15, rig=SQUARE_RIG,
                   warp_direction=0.3)
     return path
 
@@ -82,7 +82,7 @@ def test_what_is_written_is_read(folder, views):
     assert capture.views.shape == (4, 180, 240) and capture.views.dtype == np.float32
     assert np.abs(capture.views - views).max() < 0.51e-3
     assert ((capture.views > 0) == (views > 0)).all()
-    assert capture.intrinsics == RIG.intrinsics and capture.rig == SQUARE_RIG
+    assert capture.intrinsics == CAMERA.intrinsics and capture.rig == SQUARE_RIG
     assert capture.density == pytest.approx(0.15)
     assert capture.warp_direction == pytest.approx(0.3)
     assert capture.path == folder and capture.warnings == ()
@@ -91,7 +91,7 @@ def test_what_is_written_is_read(folder, views):
 def test_depth_unit_and_direction_are_converted(tmp_path, views):
     path = tmp_path / "fine"
     write_capture(
-        path, views=views, intrinsics=RIG.intrinsics, density=0.2, rig=SQUARE_RIG,
+        path, views=views, intrinsics=CAMERA.intrinsics, density=0.2, rig=SQUARE_RIG,
         depth_unit=1e-4, warp_direction=math.radians(200),
     )  # fmt: skip
     capture = read_capture(path)
@@ -104,7 +104,7 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
 
 
 def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
-    common = {"intrinsics": RIG.intrinsics, "density": 0.15, "rig": SQUARE_RIG}
+    common = {"intrinsics": CAMERA.intrinsics, "density": 0.15, "rig": SQUARE_RIG}
     with pytest.raises(InputError, match="9 views given; a capture has 1 to 8"):
         write_capture(tmp_path / "many", views=np.repeat(views, 3, axis=0)[:9], **common)
     with pytest.raises(InputError, match="16 bits"):
@@ -120,7 +120,7 @@ def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
 
 @pytest.mark.parametrize("name", ["disc254_support127", "square250_cylinder60", *TESTERS])
 def test_a_tester_is_a_name_or_numbers_and_a_face_is_kept(tmp_path, views, name):
-    write_capture(tmp_path / "a", views=views, intrinsics=RIG.intrinsics, density=0.2,
+    write_capture(tmp_path / "a", views=views, intrinsics=CAMERA.intrinsics, density=0.2,
                   rig=Rig.from_name(name), face="down")
     content = yaml.safe_load((tmp_path / "a" / "capture.yaml").read_text())
     assert isinstance(content["tester"], str) == (name in TESTERS)
@@ -129,7 +129,7 @@ def test_a_tester_is_a_name_or_numbers_and_a_face_is_kept(tmp_path, views, name)
         capture = read_capture(tmp_path / "a")
         assert capture.rig == Rig.from_name(name) and capture.face == "down"
     with pytest.raises(InputError, match="tester=disc500_support180 has a specimen of 500 mm"):
-        write_capture(tmp_path / "b", views=views, intrinsics=RIG.intrinsics, density=0.2,
+        write_capture(tmp_path / "b", views=views, intrinsics=CAMERA.intrinsics, density=0.2,
                       rig=Rig.from_name("disc500_support180"))
 
 
@@ -138,7 +138,7 @@ def test_published_format_is_recognised(published, views):
     assert np.abs(capture.views - views).max() < 0.51 / 255
     assert capture.density == pytest.approx(0.3) and capture.warp_direction is None
     assert capture.rig == SQUARE_RIG and capture.face == "up"
-    assert capture.intrinsics == RIG.intrinsics and "8-bit" in capture.warnings[0]
+    assert capture.intrinsics == CAMERA.intrinsics and "8-bit" in capture.warnings[0]
 
 
 def test_published_background_is_zero_or_bright_and_large_pictures_are_decimated(published, views):

@@ -23,7 +23,7 @@ from data.dataset.manifest import json_digest, read_manifest, write_manifest
 from data.dataset.plan import plan_drape
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta, from_theta
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from sim.measures import maximum_stretch
 from sim.mesh.specimens import TOPOLOGIES, make_specimen
 
@@ -144,7 +144,7 @@ def test_disk_use_adds_up(bare):
 
 def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
     _, drapes, manifest = figures(bare)
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     shots = take_shots(bare, manifest, drapes, count=9)
     failed = [shot for shot in shots if shot.failed]
     assert len(shots) == 9 + len(failed) and failed[0].caption.endswith("max_iterations")

@@ -9,8 +9,8 @@ import yaml
 from common.errors import InputError
 from data.captures.capture import read_capture, whole_turns, write_capture
 from data.captures.plate import plate_diameter
-from data.render.cameras import CameraRig
-from data.render.renderer import VIEWS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
@@ -35,10 +35,11 @@ def state_tester(folder: Path, tester: object) -> None:
 
 
 def test_a_tester_of_any_size_drapes_renders_and_reads_back(tmp_path, shape):
-    rig, camera = shape.rig, CameraRig.load(shape.rig)
-    views = DepthRenderer(shape.positions, shape.faces).views(camera.nominal(), 0.3)
+    rig = shape.rig
+    views = DepthRenderer(shape.positions, shape.faces).views(nominal_camera(rig), 0.3)
     folder = tmp_path / "capture"
-    write_capture(folder, views=views, intrinsics=camera.intrinsics, density=0.3, rig=rig)
+    write_capture(folder, views=views, intrinsics=nominal_camera(rig).intrinsics, density=0.3,
+                  rig=rig)
     state_tester(folder, {"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size),
                           "plate_mm": round(1e3 * rig.plate_diameter)})
     capture = read_capture(folder)
@@ -69,7 +70,7 @@ def test_a_missing_tester_is_refused_with_the_plate_of_the_scene(tmp_path, shape
 def test_pictures_without_a_plate_leave_the_choices(tmp_path):
     views = np.zeros((1, 180, 240))
     views[:, 40:140, 60:180] = 0.5
-    write_capture(tmp_path / "c", views=views, intrinsics=CameraRig.load().intrinsics, density=0.2,
+    write_capture(tmp_path / "c", views=views, intrinsics=nominal_camera().intrinsics, density=0.2,
                   rig=Rig())
     state_tester(tmp_path / "c", None)
     with pytest.raises(InputError, match="states no tester; give tester: square300_cylinder100, d"):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data.render.cameras import CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.springs import MAX_HINGE_ANGLE, captured_shape, smoothed
 from drapenet.views.located import LocatedViews
@@ -47,7 +47,7 @@ def test_cloth_that_is_not_crumpled_stays_as_it_is(scene: Scene) -> None:
 def test_soft_cloth_takes_the_captured_folds() -> None:
     fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
     truth = drape(fabric, edge=4e-3, seed=3)
-    camera, turn = CameraRig.load().nominal(), 0.4
+    camera, turn = nominal_camera(), 0.4
     views = DepthRenderer(truth.positions, truth.faces).views(camera, turn)
     specimen = {"rig": Rig(), "edge": 4e-3}
     located = LocatedViews.exact(views, camera, Rig(), QUARTERS)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.render.cameras import CameraRig, Pose
-from data.render.renderer import DepthRenderer
+from data.render.cameras import camera_pose, nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.views.checks import turn_warnings
 from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.located import LocatedViews, locate
@@ -28,15 +28,16 @@ def renderer():
 
 
 def seen_from(pitch, distance, roll=0.0):
-    nominal = CameraRig.load().nominal()
+    nominal = nominal_camera()
     focal = nominal.fx * distance / 0.527
-    pose = Pose(distance, np.radians(pitch), 0.03, -0.02, np.radians(roll))
-    return replace(nominal, fx=focal, fy=focal, world_to_camera=pose.world_to_camera())
+    pose = camera_pose(distance=distance, pitch=np.radians(pitch), above=0.03, aside=-0.02,
+                       roll=np.radians(roll))
+    return replace(nominal, fx=focal, fy=focal, world_to_camera=pose)
 
 
 def located(renderer, camera, orientation, *, wrong=WRONG):
     views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
-    nominal = replace(CameraRig.load().intrinsics, fx=camera.fx, fy=camera.fy)
+    nominal = replace(nominal_camera().intrinsics, fx=camera.fx, fy=camera.fy)
     return locate(views, nominal, Rig(), QUARTERS)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.captures.capture import Capture, whole_turns
-from data.render.cameras import CameraRig
+from data.render.cameras import nominal_camera
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
 from drapenet.result.content import to_json
@@ -17,7 +17,7 @@ from drapenet.result.table import format_table, with_interval
 from sim.material import MICRO, SWAPPED, is_admissible
 from sim.rig import SQUARE_RIG
 
-CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), CameraRig.load().intrinsics, whole_turns(4),
+CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), nominal_camera().intrinsics, whole_turns(4),
                   0.15, None, SQUARE_RIG, Path("here"), ())
 
 

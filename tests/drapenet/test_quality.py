@@ -10,7 +10,6 @@ import pytest
 from scipy import ndimage
 
 from common.errors import InputError
-from data.render.cameras import CameraRig
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import Quality, measure, quality_warnings, require_plate
 from drapenet.views.located import locate
@@ -32,7 +31,7 @@ def sound() -> SyntheticCapture:
     shape = drape(FABRIC, edge=6e-3, seed=3, start="sine")
     assert shape.converged
     return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
-                         nominal=CameraRig.load())
+                         rig=RIG)
 
 
 def quality(capture: SyntheticCapture, rig: Rig = RIG) -> Quality:
@@ -115,7 +114,7 @@ def test_what_cannot_be_a_drape_on_the_plate_is_refused(
 def test_a_specimen_off_the_axis_is_measured() -> None:
     shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
     seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
-                         nominal=CameraRig.load())
+                         rig=RIG)
     measured = quality(seen)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)
     assert "from the plate's axis" in "; ".join(quality_warnings(measured))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from data.render.cameras import Camera, CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import Camera, nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.laid import surface_positions
 from drapenet.refine.objective import (
@@ -37,7 +37,7 @@ def located(
 
 @pytest.fixture(scope="module")
 def camera() -> Camera:
-    return CameraRig.load().nominal()
+    return nominal_camera()
 
 
 @pytest.fixture(scope="module")

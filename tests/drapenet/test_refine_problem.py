@@ -12,8 +12,8 @@ from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from data.fabrics.nuisances import NuisanceConfig, Nuisances
 from data.fabrics.prior import load_prior
 from data.fabrics.prior.gaussian import GaussianPrior
-from data.render.cameras import CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import problem as problems
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.minimise import Limits, Status, minimise
@@ -282,7 +282,7 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
 
 
 def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     for turn in (0.2, 1.3, 2.5):
         views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)
         objective = DepthViews(
@@ -296,7 +296,7 @@ def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
 @pytest.mark.slow
 def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
     truth = drape(fabric_from_theta(THETA), edge=4e-3, start="fold", seed=5)
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     views = DepthRenderer(truth.positions, truth.faces).views(camera, 1.0)
     prior = load_prior("gaussian")
     values = []
@@ -314,7 +314,7 @@ def test_views_of_another_mesh_and_folds_give_the_moduli() -> None:
 
 
 def test_an_interrupted_search_hands_back_the_best_so_far(shape: DrapeResult) -> None:
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 1.0)
 
     def stop(simulations: int, value: float) -> None:

@@ -10,8 +10,8 @@ import pytest
 from common.configs import read_option
 from data.captures.capture import Capture
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
-from data.render.cameras import CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import refine
 from drapenet.refine.minimise import Status
 from drapenet.refine.problem import Effort, Trial, Uncertainty
@@ -40,7 +40,7 @@ def draped() -> DrapeResult:
 
 
 def capture_of(shape: DrapeResult) -> Capture:
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
     return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig(), Path(), ())
 
@@ -62,7 +62,7 @@ def run(
             names, 0.01 * np.eye(len(names)), 1.0), shape, Effort(), 1.0, Status.CONVERGED, "")
 
     monkeypatch.setattr(refine, "search", search)
-    capture, camera = capture_of(shape), CameraRig.load().nominal()
+    capture, camera = capture_of(shape), nominal_camera()
     located = LocatedViews.exact(capture.views, camera, Rig(), QUARTERS)
     result = refine.refined_capture(
         before("stiff", "bias", "soft"), capture, located, seen=None,

@@ -2,9 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cloths import varied_camera
 
-from data.render.cameras import CameraRig
-from data.render.renderer import QUARTERS, DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
 from data.render.setups import Setups
 from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
 from drapenet.views.checks import pose_warnings
@@ -29,8 +30,7 @@ def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_camera_is_found_again(seed: int) -> None:
-    rig = CameraRig.load()
-    camera = rig.sample(np.random.default_rng(seed))
+    camera = varied_camera(np.random.default_rng(seed))
     views = DepthRenderer(*skirt(7)).views(camera, 0.2)
     found = locate_camera(views, camera.intrinsics, Rig()).world_to_camera
     assert np.linalg.norm(found[:3, 3] - camera.world_to_camera[:3, 3]) < 3e-3
@@ -38,11 +38,10 @@ def test_the_camera_is_found_again(seed: int) -> None:
 
 
 def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
-    rig = CameraRig.load()
-    views = DepthRenderer(*skirt(7)).views(rig.sample(np.random.default_rng(1)), 0.2)
+    views = DepthRenderer(*skirt(7)).views(varied_camera(np.random.default_rng(1)), 0.2)
 
     def warnings(pictures: np.ndarray, **changes: float) -> str:
-        nominal = replace(rig.nominal(), **changes)
+        nominal = replace(nominal_camera(), **changes)
         return "; ".join(pose_warnings(locate_camera(pictures, nominal, Rig()), Setups.load()))
 
     assert warnings(views) == ""
@@ -56,7 +55,7 @@ def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
 
 @pytest.mark.parametrize("folds", [4, 7, 11])
 def test_folds_are_counted(folds: int) -> None:
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
     profile = radius_profile(views, locate_camera(views, camera, Rig()), QUARTERS)
     assert count_folds(profile) == folds
@@ -65,7 +64,7 @@ def test_folds_are_counted(folds: int) -> None:
 
 
 def test_the_profile_turns_with_the_specimen() -> None:
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
         views = DepthRenderer(vertices, faces).views(camera, orientation)

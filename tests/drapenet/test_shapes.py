@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.report.drape import beside, turned
 from drapenet.report.shapes import drape_glb
 from drapenet.views.located import LocatedViews
@@ -21,7 +21,7 @@ RIG = Rig.from_name("square300_cylinder100")
 def test_captured_surface_lies_on_the_drape_that_was_captured():
     fabric = Fabric(alpha=np.array([60, 40, 20]) * MICRO, beta=np.zeros(3))
     result = drape(fabric, edge=6e-3, seed=3)
-    camera = CameraRig.load(RIG).nominal()
+    camera = nominal_camera(RIG)
     turns = np.radians([0.0, 70.0, 180.0, 250.0])
     renderer = DepthRenderer(result.positions, result.faces)
     views = renderer.views(camera, 0.4, turns)

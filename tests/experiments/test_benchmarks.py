@@ -8,7 +8,6 @@ from importlib import import_module
 import numpy as np
 import perturbed
 import pytest
-import torch
 
 from common.configs import group_options, read_config
 from common.errors import InputError
@@ -123,13 +122,6 @@ def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
     assert found["same_folds"] == 2 and found["within_limit"] == 1
     assert found["mean_mm"] == pytest.approx(0.8) and found["largest_mm"] == 1.0
     assert found["mean_cpu_seconds"] == pytest.approx(3.0)
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_gpu_figures_need_a_gpu(tmp_path):
-    with pytest.raises(InputError, match="no GPU"):
-        main(["render", "device=cuda", f"out={tmp_path / 'render.json'}"])
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_axes_of_bounds_can_be_read():

@@ -9,8 +9,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import load_prior
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.refine.unknowns import law_moves
 from experiments.estimation.bound import (
     CAMERA,
@@ -30,7 +30,7 @@ from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset
 from sim.solver.newton import NewtonOptions
 
-CAM = CameraRig.load().nominal().resized(120, 90)
+CAM = nominal_camera().resized(120, 90)
 FABRIC = Fabric([60e-6, 25e-6, 30e-6], [-150e-9, -50e-9, -80e-9])
 TURN = 0.4
 EDGE = 8e-3

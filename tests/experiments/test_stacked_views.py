@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from cloths import skirt
 
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.network.targets import Symmetry
 from experiments.papers import stacked_views
 from sim.material import Fabric
@@ -19,7 +19,7 @@ def test_symmetries_of_views_are_those_of_the_specimen():
     specimen = make_specimen(Rig(), edge=0.015).mesh
     cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=0.015, start="", seed=0,
                   offset=(0.0, 0.0), laws=None)
-    camera = CameraRig.load().nominal()
+    camera = nominal_camera()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
     def views(positions: np.ndarray) -> torch.Tensor:

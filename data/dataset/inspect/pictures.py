@@ -17,8 +17,8 @@ from data.dataset.inspect.figures import (
     spread,
 )
 from data.dataset.shards import Shard
-from data.render.cameras import CameraRig
-from data.render.renderer import DepthRenderer
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
 
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
@@ -66,7 +66,7 @@ def _shoot(root: Path, drapes: Drapes, drape: int) -> Shot | None:
     caption = columns["status"] if failed else (
         f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
     return Shot(f"{columns['index']}: {caption}", failed,
-                DepthRenderer(positions, faces).view(CameraRig.load(shard.rig(row)).nominal()))
+                DepthRenderer(positions, faces).view(nominal_camera(shard.rig(row))))
 
 
 def contact_sheet(shots: list[Shot]) -> bytes:

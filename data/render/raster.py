@@ -1,57 +1,64 @@
-"""The rasteriser of :mod:`data.render.rasterise` as compiled loops, for CPUs."""
+"""Depth pictures of a drape by a z-buffer, six times as fast as :mod:`data.render.rays`.
 
-from concurrent.futures import ThreadPoolExecutor
+Both renderers agree: z-depth, pixel centres at integers, background 0, only the cloth, two-sided.
+
+Along an edge and along a row, 1/z is linear in the picture; the buffer keeps the largest. Two
+triangles that share an edge compute its intersection with a row by the same operations on the same
+numbers, from the upper corner down, and spans include their ends: a mesh has no cracks.
+"""
+
+from collections.abc import Sequence
 from math import isfinite
 
 import numba
 import numpy as np
 
+from common.types import Faces, Points, Views
+from data.render.cameras import Camera
+
 MIN_HEIGHT = 1e-12  # px, avoids division by 0 in the slope of a horizontal edge
 
 
-def rasterise_arrays(
-    points: np.ndarray,
-    faces: np.ndarray,
-    intrinsics: np.ndarray,
-    *,
-    height: int,
-    width: int,
-    threads: int = 1,
-) -> np.ndarray:
-    """Depth pictures (B, K, height, width) of B meshes, K of each.
+def rasterise(
+    positions: Points, faces: Faces, camera: Camera, angles: Sequence[float]
+) -> Views:
+    """Pictures of a drape, one per angle.
+
+    Triangles with a corner behind the camera or a coordinate that is not finite are skipped.
 
     Args:
-        points: (B, K, V, 3) vertices in camera axes, m.
-        faces: (B, F, 3) int64, of existing vertices; intrinsics: (B, K, 4) fx, fy, cx, cy, px.
-        threads: without influence on the result.
-
-    Returns:
-        z-depth in metres, background 0, of the type of ``points``.
+        angles: (K,) rad, of the specimen in each picture, counter-clockwise seen from above
+            (orientation plus the table's turn).
     """
-    pictures = np.zeros((*points.shape[:2], height, width), dtype=points.dtype)
+    points = camera_points(positions.astype(np.float32), camera, angles)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32)
+    return draw(points, faces, intrinsics, camera.height, camera.width)
 
-    def work(mesh: int) -> None:
-        _draw(points[mesh], faces[mesh], intrinsics[mesh], pictures[mesh])
 
-    # Python threads: those of numba and OpenMP do not survive the fork of a data loader's workers.
-    if threads == 1 or len(points) == 1:
-        for mesh in range(len(points)):
-            work(mesh)
-    else:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, range(len(points))))
-    return pictures
+def camera_points(positions: Points, camera: Camera, angles: Sequence[float]) -> np.ndarray:
+    """Vertices (K, V, 3) in camera axes, m, of positions turned by angles (K,), rad; of the type of
+    ``positions``.
+    """
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    right, away, up, shift = camera.world_to_camera[:3].T
+    axes = np.stack(np.broadcast_arrays(c * right + s * away, c * away - s * right, up, shift))
+    x, y, z, shift = axes.astype(positions.dtype)[:, :, None]
+    return positions[:, :1] * x + positions[:, 1:2] * y + positions[:, 2:] * z + shift
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _draw(points, faces, intrinsics, pictures):
-    """Draw a mesh into its pictures (K, H, W), initially zeros."""
+def draw(points, faces, intrinsics, height, width):
+    """Pictures (K, height, width) of a mesh with vertices (K, V, 3) in camera axes, m.
+
+    Args:
+        faces: (F, 3); intrinsics: (4,) fx, fy, cx, cy, px, of the type of ``points``.
+    """
     views, vertices, _ = points.shape
-    height, width = pictures.shape[1:]
+    pictures = np.zeros((views, height, width), points.dtype)
+    fx, fy, cx, cy = intrinsics
     u = np.empty(vertices, points.dtype)
     v, w = np.empty_like(u), np.empty_like(u)
     for view in range(views):
-        fx, fy, cx, cy = intrinsics[view]
         for i in range(vertices):
             x, y, z = points[view, i]
             w[i] = 1 / z if z > 0 else np.nan
@@ -64,6 +71,7 @@ def _draw(points, faces, intrinsics, pictures):
             for column in range(width):
                 if nearest[row, column] > 0:
                     nearest[row, column] = 1 / nearest[row, column]
+    return pictures
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

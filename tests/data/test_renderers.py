@@ -1,0 +1,210 @@
+"""The rasteriser and the ray caster: equal, exact on planes, without cracks; shaded pictures."""
+
+import builtins
+import math
+
+import numpy as np
+import pytest
+from cloths import varied_camera
+
+from common.errors import InputError
+from data.render.cameras import Camera, nominal_camera
+from data.render.raster import camera_points, draw, rasterise
+from data.render.rays import DepthRenderer
+from data.render.shade import shade
+from sim.mesh import grid_faces
+from sim.mesh.specimens import make_specimen
+from sim.rig import Rig
+
+HEIGHT, WIDTH = 90, 120
+CAMERA = Camera(150.0, 140.0, 59.5, 44.5, WIDTH, HEIGHT, world_to_camera=np.eye(4))
+"""Camera axes equal to world axes: x right, y down, z ahead."""
+
+
+def raster(points, faces, dtype=np.float64):
+    """A picture (H, W) of a mesh in camera axes."""
+    intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], dtype)
+    return draw(np.asarray(points, dtype)[None], np.asarray(faces), intrinsics, HEIGHT, WIDTH)[0]
+
+
+def rays(points, faces):
+    return DepthRenderer(np.asarray(points), np.asarray(faces)).view(CAMERA)
+
+
+both = pytest.mark.parametrize(("method", "tolerance"), [(raster, 1e-13), (rays, 1e-5)])
+
+
+def wall(depth_of, extent: float = 0.35):
+    """A rectangle larger than the picture, z = depth_of(x, y)."""
+    corners = [(-extent, -extent), (extent, -extent), (extent, extent), (-extent, extent)]
+    return [(x, y, depth_of(x, y)) for x, y in corners], [[0, 1, 2], [0, 2, 3]]
+
+
+def folded(edge: float, folds: int, topology: int = 0):
+    """Cloth that hangs from the plate in folds, so that it hides a part of itself."""
+    mesh = make_specimen(Rig(), edge=edge, topology=topology).mesh
+    radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
+    reach = np.maximum(radius - 0.05, 0)
+    out = np.minimum(radius, 0.05 + 0.5 * reach * (1 + 0.7 * np.sin(folds * angle)))
+    return np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach]), mesh.faces
+
+
+def test_both_renderers_give_the_same_pictures():
+    rng, pixels, beside, errors = np.random.default_rng(5), 0, 0, []
+    for k in range(6):
+        positions, faces = folded(0.008, 5 + k, topology=k)
+        camera, angles = varied_camera(rng).resized(WIDTH, HEIGHT), rng.uniform(0, 2 * np.pi, 4)
+        views = rasterise(positions, faces, camera, angles)
+        cast = DepthRenderer(positions, faces).views(camera, 0.0, angles)
+        assert views.dtype == cast.dtype == np.float32
+        cloth = (views > 0) & (cast > 0)
+        pixels, beside = pixels + cloth.sum(), beside + ((views > 0) != (cast > 0)).sum()
+        errors.append(np.abs(views - cast)[cloth])
+    error = np.concatenate(errors)
+    assert pixels > 24 * 1000
+    # Pixels on an edge may go either way in single precision.
+    assert beside <= 3 and (error > 1e-5).sum() <= 3
+    assert np.sqrt(np.square(error[error < 1e-3]).mean()) < 1e-6
+
+
+@both
+def test_a_slanted_plane_is_exact_at_pixel_centres(method, tolerance):
+    view = method(*wall(lambda x, y: 0.5 + 0.6 * x - 0.4 * y))
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    x, y = (column - CAMERA.cx) / CAMERA.fx, (row - CAMERA.cy) / CAMERA.fy
+    # z-depth: along the ray the corner would be 10 % farther away.
+    assert np.abs(view - 0.5 / (1 - 0.6 * x + 0.4 * y)).max() < tolerance
+
+
+@both
+@pytest.mark.parametrize("edge", [49.9, 50.1])
+def test_an_edge_covers_the_pixels_whose_centres_it_passes(method, tolerance, edge):
+    x, y = (edge - CAMERA.cx) / CAMERA.fx * 0.5, (edge - CAMERA.cy) / CAMERA.fy * 0.5
+    view = method([[x, -1, 0.5], [-1, -1, 0.5], [-1, y, 0.5], [x, y, 0.5]], [[0, 1, 2], [0, 2, 3]])
+    expected = np.zeros((HEIGHT, WIDTH), bool)
+    expected[: math.floor(edge) + 1, : math.floor(edge) + 1] = True
+    assert ((view > 0) == expected).all()
+
+
+@both
+def test_both_sides_of_the_cloth_are_seen_and_the_nearer_one_wins(method, tolerance):
+    front, faces = wall(lambda x, y: 0.4)
+    back, _ = wall(lambda x, y: 0.6)
+    for winding in (faces, [face[::-1] for face in faces]):
+        order = np.concatenate([winding, np.array(winding) + 4])
+        for points in ([*front, *back], [*back, *front]):
+            assert np.abs(method(points, order) - 0.4).max() < tolerance
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_mesh_has_no_cracks(dtype):
+    rng = np.random.default_rng(2)
+    for size in (4, 40, 150):
+        shape = (size, size)
+        points = np.stack(np.meshgrid(*2 * [np.linspace(-0.3, 0.3, size)], indexing="ij"), -1)
+        points = points + rng.uniform(-0.3, 0.3, points.shape) * 0.6 / size
+        depth = 0.5 + 0.05 * rng.uniform(-1, 1, shape) / size
+        faces = grid_faces(rng.random((size - 1, size - 1)) < 0.5)
+        cloth = np.concatenate([points, depth[..., None]], -1).reshape(-1, 3)
+        view = raster(cloth, faces, dtype)[5:-5, 5:-5]
+        assert (view > 0).all()
+        assert np.abs(view - 0.5).max() < 0.06 / size
+
+
+def test_corners_on_pixel_centres_leave_no_cracks():
+    row, column = np.mgrid[: HEIGHT : 2, : WIDTH : 3]
+    points = np.stack([(column - CAMERA.cx) / CAMERA.fx, (row - CAMERA.cy) / CAMERA.fy,
+                       np.ones(row.shape)], -1) * 0.5
+    faces = grid_faces(np.random.default_rng(0).random((row.shape[0] - 1, row.shape[1] - 1)) < 0.5)
+    view = raster(points.reshape(-1, 3), faces)
+    assert (view[1 : row.max(), 1 : column.max()] > 0).all()
+
+
+def test_triangles_behind_the_camera_or_not_finite_are_omitted():
+    points, faces = wall(lambda x, y: 0.5)
+    behind, _ = wall(lambda x, y: -0.5)
+    assert not raster(behind, faces).any() and not rays(behind, faces).any()
+    half = raster(points[:3], faces[:1])
+    for wrong in ((0.0, 0.0, -0.1), (0.0, 0.0, 0.0), (math.nan, 0.0, 0.5), (0.0, 0.0, math.inf)):
+        assert np.array_equal(raster([*points[:3], wrong], faces), half)
+
+
+def test_points_turn_counter_clockwise_with_the_specimen():
+    positions, camera = folded(0.02, 5)[0], varied_camera(np.random.default_rng(1))
+    angles = np.array([0.0, 0.7, -2.0])
+    for points, angle in zip(camera_points(positions, camera, angles), angles, strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        turned = positions @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        pose = camera.world_to_camera
+        assert np.abs(points - (turned @ pose[:3, :3].T + pose[:3, 3])).max() < 1e-15
+
+
+def marker_places(*centre: float) -> np.ndarray:
+    """Mean column, row and depth (4, 3) of a small octahedron in the four views of a capture."""
+    corners = 0.01 * np.vstack([np.eye(3), -np.eye(3)]) + centre
+    faces = np.array([(a, b, c) for a in (0, 3) for b in (1, 4) for c in (2, 5)])
+    views = DepthRenderer(corners, faces).views(nominal_camera())
+    return np.array([[*np.argwhere(view).mean(axis=0)[::-1], view[view > 0].mean()]
+                     for view in views])
+
+
+def test_right_is_right_up_is_up_and_away_is_deeper():
+    origin, right, up, away = (marker_places(*centre)[0] for centre in (
+        (0, 0, 0), (0.08, 0, 0), (0, 0, 0.08), (0, 0.08, 0)))
+    assert origin[0] == pytest.approx(119.5, abs=0.6)
+    assert right[0] - origin[0] > 35 and abs(right[1] - origin[1]) < 1
+    assert abs(up[0] - origin[0]) < 1 and up[1] - origin[1] < -25
+    assert abs(away[0] - origin[0]) < 1 and away[1] < origin[1] and away[2] > origin[2] + 0.04
+
+
+def test_the_table_turns_counter_clockwise_from_view_to_view():
+    # A marker on the right goes to the back, the left and the front.
+    columns, _, depth = marker_places(0.08, 0, 0).T
+    assert columns[0] > 155 and columns[2] < 85
+    assert columns[[1, 3]] == pytest.approx([119.5, 119.5], abs=1)
+    assert depth[1] - depth[3] == pytest.approx(0.16 * math.cos(math.radians(38)), abs=0.003)
+
+
+def test_a_missing_system_library_names_its_remedy(monkeypatch):
+    real = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name == "open3d":
+            raise ImportError("libusb-1.0.so.0: cannot open shared object file")
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(InputError, match=r"libusb-1.0.so.0.*apt-get install libusb-1.0-0 libgl1"):
+        rays(*wall(lambda x, y: 0.5))
+
+
+SIZE = (60, 50)
+OPTIONS = {"plate_radius": 0.01, "size": SIZE, "supersampling": 2}
+
+
+def shaded_place(x: float, y: float, z: float, **options: float) -> np.ndarray:
+    """Column and row, from the picture's middle, of a triangle in a shaded picture."""
+    corners = [(x - 0.03, y - 0.03, z), (x + 0.03, y - 0.03, z), (x, y + 0.06, z)]
+    far = [(9.0, 0.0, 0.0), (9.1, 0.0, 0.0), (9.0, 0.1, 0.0)]  # shadows follow the extent
+    shown, hidden = (shade(np.array([*corners, *far]), np.array(faces), **OPTIONS, **options)
+                     for faces in ([[0, 1, 2], [3, 4, 5]], [[3, 4, 5]]))
+    assert shown.shape == (SIZE[1], SIZE[0], 3) and shown.dtype == np.uint8
+    return np.argwhere((shown != hidden).any(axis=2)).mean(axis=0)[::-1] - (
+        (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
+
+
+def test_shaded_pictures_show_x_to_the_right_and_y_or_z_upwards():
+    right, row = shaded_place(0.12, 0.0, 0.0, elevation=90.0)
+    column, up = shaded_place(0.0, 0.12, 0.0, elevation=90.0)
+    assert right > 12 and abs(row) < 3 and up < -12 and abs(column) < 1
+    assert shaded_place(0.12, 0.0, 0.0)[0] > 12
+    high, low = (shaded_place(0.0, 0.0, z)[1] for z in (0.05, -0.10))
+    # 0.15 m at 25 degrees, 150 pixels a metre.
+    assert abs((low - high) - 0.15 * np.cos(np.radians(25)) * 150) < 1.5
+
+
+def test_both_sides_are_lit():
+    corners = np.array([(-0.03, -0.03, 0.0), (0.03, -0.03, 0.0), (0.0, 0.06, 0.0)])
+    above, below = (shade(corners, np.array([face]), elevation=90.0, **OPTIONS)
+                    for face in ((0, 1, 2), (0, 2, 1)))
+    assert np.array_equal(above, below) and len(np.unique(above)) > 2
