@@ -27,6 +27,7 @@ from scipy.ndimage import (
 
 from common.types import Faces, Radians
 from data.render.cameras import Camera
+from data.render.rays import RayScene
 from drapenet.refine.objective import Linearised, huber
 from drapenet.views.located import LocatedViews
 
