@@ -105,7 +105,7 @@ docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo a
 	$(BIN)/python -m experiments.figures
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
-	$(BIN)/python -m experiments.papers all
+	$(BIN)/python -m experiments papers
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)

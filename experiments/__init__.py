@@ -1,1 +1,1 @@
-"""Benchmarks behind docs/validation.md, one command each; figures.py writes the documentation."""
+"""Experiments behind docs/validation.md and docs/studies.md: ``python -m experiments NAME``."""

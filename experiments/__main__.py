@@ -1,9 +1,11 @@
-"""Run a benchmark.
+"""Run an experiment.
 
     python -m experiments                       # lists them
     python -m experiments NAME [key=value ...]  # NAME --help lists the keys
+    python -m experiments papers                # all of docs/studies.md, hours of CPU
+    python -m experiments page                  # docs/studies.md and its figures from the reports
 
-A benchmark prints tables and writes a report, docs/validation/NAME.json unless out= names another
+An experiment prints tables and writes a report, docs/validation/NAME.json unless out= names another
 file; most also write a figure beside it. An interrupted run resumes from its folder cases=."""
 
 import ast
@@ -12,54 +14,89 @@ from dataclasses import asdict
 from functools import partial, wraps
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from common.command import command, commands, schema_of
 from common.configs import group_options
-from common.files import require_file, require_folder
+from common.errors import InputError
+from common.files import replace_file, require_file, require_folder
 
-FOLDERS = ("physics", "speed", "estimation")
-FILES = {name: file for folder in FOLDERS for name in group_options("benchmark")
+FOLDERS = ("physics", "speed", "estimation", "papers")
+FILES = {name: file for folder in FOLDERS for name in group_options("experiment")
          if (file := Path(__file__).parent / folder / f"{name}.py").is_file()}
-"""Modules of the benchmarks by name, ordered by folder."""
-_EXECUTION_KEYS = ("workers", "cases", "work", "out")
+"""Modules of the experiments by name, ordered by folder."""
 
 
 def usage() -> str:
-    """Module docstring followed by one line per benchmark."""
-    lines = [__doc__]
+    """Module docstring followed by one line per experiment."""
+    lines, folder = [__doc__], ""
     for name, file in FILES.items():
-        if name == next(one for one in FILES if FILES[one].parent == file.parent):
-            lines.append(f"\n{file.parent.name}:")
+        if file.parent.name != folder:
+            folder = file.parent.name
+            lines.append(f"\n{folder}:")
         about = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
         lines.append(f"  {name:14}{about.partition(chr(10))[0]}")
     return "\n".join(lines)
 
 
-def run_benchmark(name: str, words: list[str]) -> None:
-    """Run the benchmark ``name`` with the overrides ``words``; write its report and figure."""
-    module = import_module(f"experiments.{FILES[name].parent.name}.{name}")
+def module_of(name: str) -> ModuleType:
+    """The module of an experiment."""
+    return import_module(f"experiments.{FILES[name].parent.name}.{name}")
 
-    @command(f"benchmark/{name}", schema_of(f"benchmark/{name}"))
+
+def run_experiment(name: str, words: list[str]) -> None:
+    """Run an experiment with the overrides ``words``; write report, figure and section."""
+    module = module_of(name)
+
+    @command(f"experiment/{name}", schema_of(f"experiment/{name}"), swept_out=f"{name}.json")
     @wraps(module.run)  # the help is the docstring of its module
     def run(settings: Any) -> None:
-        from experiments.common import REPORTS, write_figure, write_report
+        from experiments.result import EXECUTION_KEYS, REPORTS, write_figure, write_report
 
-        config = asdict(settings)
-        out = Path(config["out"]) if config["out"] else REPORTS / f"{name}.json"
+        config, stored = asdict(settings), REPORTS / f"{name}.json"
+        out = Path(config["out"]) if config["out"] else stored
         require_file(out)
         for folder in {"cases", "work"} & set(config):
             require_folder(Path(config[folder]))
-        found = module.run(config)
-        kept = {key: value for key, value in config.items() if key not in _EXECUTION_KEYS}
-        write_report(out, {"settings": kept, **found.report})
-        if found.figure:
-            write_figure(out.with_suffix(".png"), found.figure)
+        result, section = module.run(config), getattr(module, "SECTION", None)
+        kept = {key: value for key, value in config.items() if key not in EXECUTION_KEYS}
+        report = {"settings": kept, **result.report}
+        write_report(out, report)
+        if figure := section.draw(report) if section else result.figure:
+            write_figure(out.with_suffix(".png"), figure)
+        if section:
+            print(section.summary(report))
+        if section and out == stored:
+            write_page()
 
     run(words)
 
 
-main = commands({name: partial(run_benchmark, name) for name in FILES}, usage=usage())
+def run_papers(words: list[str]) -> None:
+    """Run all experiments of the page with the overrides ``words``."""
+    from experiments.page import ORDER
+
+    for name in ORDER:
+        run_experiment(name, words)
+
+
+def write_page(words: list[str] = (), *, figures: bool = False) -> None:
+    """Write docs/studies.md, and optionally its figures, from the stored reports."""
+    from experiments.page import ORDER, PAGE, page_text
+    from experiments.result import REPORTS, read_report, write_figure
+
+    if words:
+        raise InputError(f"'{words[0]}': page takes no other words")
+    sections = {name: module_of(name).SECTION for name in ORDER}
+    reports = {name: read_report(name) for name in ORDER}
+    for name, section in sections.items() if figures else ():
+        write_figure(REPORTS / f"{name}.png", section.draw(reports[name]))
+    replace_file(PAGE, page_text(sections, reports).encode())
+
+
+main = commands({**{name: partial(run_experiment, name) for name in FILES}, "papers": run_papers,
+                 "page": partial(write_page, figures=True)}, usage=usage())
 
 if __name__ == "__main__":
     sys.argv[1:] = sys.argv[1:] or ["--help"]

@@ -1,4 +1,5 @@
-"""Differences between two drapes of one specimen: displacement, mean curvature and folds."""
+"""Differences between two drapes of one specimen: displacement, mean curvature and folds; and the
+drape on another mesh with the same folds."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,8 +7,14 @@ from typing import Protocol
 import numpy as np
 
 from common.errors import InputError
+from sim.drape import FINE_OPTIONS, scene_on
+from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.laws import Laws
+from sim.material import Fabric
 from sim.measures import fold_angles
 from sim.mesh import Mesh
+from sim.mesh.specimens import Specimen
+from sim.scene import Rig
 from sim.start import interpolate_positions
 
 ALIGNMENTS = ("none", "turn", "rigid")
@@ -163,3 +170,20 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
     return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
+
+
+def equilibrium_near(
+    rest: np.ndarray, positions: np.ndarray, specimen: Specimen, rig: Rig, fabric: Fabric,
+    laws: Laws | None = None, *, self_contact: bool = False,
+) -> Equilibrium:
+    """Equilibrium of a fabric on the mesh of ``specimen``, started from a drape on another mesh.
+
+    Args:
+        rest, positions: (W, 2) and (W, 3), m, of the drape to start from.
+    """
+    scene = scene_on(specimen, rig)
+    flat, held = scene.mesh.rest, scene.held
+    start = interpolate_positions(rest, positions, flat)
+    start[held] = rig.place(flat[held])
+    return find_equilibrium(scene, fabric, scene.state(start), laws=laws, options=FINE_OPTIONS,
+                            self_contact=self_contact)

@@ -15,7 +15,7 @@ from common.cli import run_command
 from common.errors import InputError
 from common.files import replace_file
 from drapenet.network.checkpoint import bundled, read_header
-from experiments.common import REPORTS, ROOT, table
+from experiments.result import REPORTS, ROOT, read_report, table
 from sim.rig import Rig
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -25,10 +25,7 @@ MISSED = "**missed**"
 """Mark of a target that is not reached."""
 
 
-@cache
-def report(name: str) -> dict:
-    """Report docs/validation/NAME.json."""
-    return json.loads((REPORTS / f"{name}.json").read_text(encoding="utf-8"))
+report = cache(read_report)
 
 
 def cell(kind: str, name: str = "as trained") -> dict:
@@ -71,7 +68,7 @@ def claims() -> str:
 
     def add(claim: str, section: str, figure: str, target: str, command: str, *,
             met: bool = True) -> None:
-        module = "" if command.startswith("drapenet.") else "benchmarks "
+        module = "" if command.startswith("drapenet.") else "experiments "
         rows.append([f"[{claim}](#{slug(section)})", figure,
                      target if met else f"{target}: {MISSED}", f"`{module}{command}`"])
 

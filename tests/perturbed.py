@@ -26,7 +26,7 @@ import sim.equilibrium  # noqa: E402
 from common.command import command  # noqa: E402
 from common.errors import InputError  # noqa: E402
 from common.files import replace_json, require_file  # noqa: E402
-from experiments.common import machine, table  # noqa: E402
+from experiments.result import machine, table  # noqa: E402
 from sim.solver.newton import NewtonResult, minimise  # noqa: E402
 from sim.solver.potential import Potential  # noqa: E402
 

@@ -23,8 +23,8 @@ from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.located import locate
-from experiments.common import ESTIMATOR_SOURCES, Config, Result, run_cases, table
 from experiments.known import known_drape
+from experiments.result import ESTIMATOR, Config, Result, run_cases, table
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
@@ -128,8 +128,8 @@ def run(config: Config) -> Result:
         "number": k, "sensor": sensor, "clutter": densities[(k + shift) % len(densities)],
         "estimated": k < config["estimated"], **settings}
         for shift, sensor in enumerate(SENSORS) for k in range(config["poses"])}
-    results = run_cases(case, cases, folder=Path(config["cases"]) / config["rig"],
-                        workers=config["workers"], sources=ESTIMATOR_SOURCES)
+    results = run_cases(case, cases, config, folder=Path(config["cases"]) / config["rig"],
+                        sources=ESTIMATOR)
     groups = {"all": list(results)} | {
         name: [key for key in results if cases[key][kind] == name]
         for kind, names in (("sensor", SENSORS), ("clutter", densities)) for name in names}

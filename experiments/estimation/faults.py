@@ -22,7 +22,7 @@ from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import locate
 from drapenet.views.radial_map import radial_map
-from experiments.common import Config, Result, table
+from experiments.result import Config, Result, table
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
 from sim.rig import Rig

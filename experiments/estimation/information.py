@@ -25,8 +25,8 @@ from data.fabrics.nuisances import NAMES, Nuisances
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
-from experiments.common import Config, Result, label_log_axes, table
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
+from experiments.result import Config, Result, label_log_axes, table
 from sim.drape import drape
 from sim.rig import Rig
 

@@ -20,7 +20,7 @@ from common.errors import InputError
 from data.fabrics.fabrics import FabricTable, from_theta, read_fabric_table
 from data.fabrics.prior import MODELS, Prior, VaePrior
 from data.fabrics.prior.coordinates import Coordinates, plausible_range
-from experiments.common import Config, Result, table
+from experiments.result import Config, Result, table
 from sim.material import is_admissible
 
 FITTED = 0.8  # share of the fabrics that is fitted, as in the paper

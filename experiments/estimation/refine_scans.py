@@ -14,7 +14,6 @@ import numpy as np
 
 from common.errors import InputError
 from drapenet.network.checkpoint import bundled, read_header
-from experiments.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases
 from experiments.estimation.refine_views import (
     METHODS,
     along_warp,
@@ -22,6 +21,7 @@ from experiments.estimation.refine_views import (
     posterior_errors,
 )
 from experiments.known import known_drape
+from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
 from sim.material import REFERENCE_DENSITY, SWAPPED
 from sim.rig import DISC_RIG
 
@@ -80,7 +80,7 @@ def run(config: Config) -> Result:
     results = run_cases(simulated, {
         f"simulated_{k}": {"number": k, "noise_mm": config["noise_mm"], "seed": config["seed"]}
         for k in range(config["fabrics"])},
-        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
+        config, folder=folder, sources=ESTIMATOR)
     truth = np.array([r["truth"] for r in results.values()])
     arrays = [load_arrays(folder, name) for name in results]
     summary = {way: posterior_errors(truth, [own[way] for own in arrays]) for way in METHODS}

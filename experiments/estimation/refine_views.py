@@ -22,8 +22,10 @@ from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.network.posterior import inside, ranks
-from experiments.common import (
-    ESTIMATOR_SOURCES,
+from experiments.comparison import same_folds
+from experiments.known import CLEAN, known_drape
+from experiments.result import (
+    ESTIMATOR,
     Config,
     Result,
     label_log_axes,
@@ -31,8 +33,6 @@ from experiments.common import (
     run_cases,
     table,
 )
-from experiments.comparison import same_folds
-from experiments.known import CLEAN, known_drape
 from sim.drape import drape
 from sim.material import LINEAR, MICRO, RATIO, REFERENCE_DENSITY, SWAPPED
 from sim.measures import fold_outline
@@ -142,7 +142,7 @@ def run(config: Config) -> Result:
     settings["nuisances"] = config["variation"]
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
+                        config, folder=folder, sources=ESTIMATOR)
     truth = np.array([r["theta"] for r in results.values()])
     samples = {way: [load_arrays(folder, name)[way] for name in results] for way in METHODS}
     other = np.array([r["other_folds"] for r in results.values()])

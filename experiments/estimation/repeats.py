@@ -24,9 +24,9 @@ from data.render.setups import Setups
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import SHARED, joined
-from experiments.common import ESTIMATOR_SOURCES, Config, Result, load_arrays, run_cases, table
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from experiments.estimation.refine_views import posterior_errors
+from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases, table
 from sim.drape import drape
 from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY, SWAPPED
 from sim.rig import Rig
@@ -104,7 +104,7 @@ def run(config: Config) -> Result:
     folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
     results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        folder=folder, workers=config["workers"], sources=ESTIMATOR_SOURCES)
+                        config, folder=folder, sources=ESTIMATOR)
     truth = np.array([r["theta"] for r in results.values()])
     arrays = [load_arrays(folder, name) for name in results]
     samples, fisher = ([[own[k] for k in own if k.startswith(kind)] for own in arrays]

@@ -22,8 +22,8 @@ from data.captures.capture import write_capture
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, raw_scene
 from drapenet.result.output import DONE
-from experiments.common import ROOT, Config, Result
 from experiments.known import known_drape
+from experiments.result import ROOT, Config, Result
 from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
 

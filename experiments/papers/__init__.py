@@ -1,2 +1,1 @@
-"""Replications of published experiments: ``python -m experiments.papers NAME``; see
-docs/studies.md."""
+"""Experiments of published papers, repeated: docs/studies.md."""

@@ -1,6 +1,5 @@
 """Simulated drapes and captures of known fabrics, with estimates by the bundled network."""
 
-import json
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from drapenet.network.checkpoint import Header, bundled, read_header
 from drapenet.result.estimate import Estimate
 from drapenet.views.checks import view_warnings
 from experiments import known
-from experiments.common import REPORTS
+from experiments.result import read_report
 from sim.drape import DrapeResult
 from sim.laws import Laws
 from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED
@@ -67,8 +66,8 @@ def posterior_bound() -> float:
 
     Root mean square over directions and the fabrics of docs/validation/information.json.
     """
-    fabrics = json.loads((REPORTS / "information.json").read_text(encoding="utf-8"))["fabrics"]
-    bounds = np.array([fabric["bounds"]["all nuisances unknown"] for fabric in fabrics])
+    bounds = np.array([fabric["bounds"]["all nuisances unknown"]
+                       for fabric in read_report("information")["fabrics"]])
     return rms(bounds[:, LINEAR] / spread()[LINEAR])
 
 

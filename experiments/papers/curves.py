@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.common import label_log_axes
 from experiments.comparison import compare
+from experiments.page import Section
 from experiments.papers.captured import RIG, rms, specimen
-from experiments.papers.study import Report, Study, run_fabrics
 from experiments.physics.testers import LENGTHS, add_noise
+from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.table import match
 from sim.cantilever.tester import bending_length
@@ -110,9 +110,9 @@ def _relative_error(values: np.ndarray, true: np.ndarray) -> float:
     return 100 * rms(values - true) / rms(true)
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
-    return {"fabrics": run_fabrics(case, config, sources=("sim", "drapenet"))}
+    return Result({"fabrics": run_fabrics(case, config, sources=("sim", "drapenet"))})
 
 
 def _medians(report: Report) -> dict[tuple[str, str, float], dict[str, Any]]:
@@ -190,11 +190,11 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "curves", "Torque spline and parabola", "004, section 5",
+SECTION = Section(
+    "Torque spline and parabola", "004, section 5",
     "Is the parabola of α and β sufficient, or are drapes more accurate with a spline of torque "
     "over curvature fitted to the same noisy strips?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "fits splines of up to five points to every component, with residuals of 21 and 22 mm (root "
     "mean square) for bent strips of a knit in warp and weft; not comparable, because its strips "
     "are real, 100 mm long, pushed over the edge of a table, with hysteresis.",

@@ -1,18 +1,18 @@
 """Comparison of network outputs: classes, regression or posterior (002, Fig. 18, Eq. 10)."""
 
-from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.papers.learned import Training, train_all
-from experiments.papers.study import Report, Study, error_cell, error_figure
+from experiments.page import Section
+from experiments.papers.trainings import Training, error_cell, error_figure, train_all
+from experiments.result import Config, Report, Result
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Train networks that differ in the output only."""
     names = ["posterior", "regression", *(f"classes {count}" for count in config["classes"])]
-    return {"heads": train_all({name: Training(steps=config["steps"], output=name)
-                                for name in names}, config)}
+    return Result({"heads": train_all({name: Training(steps=config["steps"], output=name)
+                                for name in names}, config)})
 
 
 def _label(name: str) -> str:
@@ -46,10 +46,10 @@ def draw(report: Report) -> Figure:
     return error_figure({"": {_label(name): one for name, one in report["heads"].items()}})
 
 
-STUDY = Study(
-    "heads", "Network output", "002, Figure 18 and Eq. 10",
+SECTION = Section(
+    "Network output", "002, Figure 18 and Eq. 10",
     "Which output is most accurate: classes, a regression or a posterior?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "finds regression better than classification with 8 to 64 classes (Figure 18); figures are "
     "not comparable.",
     "Trainings are short, with one seed each. Classes divide five standard deviations of a "

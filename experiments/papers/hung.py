@@ -12,9 +12,9 @@ from data.fabrics.nuisances import NuisanceConfig
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import value
 from drapenet.refine.refine import specimen_spread
-from experiments.common import ESTIMATOR_SOURCES, label_log_axes
+from experiments.page import Section
 from experiments.papers.captured import header, rms, specimen
-from experiments.papers.study import Report, Study, run_fabrics
+from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
@@ -186,10 +186,10 @@ def case(
     return result
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
-    return {"spread": prior()[1].tolist(),
-            "fabrics": run_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
+    return Result({"spread": prior()[1].tolist(),
+            "fabrics": run_fabrics(case, config)})
 
 
 def _accepted_fits(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
@@ -265,11 +265,11 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "hung", "Membrane from a hung square", "004, section 5",
+SECTION = Section(
+    "Membrane from a hung square", "004, section 5",
     "Which stiffnesses of an orthotropic membrane can be identified from the vertices of a square "
     "hung by two corners?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "fits stress curves of warp, weft and shear to measured forces, without Poisson's ratio, with "
     "residuals of 0.2 to 0.6 N for a knit; not comparable, because here only weight acts and no "
     "force is measured.",

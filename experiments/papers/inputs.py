@@ -1,11 +1,11 @@
 """Comparison of network inputs and backbones (002, Fig. 20, Table 2)."""
 
-from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.papers.learned import Training, train_all
-from experiments.papers.study import Report, Study, error_cell, error_figure
+from experiments.page import Section
+from experiments.papers.trainings import Training, error_cell, error_figure, train_all
+from experiments.result import Config, Report, Result
 
 INPUTS: dict[str, tuple[str, str, str]] = {
     "map, width 16": ("canonical map", "map", "16"),
@@ -23,7 +23,7 @@ INPUTS: dict[str, tuple[str, str, str]] = {
 BASE = "map, width 16"
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Train all networks for equal steps and for equal processor time."""
     def trainings(**length: float) -> dict[str, Training]:
         return {name: Training(input=kind, network=network, **length)
@@ -32,7 +32,7 @@ def run(config: dict[str, Any]) -> Report:
     steps = trainings(steps=config["steps"])
     del steps["VGG-16"]  # takes more than half an hour
     clock = trainings(cpu_seconds=config["cpu_seconds"])
-    return {"steps": train_all(steps, config), "clock": train_all(clock, config)}
+    return Result({"steps": train_all(steps, config), "clock": train_all(clock, config)})
 
 
 def summarise(report: Report) -> str:
@@ -70,9 +70,9 @@ def draw(report: Report) -> Figure:
     return error_figure({"equal steps": report["steps"], "equal processor time": report["clock"]})
 
 
-STUDY = Study(
-    "inputs", "Inputs and backbones", "002, Figure 20 and Table 2",
-    "Which input and which network estimate the moduli best?", run, summarise, rows, draw,
+SECTION = Section(
+    "Inputs and backbones", "002, Figure 20 and Table 2",
+    "Which input and which network estimate the moduli best?", summarise, rows, draw,
     "finds ResNet-18 0.127, EfficientNet-B0 0.142, VGG-16 0.122, AlexNet 0.224 (Table 2), trained "
     "for 12 to 101 hours on 2.3 million images; the boundary curve is worse than depth (Figure "
     "20). Only the order of inputs is comparable: these networks are trained for minutes on about "

@@ -16,13 +16,13 @@ from drapenet.refine.problem import Problem
 from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import RobustPositions
 from drapenet.refine.unknowns import Cloth, Knowledge
-from experiments.common import label_log_axes
+from experiments.page import Section
 from experiments.papers.captured import drape_specimen, rms, specimen
 from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum
 from experiments.papers.minimisers import METHODS
-from experiments.papers.study import Report, Study, run_fabrics
 from experiments.papers.transfer import ratio
 from experiments.physics import style3d
+from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.drape import DrapeResult
 from sim.hinge_laws import mean_modulus
 from sim.laws import Laws
@@ -154,12 +154,12 @@ def case(
             "ways": searches}
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics by target."""
     missing = style3d.missing("drapes of Style3D are")
-    return {"ratio": ratio(), "targets": {
+    return Result({"ratio": ratio(), "targets": {
         target: run_fabrics(case, config | {"target": target}, sources=_SOURCES, subfolder=target)
-        for target in TARGETS if not (missing and target == "style3d")}}
+        for target in TARGETS if not (missing and target == "style3d")}})
 
 
 def _secant_error(theta: list[float], truth: list[float]) -> np.ndarray:
@@ -261,11 +261,11 @@ def summarise(report: Report) -> str:
                    f"moved by at most {motion:.2f} mm in the last quarter of the simulation.")
 
 
-STUDY = Study(
-    "optimisers", "Moduli from drapes of other simulators",
+SECTION = Section(
+    "Moduli from drapes of other simulators",
     "001, section 6 (Tables 2 and 3), and 000, section 5",
     "How accurately do several optimisation methods find the moduli, and at what cost?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "DiffCloth's T-shirt (six parameters, 001, Table 3) took 4 500 time steps with L-BFGS-B and "
     "53 500 with CMA-ES, which took 1.1 to 14 times as many in its other examples; comparable in "
     "kind, as motions of its own simulator. 000 finds the bending stiffness of its own shapes "

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.dataset.plan import STARTS
-from experiments.common import ESTIMATOR_SOURCES
 from experiments.comparison import mean_curvature
+from experiments.page import Section
 from experiments.papers.captured import (
     RIG,
     capture_drape,
@@ -17,7 +17,7 @@ from experiments.papers.captured import (
     specimen,
 )
 from experiments.papers.descriptors import GridSpectrum, RingSpectrum
-from experiments.papers.study import Report, Study, run_fabrics
+from experiments.result import Config, Report, Result, run_fabrics
 from sim.material import LINEAR
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
@@ -61,11 +61,11 @@ def fabric_case(*, number: int, starts: int, edge_mm: float, seed: int) -> dict[
     return {"drapes": found, "log_alpha": plan.theta[LINEAR].tolist()}
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Drape all fabrics; identify each drape's fabric."""
-    found = run_fabrics(fabric_case, config, sources=ESTIMATOR_SOURCES)
+    found = run_fabrics(fabric_case, config)
     drapes = [one for result in found.values() for one in result["drapes"]]
-    return identification_rates(drapes, np.repeat(np.arange(len(found)), config["starts"]))
+    return Result(identification_rates(drapes, np.repeat(np.arange(len(found)), config["starts"])))
 
 
 def identification_rates(found: list[dict], fabric: np.ndarray) -> dict[str, Any]:
@@ -112,10 +112,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "recognition", "Fabric identification without a network", "000, Figure 7; 002, Figure 20",
+SECTION = Section(
+    "Fabric identification without a network", "000, Figure 7; 002, Figure 20",
     "How well do drape coefficient, folds, curvature and spectra identify a fabric?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "finds distances of spectra larger between fabrics than within one (000, Figure 7), and a "
     "network less accurate on boundary curves than on depth (002, Figure 20). Only qualitatively "
     "comparable.",

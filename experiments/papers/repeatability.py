@@ -2,7 +2,6 @@
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +13,7 @@ from drapenet.network.dataset import Maps
 from drapenet.network.model import compressed
 from drapenet.network.training import CaptureSet
 from drapenet.report.figures import COLOURS
-from experiments.common import ESTIMATOR_SOURCES, label_log_axes, load_arrays, table
+from experiments.page import Section
 from experiments.papers.captured import (
     RIG,
     NetworkEstimate,
@@ -24,9 +23,17 @@ from experiments.papers.captured import (
     infer,
     specimen,
 )
-from experiments.papers.learned import Training, load_trained, predict, train_all
 from experiments.papers.stacked_views import StackedSet, downsample
-from experiments.papers.study import Report, Study, run_fabrics
+from experiments.papers.trainings import Training, load_trained, predict, train_all
+from experiments.result import (
+    Config,
+    Report,
+    Result,
+    label_log_axes,
+    load_arrays,
+    run_fabrics,
+    table,
+)
 from sim.material import DIRECTIONS, LINEAR
 
 FACTORS = {"starts": "other start", "orientations": "same drape, other orientation",
@@ -85,9 +92,9 @@ def _network_inputs(
             "orientation": orientation}
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics with the bundled network and those of :data:`NETWORKS`."""
-    fabrics = run_fabrics(case, config, sources=ESTIMATOR_SOURCES)
+    fabrics = run_fabrics(case, config)
     learned = config["learned"] | {"workers": config["workers"]}
     trainings = {name: replace(one, steps=learned["steps"]) for name, (_, one) in NETWORKS.items()}
     results = train_all(trainings, learned)
@@ -106,7 +113,7 @@ def run(config: dict[str, Any]) -> Report:
                             else CaptureSet(maps, scale=experiment.scale, disc=False))
                 estimates, _ = predict(experiment, captures, posterior=False)
                 networks[name][factor][fabric] = estimates[:, LINEAR].tolist()
-    return {"fabrics": fabrics, "networks": networks}
+    return Result({"fabrics": fabrics, "networks": networks})
 
 
 def _variation(log_alpha: np.ndarray | list) -> np.ndarray:
@@ -183,15 +190,15 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "repeatability", "Repeatability", "002, Figures 22 and 23",
+SECTION = Section(
+    "Repeatability", "002, Figures 22 and 23",
     "How much do estimates of one fabric vary with its folds, its orientation and the camera's "
     "position?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "reports low coefficients of variation, five points higher for a network trained on one "
     "start, without a table; not comparable, because its fabrics are real and draped by hand.",
     "The fabrics have no hysteresis, which adds to the variation of real cloth. The small networks "
-    "were trained for minutes (`experiments/papers/learned.py`) and their estimates shrink "
+    "were trained for minutes (`experiments/papers/trainings.py`) and their estimates shrink "
     "towards the mean, so that their variation is smaller than their error; it is "
     "that of the stiffer and the softer yarns.",
     second_table=small_networks)

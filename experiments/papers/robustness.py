@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 
 from data.render.setups import SyntheticCapture
-from experiments.common import ESTIMATOR_SOURCES
+from experiments.page import Section
 from experiments.papers.captured import (
     capture_drape,
     drape_specimen,
@@ -19,7 +19,7 @@ from experiments.papers.captured import (
     specimen,
     spread,
 )
-from experiments.papers.study import Report, Study, run_fabrics
+from experiments.result import Config, Report, Result, run_fabrics
 from sim.material import LINEAR
 
 Rng = np.random.Generator
@@ -100,15 +100,15 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
-    found = run_fabrics(case, config, sources=ESTIMATOR_SOURCES)
+    found = run_fabrics(case, config)
     first = next(iter(found.values()))
-    return {"faults": {name: {value: {
+    return Result({"faults": {name: {value: {
         "error": rms(np.array([one[name][value][0] for one in found.values()])),
         "bias": float(np.mean([one[name][value][0] for one in found.values()])),
         "doubted": float(np.mean([one[name][value][1] > 0 for one in found.values()]))}
-        for value in values} for name, values in first.items()}}
+        for value in values} for name, values in first.items()}})
 
 
 def _unit(name: str) -> str:
@@ -168,10 +168,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "robustness", "Robustness", "002, section 7.3.2",
+SECTION = Section(
+    "Robustness", "002, section 7.3.2",
     "How does each fault of a set-up affect estimates, and do the checks detect it?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "reports reliable estimates in every orientation, without figures for other faults.",
     "Faults are tested one at a time with four views. The bias without faults arises because the "
     "network was trained with a friction torque, which these specimens do not have and which it "

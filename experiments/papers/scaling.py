@@ -1,18 +1,18 @@
 """Effect of the numbers of fabrics, drapes and training steps on the error (002, section 5.2)."""
 
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.page import Section
 from experiments.papers.captured import posterior_bound
-from experiments.papers.learned import Training, train_all
-from experiments.papers.study import Report, Study, error_cell
+from experiments.papers.trainings import Training, error_cell, train_all
+from experiments.result import Config, Report, Result
 
 _PER_FABRIC = (1, 2, 4)  # drapes
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Train with different numbers of fabrics, of drapes per fabric, and of steps."""
     steps = config["steps"]
     groups = {
@@ -21,8 +21,8 @@ def run(config: dict[str, Any]) -> Report:
         "steps": {str(n): Training(steps=n) for n in config["times"]}}
     found = train_all({f"{group} {size}": one for group, members in groups.items()
                        for size, one in members.items()}, config)
-    return {group: {size: found[f"{group} {size}"] for size in members}
-            for group, members in groups.items()}
+    return Result({group: {size: found[f"{group} {size}"] for size in members}
+            for group, members in groups.items()})
 
 
 def _errors(report: Report, group: str) -> dict[int, float]:
@@ -81,10 +81,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "scaling", "Amount of training data", "002, section 5.2",
+SECTION = Section(
+    "Amount of training data", "002, section 5.2",
     "How much do more fabrics, more drapes per fabric, and longer training reduce the error?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "uses 6 000 fabrics, eight drapes of each and twelve captures of each drape, and reports no "
     "learning curve.",
     "Sets are small and trained with one seed; intervals are over unseen fabrics, not over "

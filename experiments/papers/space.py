@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.common import label_log_axes, run_cases, table
 from experiments.comparison import compare
+from experiments.page import Section
 from experiments.papers.captured import drape_specimen, specimen
-from experiments.papers.learned import Training, train_all
-from experiments.papers.study import Report, Study, error_cell
+from experiments.papers.trainings import Training, error_cell, train_all
+from experiments.result import Config, Report, Result, label_log_axes, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.sensitivity import follow, sensitivities
@@ -72,16 +72,15 @@ def linear_case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Train on fabrics of each space, and fit the linear law."""
     measured = Path(config["table"]).is_file()
     trainings = {name: Training(name, steps=config["steps"], evaluate_table=measured)
                  for name in SPACES}
     fits = {f"linear_{k:02}": {"number": k, "edge_mm": config["linear_edge_mm"],
                                "seed": config["data_seed"]} for k in range(config["linear"])}
-    return {"spaces": train_all(trainings, config),
-            "linear": run_cases(linear_case, fits, folder=Path(config["cases"]),
-                                workers=config["workers"])}
+    return Result({"spaces": train_all(trainings, config),
+            "linear": run_cases(linear_case, fits, config)})
 
 
 def _linear(report: Report) -> dict[str, float]:
@@ -159,10 +158,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "space", "Training fabrics and the bending law", "002, section 7.5, Figure 27 and Table 3",
+SECTION = Section(
+    "Training fabrics and the bending law", "002, section 7.5, Figure 27 and Table 3",
     "From which distribution should training fabrics be drawn, and is the modulus β needed?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "a network trained on 3 650 fabrics of the subspace is as accurate as one trained on 22 000 of "
     "the full space, one trained on a sixth of the full space less so (Figure 27); displacements "
     "of the fabrics 1, 5 and 7 are 1.6, 1.4, 1.7 mm with the linear law and 1.3, 0.9, 1.7 mm with "

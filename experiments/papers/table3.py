@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.common import ESTIMATOR_SOURCES, label_log_axes
 from experiments.comparison import compare
+from experiments.page import Section
 from experiments.papers.captured import (
     along_warp,
     capture_drape,
@@ -20,8 +20,8 @@ from experiments.papers.captured import (
     specimen,
     spread,
 )
-from experiments.papers.study import Report, Study, run_fabrics
 from experiments.physics.testers import LENGTHS, add_noise
+from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
@@ -105,9 +105,9 @@ def _difference(reference: DrapeResult, other: DrapeResult, *, align: str = "non
     return [1e3 * found.displacement, 100 * found.curvature]
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
-    return {"fabrics": run_fabrics(case, config, sources=ESTIMATOR_SOURCES)}
+    return Result({"fabrics": run_fabrics(case, config)})
 
 
 def _simulated(report: Report, method: str) -> list[dict[str, Any]]:
@@ -183,10 +183,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "table3", "Simulated drapes by estimation method", "002, Table 3, Figures 21 and 25",
+SECTION = Section(
+    "Simulated drapes by estimation method", "002, Table 3, Figures 21 and 25",
     "Which estimate of the moduli gives simulated drapes closest to those of the true fabric?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "finds 1.36 mm and 4.0 % over ten real fabrics with VAE and non-linear law, 2.1 mm and 8.5 % "
     "with the cantilever; not comparable, because here all specimens are simulated.",
     "Percentages are mean differences of the mean curvature, relative to the true drape's mean "

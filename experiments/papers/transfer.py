@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.common import equilibrium_near, label_log_axes
-from experiments.comparison import compare
+from experiments.comparison import compare, equilibrium_near
+from experiments.page import Section
 from experiments.papers.captured import RIG, drape_specimen, specimen
-from experiments.papers.study import Report, Study, run_fabrics
 from experiments.physics import style3d
+from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.equivalent import equivalent_modulus
 from sim.drape import DrapeResult
 from sim.laws import Laws
@@ -96,7 +96,7 @@ def _difference(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> li
     return [1e3 * found.displacement, 100 * found.curvature]
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
     settings = {key: value for key, value in config.items() if key not in other}
@@ -105,7 +105,7 @@ def run(config: dict[str, Any]) -> Report:
         report["style3d"] = run_fabrics(
             style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
             sources=("sim", "experiments/physics/style3d.py"), subfolder="style3d")
-    return report
+    return Result(report)
 
 
 def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
@@ -171,10 +171,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "transfer", "Transfer to hinges", "002, Figure 24 and section 7.4",
+SECTION = Section(
+    "Transfer to hinges", "002, Figure 24 and section 7.4",
     "Does a fabric have the same drape in a simulator with hinges, such as ARCSim?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "finds at most 0.1 mm between three simulators that share one discrete law and mesh; not "
     "comparable, because here two laws are compared.",
     "Drapes are the equilibria nearest to the plate's, so that folds are the same; Style3D starts "

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
-from experiments.common import ESTIMATOR_SOURCES
+from experiments.page import Section
 from experiments.papers.captured import (
     capture_drape,
     drape_specimen,
@@ -17,7 +17,7 @@ from experiments.papers.captured import (
     specimen,
     spread,
 )
-from experiments.papers.study import Report, Study, run_fabrics
+from experiments.result import Config, Report, Result, run_fabrics
 from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
@@ -42,9 +42,9 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
     return result
 
 
-def run(config: dict[str, Any]) -> Report:
+def run(config: Config) -> Result:
     """Run all fabrics."""
-    found = run_fabrics(case, config, sources=ESTIMATOR_SOURCES)
+    found = run_fabrics(case, config)
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
@@ -59,7 +59,7 @@ def run(config: dict[str, Any]) -> Report:
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank.reshape(-1, 6))}
     report["bound"] = posterior_bound()
-    return report
+    return Result(report)
 
 
 def summarise(report: Report) -> str:
@@ -98,10 +98,10 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-STUDY = Study(
-    "views", "Number of views", "002, Figure 19",
+SECTION = Section(
+    "Number of views", "002, Figure 19",
     "How much does each additional view reduce the error, with realistic nuisances?",
-    run, summarise, rows, draw,
+    summarise, rows, draw,
     "chooses four views (Figure 19); the order of the errors is the same, but its losses are those "
     "of another network on other data.",
     "One network, trained with one to eight views, is used for all numbers. The fabrics are drawn "

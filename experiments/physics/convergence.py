@@ -5,7 +5,6 @@ Fabrics, starts, seeds and offsets are planned as for a dataset (:mod:`data.data
 """
 
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 from data.dataset.plan import SamplingConfig, plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
-from experiments.common import Config, Result, label_log_axes, run_cases, table
+from experiments.result import Config, Result, label_log_axes, run_cases, table
 from sim.drape import drape
 from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
@@ -97,8 +96,7 @@ def run(config: Config) -> Result:
         }
         for index in range(drapes)
     }
-    runs = list(run_cases(one_drape, cases, folder=Path(config["cases"]),
-                          workers=config["workers"]).values())
+    runs = list(run_cases(one_drape, cases, config).values())
     summary = summarise(runs)
     by_start = {start: summarise([r for r in runs if r["start"] == start]) for start in STARTS}
     print(table(

@@ -7,13 +7,12 @@ displacements are due to the meshes. The cost is that of a drape from a sine sta
 """
 
 import time
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.common import Config, Result, equilibrium_near, label_log_axes, run_cases, table
-from experiments.comparison import Draped, compare, same_folds
+from experiments.comparison import Draped, compare, equilibrium_near, same_folds
+from experiments.result import Config, Result, label_log_axes, run_cases, table
 from experiments.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -135,7 +134,7 @@ def run(config: Config) -> Result:
     counts = dict(zip(RIGS, (config["drapes"], config["discs"]), strict=True))
     cases = {f"{rig}_{i}": {"index": i, "rig": rig, **settings}
              for rig, count in counts.items() for i in range(count)}
-    found = run_cases(one_fabric, cases, folder=Path(config["cases"]), workers=config["workers"])
+    found = run_cases(one_fabric, cases, config)
     fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
                for rig, count in counts.items() if count}
     rows = {rig: summarise(results) for rig, results in fabrics.items()}

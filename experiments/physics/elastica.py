@@ -5,13 +5,11 @@ drop over reach (H/W) from the boundary-value solution, order of convergence of 
 the modulus with which a strip of hinges has the physical deflection.
 """
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from common.errors import InputError
-from experiments.common import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.equivalent import equivalent_modulus, free_end
 from sim.cantilever.tester import TIGHT
@@ -118,7 +116,6 @@ def run(config: Config) -> Result:
     unknown = set(config["meshes"]) - set(MESHES)
     if unknown:
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
-    options = {"folder": Path(config["cases"]), "workers": config["workers"]}
     meshes, laws, gammas = config["meshes"], config["laws"], sorted(config["gammas"])
     hinges = [law for law in laws if law != "midedge"]
 
@@ -128,17 +125,17 @@ def run(config: Config) -> Result:
 
     hung = run_cases(hang_series, {
         f"{law}_{mesh}": series(law, mesh) for law in laws for mesh in meshes
-    }, **options)
+    }, config)
     rates = run_cases(hang_series, {
         f"rate_{mesh}": {"mesh": mesh, "law": "midedge", "gammas": list(RATE_GAMMAS),
                          "cells": [80, 80, 80, 160], "membrane": RATE_MEMBRANE}
         for mesh in meshes
-    }, **options)
+    }, config)
     moduli = run_cases(equivalents, {
         equivalent_case(law, mesh, edge, gamma):
             {"mesh": mesh, "law": law, "edge": edge, "gamma": gamma}
         for law in hinges for mesh in meshes for edge, gamma in EQUIVALENT_PAIRS
-    }, **options)
+    }, config)
 
     deviations = {
         law: {mesh: [_at(hung[f"{law}_{mesh}"]["rows"], gamma) for gamma in gammas]

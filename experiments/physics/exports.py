@@ -16,8 +16,8 @@ import numpy as np
 from drapenet.export.formats import export
 from drapenet.export.material import GAMMA, MESHES, read_material
 from drapenet.result.content import SCHEMA, SCHEMA_VERSION
-from experiments.common import Config, Result, table
 from experiments.physics import style3d
+from experiments.result import Config, Result, table
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
 from sim.cantilever.equivalent import free_end
 from sim.material import DIRECTIONS, MICRO

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from common.errors import InputError
-from experiments.common import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases, table
 from sim.drape import drape
 from sim.energies.hysteresis import kes_fabric
 from sim.laws import Laws
@@ -90,8 +90,7 @@ def run(config: Config) -> Result:
                 label = f"{name}_{tester}" + "_membrane" * bool(membrane)
                 cases[label] = {"weight": float(row["weight_g_m2"]), "b": b, "two_hb": two_hb,
                                 "tester": tester, "membrane": membrane, "seeds": config["seeds"]}
-    results = run_cases(drape_case, cases, folder=Path(config["cases"]),
-                        workers=config["workers"])
+    results = run_cases(drape_case, cases, config)
     found = [_compared(rows[label.split("_")[0]], cases[label], result) | {"case": label}
              for label, result in results.items()]
     print(table(("fabric", "tester", "membrane", "DC measured, %", "simulated", "nodes measured",

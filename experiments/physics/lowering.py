@@ -5,7 +5,6 @@ single setting.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.common import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases, table
 from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
 from sim.energies.hysteresis import Hysteresis
 from sim.equilibrium import find_equilibrium
@@ -97,4 +96,4 @@ def run(config: Config) -> Result:
 
 
 def _run(work: Callable[..., dict], cases: dict[str, dict], config: Config) -> dict[str, dict]:
-    return run_cases(work, cases, folder=Path(config["cases"]), workers=config["workers"])
+    return run_cases(work, cases, config)

@@ -19,8 +19,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.render.shade import shade
-from experiments.common import Config, Result, equilibrium_near, load_arrays, run_cases, table
-from experiments.comparison import compare, same_folds
+from experiments.comparison import compare, equilibrium_near, same_folds
+from experiments.result import Config, Result, load_arrays, run_cases, table
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -199,17 +199,16 @@ def plot(drapes: Drapes, config: Config) -> Figure:
 def run(config: Config) -> Result:
     """Simulate all cases; print the tables."""
     folder = Path(config["cases"])
-    options = {"folder": folder, "workers": config["workers"]}
     starts = {alpha: Case(alpha, config["start_mm"]) for alpha in config["alpha"]}
     run_cases(simulate, {
         f"start_{case.name}": {**asdict(case), "seed": config["seed"], "begin": None}
-        for case in starts.values()}, **options)
+        for case in starts.values()}, config)
     drapes = Drapes(folder, run_cases(simulate, {
         case.name: {**asdict(case), "seed": config["seed"],
                     "begin": str(folder / f"start_{start.name}.npz")}
         for alpha, start in starts.items()
         for cases in (locking_cases, insensitivity_cases, scaling_cases)
-        for case in cases(alpha, config).values()}, **options))
+        for case in cases(alpha, config).values()}, config))
     found = {alpha: comparison_rows(alpha, drapes, config) for alpha in config["alpha"]}
     for alpha, questions in found.items():
         for question, rows in questions.items():

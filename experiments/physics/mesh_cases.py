@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import equilibrium_near, load_arrays
+from experiments.comparison import equilibrium_near
+from experiments.result import load_arrays
 from sim.drape import drape
 from sim.laws import Laws
 from sim.material import MICRO, Fabric

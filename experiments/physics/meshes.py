@@ -24,7 +24,6 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from data.render.shade import shade
-from experiments.common import Config, Result, load_arrays, run_cases, table
 from experiments.comparison import compare, same_folds
 from experiments.physics.mesh_cases import (
     BETA_OVER_ALPHA_MM,
@@ -37,6 +36,7 @@ from experiments.physics.mesh_cases import (
     laws_for,
     plan,
 )
+from experiments.result import Config, Result, load_arrays, run_cases, table
 from sim.measures import fold_outline
 from sim.rig import Rig
 
@@ -115,7 +115,7 @@ def run(config: Config) -> Result:
     for work, group in zip((common_start, drape_near, drape_near), zip(*plans, strict=True),
                            strict=True):
         cases = {name: settings for cases in group for name, settings in cases.items()}
-        results |= run_cases(work, cases, folder=folder, workers=config["workers"])
+        results |= run_cases(work, cases, config, folder=folder)
     finished = FinishedDrapes(folder, results)
     of_laws = [(fabric, law, config["edge_mm"])
                for fabric in fabrics for law in laws_for(fabric, config)]

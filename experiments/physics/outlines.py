@@ -24,7 +24,7 @@ from data.captures.arrays import read_arrays
 from data.dataset.options import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.common import Config, Result, load_arrays, run_cases, table
+from experiments.result import Config, Result, load_arrays, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.energies.hysteresis import Hysteresis
 from sim.laws import Laws
@@ -190,7 +190,7 @@ def run(config: Config) -> Result:
         if cases[name]["start"] in VARIED:
             cases[name] |= {"seeds": config["specimens"]}
     folder = Path(config["cases"])
-    results = run_cases(drape_case, cases, folder=folder, workers=config["workers"])
+    results = run_cases(drape_case, cases, config, folder=folder)
     means = {(name, reading): features(load_arrays(folder, name)[reading]).mean(axis=0)
              for name in cases for reading in READINGS}
     report: dict[str, Any] = {"failed": sum(result["failed"] for result in results.values())}

@@ -14,7 +14,6 @@ Errors are |forward - difference|/|difference|, and the deviation of the adjoint
 """
 
 import time
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -23,7 +22,7 @@ from matplotlib.figure import Figure
 from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.common import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
@@ -169,8 +168,7 @@ def run(config: Config) -> Result:
         }
         for k in range(config["fabrics"])
     }
-    rows = list(run_cases(one_fabric, cases, folder=Path(config["cases"]),
-                          workers=config["workers"]).values())
+    rows = list(run_cases(one_fabric, cases, config).values())
     summary = summarise(rows)
     print(table(
         ["fabric", "α, µN·m", "status", "forward", "adjoint", "drape, s", "backward"],

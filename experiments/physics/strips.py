@@ -8,16 +8,15 @@
    solutions.
 """
 
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from common.errors import InputError
-from experiments.common import Config, Result, run_cases, table
 from experiments.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
 from experiments.physics.guides import guided
 from experiments.physics.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
+from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.tester import HungStrip, bending_length
@@ -157,8 +156,7 @@ def run(config: Config) -> Result:
         f"{kind.replace(', ', '_')}_{n}": {"part": "plate", "kind": kind, "cells": n}
         for kind in PLATES for n in config["plates"]
     }
-    results = run_cases(run_case, cases, folder=Path(config["cases"]),
-                        workers=config["workers"])
+    results = run_cases(run_case, cases, config)
     parts = {
         part: [r for r, case in zip(results.values(), cases.values(), strict=True)
                if case["part"] == part]

@@ -6,7 +6,6 @@ curves are evaluated without and with noise. *Free* strips twist and curve acros
 their curves are evaluated without and with the simulated correction.
 """
 
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,8 +15,8 @@ from common.errors import InputError
 from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.common import Config, Result, run_cases, table
 from experiments.physics.guides import guided
+from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import heavy_elastica
 from sim.cantilever.fabric import METHODS, Strips, correct, estimate
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
@@ -166,7 +165,7 @@ def run(config: Config) -> Result:
         for i in range(count)
     }
     results = list(
-        run_cases(run_case, cases, folder=Path(config["cases"]), workers=config["workers"]).values()
+        run_cases(run_case, cases, config).values()
     )
     kinds = [f"{strips} {method}" for strips in ("guided", "noisy") for method in METHODS]
     kinds += ["free regression", "free table", "free corrected"]

@@ -19,7 +19,7 @@ from data.render.cameras import Camera
 from data.render.raster import rasterise
 from data.render.rays import QUARTERS, VIEWS, DepthRenderer
 from data.render.setups import Setups
-from experiments.common import Config, Result, table
+from experiments.result import Config, Result, table
 from sim.drape import drape
 from sim.rig import SQUARE_RIG
 

@@ -27,7 +27,7 @@ import httpx
 
 from common.errors import InputError
 from drapenet.service.app import EXAMPLE
-from experiments.common import ROOT, Config, Result, table
+from experiments.result import ROOT, Config, Result, table
 
 UPLOADS_BEFORE_KILL = 8  # uploads before the kill
 MAX_SECONDS = 10.0  # s, longest response time for a malformed request

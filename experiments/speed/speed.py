@@ -18,7 +18,7 @@ import numpy as np
 from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.common import Config, Result, table
+from experiments.result import Config, Result, table
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.solver.linear import available_solvers

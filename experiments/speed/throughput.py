@@ -15,7 +15,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.workers import worker_pool
-from experiments.common import Config, Result
+from experiments.result import Config, Result
 from experiments.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric

@@ -29,7 +29,7 @@ from tables import describe, place  # noqa: E402
 from common.command import command  # noqa: E402
 from common.documents import read_json  # noqa: E402
 from common.files import replace_json  # noqa: E402
-from experiments.common import REPORTS, machine  # noqa: E402
+from experiments.result import REPORTS, machine  # noqa: E402
 
 REPORT = REPORTS / "campaign.json"
 KEPT = 40  # findings of a reader that are listed

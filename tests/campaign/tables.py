@@ -6,7 +6,7 @@ from typing import Any
 from cases import FINDINGS
 
 from common.files import replace_file
-from experiments.common import table
+from experiments.result import table
 
 BEGIN, END = "<!-- campaign -->\n", "\n<!-- end of campaign -->"
 KILLS = {"kills": "SIGKILL: datasets, one to four processes",

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from common.errors import InputError
 from data.fabrics.fabrics import FabricTable, from_theta
 from data.fabrics.prior import load_prior
 from data.fabrics.prior.coordinates import Coordinates
-from experiments.__main__ import main
 from experiments.estimation.prior import (
     Split,
     compare,
@@ -60,9 +58,3 @@ def test_rows_leak_and_fabrics_do_not(theta):
     gap = by_fabric["log_likelihood_fitted"][0] - by_fabric["log_likelihood_unseen"][0]
     by_row = result["by_row"]["gaussian"]
     assert by_row["log_likelihood_fitted"][0] - by_row["log_likelihood_unseen"][0] < 0.5 * gap
-
-
-@pytest.mark.parametrize("words", [["models=[oracle]"], ["splits=0"], ["fabrics=nowhere.csv"]])
-def test_mistakes_are_refused(words):
-    with pytest.raises(InputError):
-        main(["prior", *words])

@@ -1,11 +1,8 @@
 """Study of drapes of other simulators, with Style3D if installed."""
 
-import json
-
 import numpy as np
 import pytest
 
-from common.errors import InputError
 from data.fabrics.fabrics import from_theta, to_theta
 from experiments.papers import optimisers
 from experiments.physics import style3d
@@ -41,17 +38,6 @@ def test_registration_to_the_same_mesh_is_exact_and_to_another_mesh_close():
     lowest = [one.positions[:, 2].min() for one in (shape, other)]
     assert lowest[0] == pytest.approx(lowest[1], abs=2e-3)
     assert np.abs(other.positions[other.held, 2]).max() == 0
-
-
-def test_without_newton_its_rows_are_omitted_and_the_page_reports_it(monkeypatch, capsys):
-    monkeypatch.setattr(style3d, "find_spec", lambda _: None)
-    assert style3d.missing("rows are") and style3d.INSTALL in capsys.readouterr().err
-    with pytest.raises(InputError, match="newton"):
-        style3d.require()
-    report = json.loads(optimisers.STUDY.report.read_text(encoding="utf-8"))
-    report["targets"].pop("style3d")
-    assert "left out" in optimisers.summarise(report)
-    assert not any("Style3D" in row[0] for row in optimisers.rows(report)[1])
 
 
 @pytest.mark.slow

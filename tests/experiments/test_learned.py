@@ -1,17 +1,13 @@
 """Networks of studies: inputs, outputs and training data."""
 
 import json
-from dataclasses import fields
 
 import numpy as np
 import pytest
 import torch
 
-from common.command import schema_of
-from common.errors import InputError
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS, elevations
-from experiments.papers.__main__ import main
-from experiments.papers.learned import UniformPrior, stiff_first
+from experiments.__main__ import main
 from experiments.papers.networks import (
     Classes,
     FoldNetwork,
@@ -21,6 +17,7 @@ from experiments.papers.networks import (
     output_head,
 )
 from experiments.papers.space import linear_fit
+from experiments.papers.trainings import UniformPrior, stiff_first
 from sim.drape import drape
 from sim.material import Fabric
 from sim.rig import Rig
@@ -108,27 +105,6 @@ def test_a_linear_law_is_fitted_to_a_linear_fabrics_drape():
     fabric = Fabric([60e-6, 40e-6, 50e-6], [0.0, 0.0, 0.0])
     found = linear_fit(drape(fabric, edge=0.009, seed=1, start="ring"))
     np.testing.assert_allclose(found.fabric.alpha, fabric.alpha, rtol=1e-2)
-
-
-def test_defaults_of_a_study_are_those_of_the_files_it_names():
-    heads, nested = ({field.name: field.type for field in fields(schema_of(f"study/{name}"))}
-                     for name in ("heads", "repeatability"))
-    shared = {field.name: field.type for field in fields(nested["learned"])}
-    assert heads == shared | {"classes": list[int]}
-    assert nested["starts"] is shared["drapes"] is int and shared["edge_mm"] is float
-
-
-@pytest.mark.parametrize(("words", "complaint"), [
-    (["headz"], "unknown command 'headz', perhaps heads"),
-    (["heads", "drapse=3"], "unknown key 'drapse', perhaps drapes; known keys: batch, captures"),
-    (["heads", "steps=many"], "steps=many must be a whole number"),
-    (["repeatability", "learned.drapse=3"], "learned.drapse', perhaps drapes"),
-    (["page", "out=a"], "page takes no other words"),
-])
-def test_invalid_words_are_reported_in_one_line(words, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        main(words)
-    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.slow

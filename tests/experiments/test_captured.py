@@ -1,0 +1,43 @@
+"""Estimates of simulated captures, and what is computed from them."""
+
+import numpy as np
+import pytest
+
+from experiments.papers.captured import (
+    capture_drape,
+    drape_specimen,
+    ideal_setups,
+    infer,
+    posterior_bound,
+    rms,
+    specimen,
+    spread,
+)
+from experiments.papers.recognition import DESCRIPTORS, identification_rates
+from experiments.result import read_report
+
+
+def test_the_posterior_bound_has_the_unit_of_the_errors():
+    absolute = read_report("information")["rms"]["all nuisances unknown"]["log_alpha"]
+    assert posterior_bound() * rms(spread()[:3]) == pytest.approx(absolute, rel=0.03)
+    assert read_report("views")["bound"] == pytest.approx(posterior_bound())
+
+
+def test_estimates_are_along_the_true_warp_for_all_orientations():
+    plan = specimen(4, seed=1)
+    theta = plan.theta.copy()
+    theta[:3] = np.log([120e-6, 40e-6, 15e-6])
+    theta[3:] = -1e-3
+    shape = drape_specimen(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
+    for number in range(3):
+        found = infer(capture_drape(shape, ideal_setups(), np.random.default_rng(number)))
+        assert found.theta[0] > found.theta[2] + 0.5
+
+
+def test_identification_uses_the_nearest_drape():
+    values = [0.0, 0.1, 5.0, 9.0, 8.9, 8.7]
+    found = [{name: [value] for name in DESCRIPTORS} for value in values]
+    result = identification_rates(found, np.array([0, 0, 1, 1, 2, 2]))
+    assert result["drapes"] == 6 and result["fabrics"] == 3
+    assert result["shares"]["rings"] == pytest.approx(3 / 6)  # 8.9 is nearer to 9.0 than to 8.7
+    assert result["chance"] == pytest.approx(1 / 5)

@@ -1,0 +1,205 @@
+"""The runner, its cases, and comparisons of drapes on several meshes."""
+
+import json
+import subprocess
+import sys
+from dataclasses import fields
+from importlib import import_module
+
+import numpy as np
+import perturbed
+import pytest
+
+from common.command import schema_of
+from common.configs import group_options
+from common.errors import InputError
+from experiments.__main__ import FILES, FOLDERS, main, module_of, usage
+from experiments.comparison import compare, equilibrium_near
+from experiments.estimation import information, refine_views
+from experiments.page import ORDER, PAGE, page_text
+from experiments.physics import default_mesh
+from experiments.result import (
+    EXECUTION_KEYS,
+    REPORTS,
+    ROOT,
+    read_report,
+    table,
+)
+from sim.cloth import Cloth
+from sim.drape import drape
+from sim.material import Fabric
+from sim.mesh.specimens import make_specimen
+from sim.rig import Rig
+from sim.solver.newton import NewtonOptions
+
+
+def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
+    (tmp_path / "file").touch()
+    for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
+                  ["views", f"out={tmp_path}/file/report.json"],
+                  ["views", f"cases={tmp_path}/file"], ["tree", "work=/proc/runs"]):
+        with pytest.raises(InputError, match="cannot write"):
+            main(words)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_every_experiment_has_a_folder_keys_and_a_line():
+    assert set(FILES) == set(group_options("experiment"))
+    assert {file.parent.name for file in FILES.values()} == set(FOLDERS)
+    lines = usage().splitlines()
+    for name, file in FILES.items():
+        assert callable(import_module(f"experiments.{file.parent.name}.{name}").run)
+        keys = {field.name for field in fields(schema_of(f"experiment/{name}"))}
+        assert "out" in keys
+        assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
+        (line,) = (line for line in lines if line.split()[:1] == [name])
+        assert line.endswith(".") and len(line) <= 120
+
+
+def test_the_page_is_generated_from_the_stored_reports():
+    reports = {name: read_report(name) for name in ORDER}
+    sections = {name: module_of(name).SECTION for name in ORDER}
+    assert PAGE.read_text(encoding="utf-8") == page_text(sections, reports)
+    for name in ORDER:
+        keys = {field.name for field in fields(schema_of(f"experiment/{name}"))}
+        assert keys - {*EXECUTION_KEYS} <= set(reports[name]["settings"]) <= keys
+        assert (REPORTS / f"{name}.png").is_file()
+
+
+@pytest.mark.slow
+def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output(tmp_path, capsys):
+    before = PAGE.read_bytes()
+    words = ["views", "fabrics=1", "captures=1", "edge_mm=8", "workers=1",
+             f"cases={tmp_path / 'cases'}", f"out={tmp_path / 'views.json'}"]
+    main(words)
+    first = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
+    capsys.readouterr()
+    main(words)
+    assert "to go" not in capsys.readouterr().out
+    again = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
+    assert again["views"] == first["views"] and PAGE.read_bytes() == before
+
+
+@pytest.mark.parametrize(("words", "complaint"), [
+    (["elastika"], "elastica"), (["information", "pixel=1"], "pixels"),
+    (["elastica", "gammas=many"], "gammas"), (["meshes", "fabrics=[silk]"], "silk"),
+    (["views", "workers=0", "cases=/tmp/none"], "workers=0"), (["render", "repeats=0"], "repeats"),
+    (["prior", "models=[oracle]"], "oracle"), (["prior", "fabrics=nowhere.csv"], "nowhere"),
+    (["repeatability", "learned.drapse=3"], "drapes"), (["page", "out=a"], "out=a"),
+])
+def test_invalid_words_are_reported_in_one_line(words, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        main(words)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_command_lists_the_experiments_and_shows_keys():
+    listed, shown = (subprocess.run([sys.executable, "-m", "experiments", *words], cwd=ROOT,
+                                    capture_output=True, text=True, check=True).stdout
+                     for words in ([], ["information", "--help"]))
+    assert listed.startswith("Run an experiment.")
+    assert shown.startswith(information.__doc__.splitlines()[0]) and "\npixels: 100.0  #" in shown
+
+
+def test_table_is_aligned():
+    lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
+    assert lines[2] == "| long name | 1.23 |"
+    assert len({len(line) for line in lines}) == 1
+
+
+@pytest.mark.slow
+def test_worker_processes_are_timed_against_one_core(tmp_path):
+    out = tmp_path / "throughput.json"
+    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
+    found = json.loads(out.read_text())
+    assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
+    rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
+    assert found["ratio"] == pytest.approx(rates[0] / rates[1])
+
+
+@pytest.fixture(scope="module")
+def draped():
+    return drape(Fabric(np.full(3, 40e-6)), edge=8e-3, seed=2)
+
+
+def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
+    for edge, low, high in ((8e-3, 0.0, 1e-6), (6e-3, 1e-4, 5e-3)):
+        specimen = make_specimen(Rig(), edge=edge, topology=2)
+        found = equilibrium_near(draped.rest, draped.positions, specimen, Rig(), draped.fabric)
+        shape = default_mesh.Shape(specimen, found.state.positions)
+        assert found.converged
+        assert low <= compare(draped, shape).displacement < high
+
+
+def test_the_fine_mesh_has_four_times_the_triangles(draped):
+    specimen = default_mesh.fine_specimen(Rig(), draped, topology=2)
+    assert len(specimen.mesh.faces) >= 4 * len(draped.faces)
+    rim = np.flatnonzero(specimen.held[specimen.mesh.edges].all(axis=1)
+                         & (np.linalg.norm(specimen.mesh.rest[specimen.mesh.edges], axis=2)
+                            > 0.999 * Rig().plate_radius).all(axis=1))
+    ends = specimen.mesh.rest[specimen.mesh.edges[rim]]
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(4e-3, rel=0.05)
+
+
+def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
+    def row(apart: float, cost: float, *, folds: bool = True, converged: bool = True) -> dict:
+        return {"mesh": "3", "apart_mm": apart, "same_folds": folds, "converged": converged,
+                "cpu_seconds": cost}
+
+    rows = row(0.6, 1.0), row(1.0, 2.0), row(9.0, 3.0, folds=False), row(8.0, 6.0, converged=False)
+    (found,) = default_mesh.summarise([{"meshes": [one]} for one in rows])
+    assert found["same_folds"] == 2 and found["within_limit"] == 1
+    assert found["mean_mm"] == pytest.approx(0.8) and found["largest_mm"] == 1.0
+    assert found["mean_cpu_seconds"] == pytest.approx(3.0)
+
+
+def test_the_axes_of_bounds_can_be_read():
+    for axes in information.draw(read_report("information")).axes:
+        low, high = axes.get_ylim()
+        assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
+
+
+def test_posteriors_are_judged_by_errors_and_coverage():
+    rng = np.random.default_rng(0)
+    scale = np.array([0.1] * 3 + [1e-3] * 3)
+    middle = rng.standard_normal((400, 6)) * scale
+    truth = middle + rng.standard_normal((400, 6)) * scale
+    samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
+    found = refine_views.posterior_errors(truth, samples)
+    assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
+    assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
+    assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
+    assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)
+
+
+def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
+    out = tmp_path / "meshes.json"
+    main(["meshes", "fabrics=[stiff]", "laws=[midedge]", "edge_mm=4", "refinement_mm=8,4",
+          "start_mm=4", f"cases={tmp_path / 'cases'}", f"out={out}"])
+    content = json.loads(out.read_text(encoding="utf-8"))
+    coarse, fine = content["spacings"][:3], content["spacings"][3:]
+    assert fine == content["meshes"]
+    assert {row["edge_mm"] for row in coarse} == {8.0}
+    # The coarser the mesh, the more the drape depends on it.
+    assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
+    largest = [f"{max(row['mean_mm'] for row in rows):.2f}" for rows in (coarse, fine)]
+    cells = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["|", "stiff", "|", largest[0], "|", largest[1], "|"] in cells
+
+
+def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_listed(draped):
+    scene = draped.scene
+    potential = Cloth(scene, draped.fabric).potential
+    stop = NewtonOptions(max_iterations=0)
+    moves = [perturbed.Perturbation(seed, 1e-9).minimise(potential, draped.state.q, stop).q
+             - draped.state.q for seed in (None, 0, 0, 1)]
+    assert not moves[0].any() and np.array_equal(moves[1], moves[2])
+    assert not np.array_equal(moves[1], moves[3])
+    coordinates = moves[1][: 3 * len(draped.rest)].reshape(-1, 3)
+    assert not coordinates[scene.held].any()
+    assert coordinates[~scene.held].std() == pytest.approx(1e-9, rel=0.1)
+    plain = {"a": "passed", "b": "passed", "c": "failed"}
+    runs = [plain, plain | {"b": "failed"}, plain | {"b": "failed", "c": "passed"}]
+    assert perturbed.compare(plain, runs) == {
+        "b": {"unperturbed": "passed", "perturbed": {"passed": 1, "failed": 2}},
+        "c": {"unperturbed": "failed", "perturbed": {"failed": 2, "passed": 1}}}
