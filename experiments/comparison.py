@@ -14,7 +14,7 @@ from sim.material import Fabric
 from sim.measures import fold_angles
 from sim.mesh import Mesh
 from sim.mesh.specimens import Specimen
-from sim.scene import Rig
+from sim.rig import Rig
 from sim.start import interpolate_positions
 
 ALIGNMENTS = ("none", "turn", "rigid")
