@@ -5,19 +5,16 @@ not depend on the process that simulates it or on interruptions. A borrowed init
 also on the outcomes of earlier drapes of the shard.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import lru_cache
 
 import numpy as np
 
 from common.errors import InputError
 from data.fabrics.nuisances import NuisanceConfig, Nuisances
-from data.fabrics.prior import Prior, prior_content, prior_from_content, sample_admissible
+from data.fabrics.prior import Prior, is_soft, sample_admissible
 from data.testers import MIN_OVERHANG, PLATES, SIZES, named_tester
-from sim.material import MICRO
 from sim.rig import SQUARE_RIG, Rig
 from sim.start import LOWERED
 from sim.start import STARTS as SHAPES
@@ -26,9 +23,6 @@ STARTS = (LOWERED, *SHAPES)
 """Initial states that need no other drape."""
 BORROWED = "borrowed"
 """The initial state is an earlier drape of another fabric in the same shard."""
-SOFT = 4e-6
-"""N·m at 300 g/m²: a fabric is soft if the geometric mean of its three alphas is below it."""
-_COUNT_SAMPLES = 20_000  # samples of a prior from which its share of soft fabrics is estimated
 _MAX_SOFT_SHARE = 0.5
 
 
@@ -61,8 +55,8 @@ class SamplingConfig:
             else its marked face is up.
         drift: standard deviation of the specimen's offset from the plate's axis, m, along warp
             and weft each.
-        soft_share: share of fabrics that are drawn from the soft ones of the prior (:data:`SOFT`);
-            the others are drawn from the full prior.
+        soft_share: share of fabrics that are drawn from the soft ones of the prior, see
+            :func:`data.fabrics.prior.is_soft`; the others are drawn from the full prior.
         nuisances: their distributions.
     """
 
@@ -205,27 +199,11 @@ def draw_fabric(
     theta, rejected = sample_admissible(prior, rng)
     if not soft_share:
         return theta, rejected, 1.0
-    usual = _share_of_soft(json.dumps(prior_content(prior)))
-    if not usual:
-        raise InputError(f"soft_share={soft_share:g}: none of {_COUNT_SAMPLES} samples of the "
-                         f"prior is soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     if rng.random() < soft_share:
-        while not _is_soft(theta):
+        while not is_soft(theta):
             theta, more = sample_admissible(prior, rng)
             rejected += more
-    return theta, rejected, 1 / (1 - soft_share + soft_share * _is_soft(theta) / usual)
-
-
-def _is_soft(theta: np.ndarray) -> np.ndarray:
-    """Whether theta (..., 6) is a soft fabric."""
-    return theta[..., :3].mean(axis=-1) < np.log(SOFT)
-
-
-@lru_cache(maxsize=4)
-def _share_of_soft(content: str) -> float:
-    """Share of soft fabrics in the prior with the JSON ``content``."""
-    prior = prior_from_content(json.loads(content), origin="the prior")
-    return float(_is_soft(prior.sample(_COUNT_SAMPLES, np.random.default_rng(0))).mean())
+    return theta, rejected, 1 / (1 - soft_share + soft_share * is_soft(theta) / prior.soft_share)
 
 
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:

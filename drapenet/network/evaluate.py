@@ -27,11 +27,10 @@ from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
 from data.dataset.generate import generate_dataset
 from data.dataset.options import Options, config_from_options
-from data.dataset.plan import SOFT
 from data.dataset.simulate import DatasetConfig
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.nuisances import NuisanceConfig
-from data.fabrics.prior.table import TablePrior
+from data.fabrics.prior import TablePrior, is_soft
 from drapenet.config import EvaluateConfig
 from drapenet.network.checkpoint import Header, bundled, load_model, read_header
 from sim.rig import Rig
@@ -89,7 +88,7 @@ CELLS: dict[str, Cell] = {
     "membrane / 3": Cell("membrane / 3"),
     "hysteresis above 25 %": Cell(
         rows=lambda maps: maps.nuisance("hysteresis") > _HIGH_HYSTERESIS),
-    "soft fabrics": Cell(rows=lambda maps: maps.theta[:, :3].mean(axis=1) < np.log(SOFT)),
+    "soft fabrics": Cell(rows=lambda maps: is_soft(maps.theta)),
 }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, Nuisances
-from data.fabrics.prior.gaussian import GaussianPrior
+from data.fabrics.prior import GaussianPrior
 from sim.energies.hysteresis import Hysteresis
 from sim.laws import Laws
 from sim.material import MICRO, Fabric

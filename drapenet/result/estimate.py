@@ -12,7 +12,7 @@ import numpy as np
 
 from data.captures.capture import Capture
 from data.fabrics.fabrics import fabric_from_theta, from_theta
-from data.fabrics.prior.gaussian import GaussianPrior
+from data.fabrics.prior import GaussianPrior
 from drapenet.network.checkpoint import Header
 from sim.material import (
     DIRECTIONS,

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from data.fabrics.fabrics import from_theta
-from data.fabrics.prior import load_prior
-from data.fabrics.prior.gaussian import GaussianPrior
+from data.fabrics.prior import GaussianPrior, load_prior
 from drapenet.result.content import Result, to_json
 from drapenet.result.estimate import Estimate
 from sim.material import LINEAR, REFERENCE_DENSITY, STIFF_SOFT, SWAPPED, is_admissible

@@ -22,15 +22,14 @@ from data.dataset.manifest import finished_manifest, json_digest
 from data.dataset.options import Options, config_from_options
 from data.dataset.splits import split_by_fabric
 from data.fabrics.fabrics import read_fabric_table
-from data.fabrics.prior import load_prior
-from data.fabrics.prior.base import Stored
-from data.fabrics.prior.table import TablePrior
+from data.fabrics.prior import Prior, TablePrior, load_prior
 from drapenet.config import ModelConfig, TrainConfig
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import rms_with_interval
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI, TargetScale
 from drapenet.network.training import CaptureSet, fit, make_optimizer
+from experiments.estimation.prior import MixturePrior
 from experiments.papers.networks import (
     COMPONENTS,
     FoldNetwork,
@@ -50,7 +49,7 @@ DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "starts": ("start_drapes", 1, ("dataset.starts_per_fabric=4",
                                    "dataset.starts=[sine,fold,ring]")),
     "vae": ("other_drapes", 2, ("dataset.soft_share=0",)),
-    "mixture": ("other_drapes", 3, ("prior=mixture", "dataset.soft_share=0")),
+    "mixture": ("other_drapes", 3, ("dataset.soft_share=0",)),
     "uniform": ("other_drapes", 4, ("dataset.soft_share=0",)),
     "table": ("table_drapes", 5, ("dataset.soft_share=0",)),
 }
@@ -93,8 +92,8 @@ class Training:
     evaluate_table: bool = False
 
 
-@dataclass(frozen=True)
-class UniformPrior(Stored):
+@dataclass(frozen=True, eq=False)
+class UniformPrior(Prior):
     """Uniform distribution of theta between ``low`` (6,) and ``high`` (6,)."""
 
     low: np.ndarray
@@ -140,9 +139,10 @@ def make_drapes(name: str, config: dict[str, Any]) -> str:
     if name == "uniform":
         fabrics = load_prior("vae").sample(_BOX_SAMPLES, np.random.default_rng(0))
         dataset = replace(dataset, prior=UniformPrior.around(fabrics))
-    if name == "table":
+    if name in ("table", "mixture"):
         fabrics = read_fabric_table(config["table"]).theta
-        dataset = replace(dataset, prior=TablePrior(fabrics))
+        prior = TablePrior(fabrics) if name == "table" else MixturePrior.fit(fabrics)
+        dataset = replace(dataset, prior=prior)
     return generate_dataset(dataset, drapes_folder(name, config), workers=config["workers"])["hash"]
 
 

@@ -3,9 +3,9 @@ import pytest
 
 from common.errors import InputError
 from data.dataset.options import Options, config_from_options
-from data.dataset.plan import SOFT, SamplingConfig, plan_drape
+from data.dataset.plan import SamplingConfig, draw_fabric, plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
-from data.fabrics.prior import load_prior
+from data.fabrics.prior import TablePrior, is_soft, load_prior
 from sim.laws import Laws
 from sim.mesh.specimens import make_specimen
 from sim.rig import DISC_RIG, Rig
@@ -80,14 +80,14 @@ def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nomin
 
 
 def test_weights_give_the_prior_back():
-    config = SamplingConfig(starts_per_fabric=1, soft_share=0.3)
-    plans = [plan_drape(k, config=config, prior=load_prior("gaussian")) for k in range(1500)]
-    soft = np.array([p.theta[:3].mean() < np.log(SOFT) for p in plans])
-    usual = load_prior("gaussian").sample(20_000, np.random.default_rng(3))[:, :3].mean(axis=1)
-    usual = np.mean(usual < np.log(SOFT))
-    weights = np.array([p.weight for p in plans])
-    assert soft.mean() == pytest.approx(0.3 + 0.7 * usual, abs=0.04)
-    assert (weights * soft).mean() == pytest.approx(usual, rel=0.2)
+    theta = load_prior("gaussian").sample(2000, np.random.default_rng(3))
+    prior, rng = TablePrior(theta), np.random.default_rng(4)
+    draws = [draw_fabric(prior, rng, soft_share=0.3) for _ in range(1500)]
+    soft = np.array([is_soft(fabric) for fabric, _, _ in draws])
+    weights = np.array([weight for _, _, weight in draws])
+    share = is_soft(theta).mean()
+    assert soft.mean() == pytest.approx(0.3 + 0.7 * share, abs=0.04)
+    assert (weights * soft).mean() == pytest.approx(share, rel=0.2)
     assert weights.mean() == pytest.approx(1, abs=0.05)
 
 

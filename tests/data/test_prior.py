@@ -1,70 +1,100 @@
+"""Priors of fabrics: samples, fits, files and the command that fits one."""
+
+import base64
 import json
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from safetensors.numpy import load, save
 
 from common.errors import InputError
 from data.fabrics.fabrics import TABLE_COLUMNS, from_theta, read_fabric_table
-from data.fabrics.prior import MODELS, GaussianPrior, load_prior, sample_admissible, save_prior
+from data.fabrics.prior import (
+    BUNDLED,
+    MODELS,
+    SIGMA_MIDDLE,
+    SIGMA_REACH,
+    Architecture,
+    Coordinates,
+    GaussianPrior,
+    TablePrior,
+    VaePrior,
+    load_prior,
+    plausible_range,
+    prior_content,
+    prior_from_content,
+    sample_admissible,
+    save_prior,
+)
 from data.fabrics.prior.__main__ import main
-from data.fabrics.prior.table import TablePrior
-from sim.material import is_admissible
+from sim.material import is_admissible, plate_constants, torque
 
-TABLE = Path(__file__).parents[2] / ".." / "shared" / "fabrics" / "feng2022_train.csv"
+TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"
 needs_table = pytest.mark.skipif(not TABLE.exists(), reason="the fabric table is not here")
+BUNDLED_SAMPLES = [
+    [-11.091846259595, -10.351344689846, -11.252473064778,
+     -0.004254547201, -0.003956803517, -0.004009851007],
+    [-10.376505109932, -10.334575213839, -10.529027655398,
+     -0.001930066245, -0.002557332901, -0.002677146884],
+]
+SMALL = Architecture((8, 6), 2, steps=60)
+
+
+@pytest.fixture(scope="module")
+def theta():
+    """120 fabrics drawn from the bundled Gaussian, with one outlier."""
+    fabrics = load_prior("gaussian").sample(120, np.random.default_rng(0))
+    fabrics[7, 3] = 0.04
+    return fabrics
+
+
+@pytest.fixture(scope="module")
+def vae(theta):
+    return VaePrior.fit(theta, architecture=SMALL)
 
 
 @pytest.fixture
-def prior():
+def gaussian():
     return load_prior("gaussian")
 
 
-def test_bundled_prior_describes_real_fabrics(prior):
-    alpha, _ = from_theta(prior.mean)
-    assert prior.fabrics == 201
+@pytest.fixture(params=["gaussian", "vae", "table"])
+def prior(request, theta):
+    return TablePrior(theta) if request.param == "table" else request.getfixturevalue(request.param)
+
+
+def test_bundled_prior_describes_real_fabrics(gaussian):
+    alpha, _ = from_theta(gaussian.mean)
+    assert gaussian.fabrics == 201
     assert (alpha > 10e-6).all() and (alpha < 30e-6).all()
-    ratio = prior.sample(4000, np.random.default_rng(0))[:, 3:]
+    ratio = gaussian.sample(4000, np.random.default_rng(0))[:, 3:]
     # Nearly all fabrics soften, by a beta/alpha of a few millimetres.
     assert (ratio < 0).mean() > 0.96
     assert (np.abs(np.median(ratio, axis=0) + 2.65e-3) < 0.2e-3).all()
 
 
-def test_samples_have_the_mean_and_covariance(prior):
-    theta = prior.sample(40_000, np.random.default_rng(1))
-    deviation = np.sqrt(np.diag(prior.covariance))
-    assert (np.abs(theta.mean(axis=0) - prior.mean) < 0.03 * deviation).all()
+def test_samples_have_the_mean_and_covariance(gaussian):
+    theta = gaussian.sample(40_000, np.random.default_rng(1))
+    deviation = np.sqrt(np.diag(gaussian.covariance))
+    assert (np.abs(theta.mean(axis=0) - gaussian.mean) < 0.03 * deviation).all()
     scale = np.outer(deviation, deviation)
-    assert np.abs((np.cov(theta.T) - prior.covariance) / scale).max() < 0.03
+    assert np.abs((np.cov(theta.T) - gaussian.covariance) / scale).max() < 0.03
 
 
-def test_samples_are_reproducible_and_extend(prior):
-    long = prior.sample(5, np.random.default_rng(3))
-    np.testing.assert_array_equal(long[:2], prior.sample(2, np.random.default_rng(3)))
-
-
-def test_log_likelihood_is_the_normal_density(prior):
-    theta = prior.sample(7, np.random.default_rng(2))
-    expected = multivariate_normal(prior.mean, prior.covariance).logpdf(theta)
-    np.testing.assert_allclose(prior.log_likelihood(theta), expected, rtol=1e-9)
-
-
-def test_fit_recovers_a_gaussian_and_shrugs_off_an_outlier(prior):
-    theta = prior.sample(3000, np.random.default_rng(4))
+def test_fit_recovers_a_gaussian_and_shrugs_off_an_outlier(gaussian):
+    theta = gaussian.sample(3000, np.random.default_rng(4))
     clean = GaussianPrior.fit(theta)
     theta[0, 3] = 0.5  # half a metre: a broken measurement
     spoilt = GaussianPrior.fit(theta)
-    deviation = np.sqrt(np.diag(prior.covariance))
+    deviation = np.sqrt(np.diag(gaussian.covariance))
     for fitted in (clean, spoilt):
-        assert (np.abs(fitted.mean - prior.mean) < 0.08 * deviation).all()
+        assert (np.abs(fitted.mean - gaussian.mean) < 0.08 * deviation).all()
         ratio = np.sqrt(np.diag(fitted.covariance)) / deviation
         assert (ratio > 0.9).all() and (ratio < 1.05).all()
-
-
-def test_fit_needs_more_fabrics_than_parameters(prior):
-    with pytest.raises(InputError, match="at least 7"):
-        GaussianPrior.fit(prior.mean[None].repeat(6, axis=0))
 
 
 @pytest.mark.parametrize("spoil", [
@@ -72,17 +102,87 @@ def test_fit_needs_more_fabrics_than_parameters(prior):
     lambda theta: theta[:, [0, 1, 0, 3, 4, 3]],  # alike along warp and weft
     lambda theta: np.column_stack([theta[:, :5], -2e-3 * (1 + 1e-16 * theta[:, 0])]),
 ])
-def test_fit_refuses_fabrics_that_do_not_differ_in_everything(prior, spoil):
-    theta = spoil(prior.sample(30, np.random.default_rng(5)))
+def test_fit_refuses_fabrics_that_do_not_differ_in_everything(gaussian, spoil):
+    theta = spoil(gaussian.sample(30, np.random.default_rng(5)))
     with pytest.raises(InputError, match=r"fabrics of the table do not differ .* beta_over_alpha"):
         GaussianPrior.fit(theta)
 
 
-def test_save_and_load(prior, tmp_path):
+def test_coordinates_are_standardised_and_invert(theta):
+    coordinates, points = Coordinates.fit(theta)
+    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(points.std(axis=0), 1)
+    np.testing.assert_allclose(coordinates.decode(coordinates.encode(theta)), theta, rtol=1e-9)
+
+
+def test_an_outlier_is_clipped_and_clipping_twice_changes_nothing(theta):
+    low, high = plausible_range(theta)
+    assert high[3] < 0.01 < theta[7, 3]
+    drawn = np.clip(theta, low, high)
+    assert (drawn != theta).sum() < 5
+    np.testing.assert_allclose(plausible_range(drawn), (low, high), rtol=1e-9)
+
+
+def linear_vae(coordinates: Coordinates, rng: np.random.Generator, *, exact: bool):
+    """An autoencoder of linear layers, whose fabrics are normally distributed, and that normal
+    distribution's covariance; its encoder is the exact one, or one that is off."""
+    latent = 2
+    mixing = rng.normal(0, 0.8, (6, latent))
+    sigma = rng.uniform(0.4, 0.8, 6)
+    output = np.arctanh((np.log(sigma) - SIGMA_MIDDLE) / SIGMA_REACH)
+    precision = np.eye(latent) + (mixing.T / sigma**2) @ mixing
+    # The exact posterior is correlated; axes along which it is not make it one of the family.
+    turn = np.linalg.eigh(precision)[1]
+    mixing = mixing @ turn
+    variance = 1 / np.diag(np.eye(latent) + (mixing.T / sigma**2) @ mixing)
+    gain = variance[:, None] * (mixing.T / sigma**2)
+    if not exact:
+        gain, variance = 0.7 * gain, 1.6 * variance
+    weights = {
+        "encoder.0.weight": np.vstack([gain, np.zeros((latent, 6))]),
+        "encoder.0.bias": np.concatenate([np.zeros(latent), np.log(variance)]),
+        "decoder.0.weight": np.vstack([mixing, np.zeros((6, latent))]),
+        "decoder.0.bias": np.concatenate([np.zeros(6), output]),
+    }
+    weights = {name: array.astype(np.float32) for name, array in weights.items()}
+    prior = VaePrior(coordinates=coordinates, weights=weights, fabrics=100, shift=0.0,
+                     spread=(1.0, 1.0))
+    return prior, mixing @ mixing.T + np.diag(sigma**2)
+
+
+def test_samples_of_a_vae_are_its_model_and_widening_widens_its_latents(theta):
+    coordinates = Coordinates.fit(theta)[0]
+    prior, covariance = linear_vae(coordinates, np.random.default_rng(3), exact=True)
+    mixing = prior.weights["decoder.0.weight"][:6].astype(float)
+    # Variance of the mean, 1/12; mean of the squared deviation, 1 + 0.4²/12.
+    widened_covariance = covariance + (1 / 12 + 0.4**2 / 12) * mixing @ mixing.T
+    widened = replace(prior, shift=0.5, spread=(0.8, 1.2))
+    for model, expected in ((prior, covariance), (widened, widened_covariance)):
+        points = coordinates.encode(model.sample(20_000, np.random.default_rng(6)))
+        deviation = np.sqrt(np.diag(expected))
+        difference = (np.cov(points.T) - expected) / np.outer(deviation, deviation)
+        assert np.abs(difference).max() < 0.03  # three standard errors; widening adds 0.09
+
+
+def test_samples_are_reproducible_and_extend(vae, gaussian):
+    rng = np.random.default_rng(3)
+    one_by_one = np.vstack([vae.sample(1, rng) for _ in range(6)])
+    np.testing.assert_array_equal(vae.sample(6, np.random.default_rng(3)), one_by_one)
+    np.testing.assert_array_equal(gaussian.sample(5, np.random.default_rng(3))[:2],
+                                  gaussian.sample(2, np.random.default_rng(3)))
+
+
+def test_training_repeats_and_depends_on_the_seed(theta, vae):
+    assert prior_content(VaePrior.fit(theta, architecture=SMALL)) == prior_content(vae)
+    assert prior_content(VaePrior.fit(theta, architecture=SMALL, seed=1)) != prior_content(vae)
+
+
+def test_files_are_read_back_bit_by_bit(prior, tmp_path):
     save_prior(prior, tmp_path / "deep" / "p.json")
-    loaded = load_prior(tmp_path / "deep" / "p.json")
-    np.testing.assert_array_equal(loaded.mean, prior.mean)
-    np.testing.assert_array_equal(loaded.covariance, prior.covariance)
+    again = load_prior(tmp_path / "deep" / "p.json")
+    assert prior_content(again) == prior_content(prior)
+    np.testing.assert_array_equal(again.sample(5, np.random.default_rng(1)),
+                                  prior.sample(5, np.random.default_rng(1)))
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["p.json"]
 
 
@@ -103,23 +203,60 @@ def test_save_and_load(prior, tmp_path):
         ({"covariance": (np.eye(6) * np.nan).tolist()}, "not a JSON document"),
     ],
 )
-def test_bad_priors_are_refused_in_one_line(prior, tmp_path, change, complaint):
+def test_bad_gaussians_are_refused_in_one_line(gaussian, tmp_path, change, complaint):
     path = tmp_path / "p.json"
-    save_prior(prior, path)
+    save_prior(gaussian, path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError, match=complaint) as refusal:
         load_prior(path)
     assert "\n" not in str(refusal.value) and str(path) in str(refusal.value)
 
 
-def test_a_table_of_fabrics_is_a_prior(prior, tmp_path):
-    table = TablePrior(prior.sample(3, np.random.default_rng(0)))
-    save_prior(table, tmp_path / "table.json")
-    np.testing.assert_array_equal(load_prior(tmp_path / "table.json").theta, table.theta)
-    file = tmp_path / "table.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"theta": [[0.0] * 5]}))
-    with pytest.raises(InputError, match="theta: give K × 6 finite numbers"):
-        load_prior(file)
+def changed_weights(vae, change):
+    weights = load(base64.b64decode(vae.as_dict()["weights"]))
+    change(weights)
+    return {"weights": base64.b64encode(save(weights)).decode()}
+
+
+@pytest.mark.parametrize(("change", "complaint"), [
+    (lambda vae: {"weights": "AAAA"}, "must be base64 of a safetensors"),
+    (lambda vae: {"weights": "ä"}, "must be base64 of a safetensors"),
+    (lambda vae: {"weights": None}, "must be base64 of a safetensors"),
+    (lambda vae: {"coordinates": None}, "coordinates: "),
+    (lambda vae: {"coordinates": {"mean": [0] * 6, "scale": [0] * 6}}, "must be positive"),
+    (lambda vae: {"fabrics": -1}, "fabrics: "),
+    (lambda vae: {"shift": -1}, "shift: "),
+    (lambda vae: {"shift": 1e308}, "shift: "),
+    (lambda vae: {"spread": [1.2, 0.8]}, "spread: "),
+    (lambda vae: changed_weights(vae, lambda w: w.pop("decoder.1.bias")), "6 numbers"),
+    (lambda vae: changed_weights(vae, lambda w: w.clear()), "6 numbers"),
+    (lambda vae: changed_weights(vae, lambda w: w.update(more=np.ones(2, np.float32))),
+     "6 numbers"),
+    (lambda vae: changed_weights(
+        vae, lambda w: w.update({"encoder.0.weight": np.ones((3, 3), np.float32)})), "6 numbers"),
+    (lambda vae: changed_weights(
+        vae, lambda w: w.update({"encoder.0.bias": np.full(8, np.nan, np.float32)})), "finite"),
+    (lambda vae: changed_weights(
+        vae, lambda w: w.update({"encoder.0.bias": np.zeros(8)})), "float32"),
+])
+def test_bad_autoencoders_are_refused(vae, change, complaint):
+    content = prior_content(vae) | change(vae)
+    with pytest.raises(InputError, match=complaint) as refusal:
+        prior_from_content(content, origin="p.json")
+    assert "\n" not in str(refusal.value)
+
+
+def test_negative_zero_is_no_shift(vae):
+    zero, negative = (prior_from_content(prior_content(vae) | {"shift": shift}, origin="p.json")
+                      for shift in (0.0, -0.0))
+    draws = [prior.sample(3, np.random.default_rng(1)) for prior in (zero, negative)]
+    np.testing.assert_array_equal(*draws)
+
+
+def test_a_bad_table_is_refused(theta):
+    for rows in ([[0.0] * 5], []):
+        with pytest.raises(InputError, match="theta: give"):
+            prior_from_content(prior_content(TablePrior(theta)) | {"theta": rows}, origin="p.json")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000])
@@ -128,6 +265,17 @@ def test_other_files_are_not_a_prior(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError, match=r"not a prior|not a JSON document"):
         load_prior(path)
+
+
+def test_too_few_or_equal_fabrics_are_refused(theta):
+    for model, least in (("gaussian", 7), ("vae4", 20)):
+        with pytest.raises(InputError, match=f"at least {least}"):
+            MODELS[model](theta[: least - 1])
+    for shared in (21, 40):
+        fabrics = theta[:40].copy()
+        fabrics[:shared, 3] = -2e-3 * (1 + 1e-16 * np.arange(shared))  # equal but for rounding
+        with pytest.raises(InputError, match=r"more than half .* beta_over_alpha_warp"):
+            MODELS["vae4"](fabrics)
 
 
 class Reluctant:
@@ -163,19 +311,55 @@ def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
     assert out.read_text() == "a good one"
 
 
+@pytest.mark.parametrize("name", BUNDLED)
+def test_fabrics_of_the_bundled_priors_resist_bending_in_every_direction(name):
+    prior, rng = load_prior(name), np.random.default_rng(8)
+    curvature = np.linspace(1, 500, 200)  # 1/m; drapes visit some 300
+    angle = np.linspace(0, np.pi / 2, 61)
+    draws = [sample_admissible(prior, rng) for _ in range(100)]
+    assert sum(rejected for _, rejected in draws) < 0.02 * len(draws)
+    for theta, _ in draws:
+        alpha, beta = from_theta(theta)
+        for a, b in zip(alpha, beta, strict=True):
+            assert (np.diff(torque(curvature, a, b)) > 0).all() and torque(1.0, a, b) > 0
+        # Eq. 8 of Feng et al. 2022, between neighbouring sample directions, and our plate's.
+        share = np.sin(angle) ** 2
+        near_weft = alpha[2] + 2 * (1 - share) * (alpha[1] - alpha[2])
+        near_warp = alpha[0] + 2 * share * (alpha[1] - alpha[0])
+        assert np.where(angle > np.pi / 4, near_weft, near_warp).min() > 0
+        a11, a22, a12, a66 = plate_constants(alpha)
+        c, s = np.cos(angle) ** 2, share
+        assert (a11 * c**2 + a22 * s**2 + (2 * a12 + 4 * a66) * c * s).min() > 0
+
+
+def test_bundled_vae_samples_are_what_they_always_were():
+    """Datasets are named by their seeds: the same prior must go on giving the same fabrics."""
+    theta = load_prior("vae").sample(2, np.random.default_rng(0))
+    np.testing.assert_allclose(theta, BUNDLED_SAMPLES, rtol=1e-9)
+
+
+def test_reading_and_sampling_need_neither_torch_nor_scikit_learn():
+    code = ("import sys, numpy; from data.fabrics.prior import load_prior; "
+            "load_prior('vae').sample(1, numpy.random.default_rng(0)); "
+            "print(*({'torch', 'sklearn'} & set(sys.modules)))")
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                            check=True, cwd=Path(__file__).parents[2])
+    assert result.stdout.split() == []
+
+
 @needs_table
-def test_bundled_prior_is_the_fit_of_the_published_table(prior, tmp_path, capsys):
+def test_bundled_prior_is_the_fit_of_the_published_table(gaussian, tmp_path, capsys):
     main(["fit", f"fabrics={TABLE}", f"out={tmp_path / 'p.json'}", "model=gaussian"])
     fitted = load_prior(tmp_path / "p.json")
-    np.testing.assert_allclose(fitted.mean, prior.mean, rtol=1e-9)
-    np.testing.assert_allclose(fitted.covariance, prior.covariance, rtol=1e-9)
+    np.testing.assert_allclose(fitted.mean, gaussian.mean, rtol=1e-9)
+    np.testing.assert_allclose(fitted.covariance, gaussian.covariance, rtol=1e-9)
     assert "201 distinct fabrics" in capsys.readouterr().out
 
 
 @needs_table
-def test_bundled_prior_covers_the_published_fabrics(prior):
+def test_bundled_prior_covers_the_published_fabrics(gaussian):
     theta = read_fabric_table(TABLE).theta
-    white = np.linalg.solve(np.linalg.cholesky(prior.covariance), (theta - prior.mean).T)
+    white = np.linalg.solve(np.linalg.cholesky(gaussian.covariance), (theta - gaussian.mean).T)
     distance = np.sqrt((white**2).sum(axis=0))
     # 99.9 % of a Gaussian in six dimensions lie within 4.7.
     assert (distance < 4.7).mean() > 0.95

@@ -10,8 +10,7 @@ import pytest
 
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from data.fabrics.nuisances import NuisanceConfig, Nuisances
-from data.fabrics.prior import load_prior
-from data.fabrics.prior.gaussian import GaussianPrior
+from data.fabrics.prior import GaussianPrior, load_prior
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import problem as problems
