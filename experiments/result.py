@@ -92,9 +92,9 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return "\n".join(text)
 
 
-def rms(values: np.ndarray | list, axis: int | None = None) -> Any:
+def rms(values: np.ndarray | list) -> float:
     """Root mean square."""
-    return np.sqrt(np.square(values).mean(axis=axis))
+    return float(np.sqrt(np.square(values).mean()))
 
 
 def run_cases(

@@ -23,7 +23,7 @@ from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.located import locate
-from experiments.known import known_drape
+from experiments.drapes import drape_as_planned, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases, table
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
@@ -38,7 +38,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
          estimated: bool) -> dict:
     """Errors of one capture; ``failed`` has the message if no cloth was found."""
     tester = Rig.from_name(rig)
-    _, shape = known_drape(number, rig=tester, nuisances="none", edge_mm=edge_mm, seed=seed)
+    shape = drape_as_planned(plan_specimen(number, rig=tester, seed=seed), edge=1e-3 * edge_mm)
     rng = np.random.default_rng([seed, number, SENSORS.index(sensor)])
     errors = rng.uniform(-MAX_TURN_ERROR, MAX_TURN_ERROR, len(QUARTERS))
     turns = np.array(QUARTERS) + np.radians(errors)

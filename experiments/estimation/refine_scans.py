@@ -14,13 +14,13 @@ import numpy as np
 
 from common.errors import InputError
 from drapenet.network.checkpoint import bundled, read_header
+from experiments.drapes import drape_as_planned, plan_specimen
 from experiments.estimation.refine_views import (
     METHODS,
-    along_warp,
     nuisance_errors,
     posterior_errors,
+    specimen_along_warp,
 )
-from experiments.known import known_drape
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
 from sim.material import REFERENCE_DENSITY, SWAPPED
 from sim.rig import DISC_RIG
@@ -36,8 +36,8 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     from drapenet.refine.scans import EDGE, register
     from drapenet.refine.surface import Cloud
 
-    plan, shape = known_drape(number, rig=DISC_RIG, nuisances="real", edge_mm=_TRUTH_MM,
-                               seed=seed)
+    plan = plan_specimen(number, rig=DISC_RIG, nuisances="real", seed=seed)
+    shape = drape_as_planned(plan, edge=1e-3 * _TRUTH_MM)
     noise = np.random.default_rng([seed, number]).normal(0, 1e-3 * noise_mm, shape.positions.shape)
     cloud = Cloud.of_mesh(shape.positions + noise, shape.faces)
     result = refine_scan(register(cloud, DISC_RIG, edge=EDGE))
@@ -45,7 +45,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     for way in () if along else METHODS:  # the true warp is the x axis of the scan
         arrays[way] = arrays[way][:, SWAPPED]
     return result | {"truth": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
-                     "specimen": along_warp(result["refined"]["specimen"], along)}
+                     "specimen": specimen_along_warp(result["refined"]["specimen"], along)}
 
 
 def refine_scan(scan: "Registered") -> dict:

@@ -17,24 +17,31 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.configs import read_option
-from data.captures.capture import Capture
 from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
-from drapenet.network.checkpoint import bundled, read_header
 from drapenet.network.posterior import inside, ranks
 from experiments.comparison import same_folds
-from experiments.known import CLEAN, known_drape
+from experiments.drapes import (
+    CLEAN,
+    along_warp,
+    as_read,
+    capture_drape,
+    drape_as_planned,
+    header,
+    plan_specimen,
+)
 from experiments.result import (
     ESTIMATOR,
     Config,
     Result,
     label_log_axes,
     load_arrays,
+    rms,
     run_cases,
     table,
 )
 from sim.drape import drape
-from sim.material import LINEAR, MICRO, RATIO, REFERENCE_DENSITY, SWAPPED
+from sim.material import LINEAR, MICRO, RATIO
 from sim.measures import fold_outline
 from sim.rig import Rig
 
@@ -50,17 +57,15 @@ def case(
     from drapenet.result.estimate import make_estimate
 
     tester = Rig.from_name(rig)
-    plan, shape = known_drape(number, rig=tester, nuisances=nuisances, edge_mm=truth_mm, seed=seed)
+    plan = plan_specimen(number, rig=tester, nuisances=nuisances, seed=seed)
+    shape = drape_as_planned(plan, edge=1e-3 * truth_mm)
     setups = Setups.load("real")
     if nuisances == "none":
         setups = replace(setups, **CLEAN)
-    seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, number]),
-                          rig=tester)
-    capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
-                      Path(), ())
-    header = read_header(bundled(tester))
+    synthetic = capture_drape(shape, setups, np.random.default_rng([seed, number]), tester)
+    capture = as_read(synthetic, tester)
     known = {"membrane": 200.0} if nuisances == "none" else {}
-    inferred = infer_capture(capture, header, **known)
+    inferred = infer_capture(capture, header(tester), **known)
     estimate = inferred.estimate
     fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
              if nuisances == "none" else {})
@@ -71,24 +76,24 @@ def case(
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}
     if refined is not None and refined.draws is not None:
-        estimates["refined"] = make_estimate(refined.draws, capture=capture, header=header)
+        estimates["refined"] = make_estimate(refined.draws, capture=capture,
+                                             header=header(tester))
     first = drape(estimate.fabric, rig=tester, seed=number)
     outlines = [fold_outline(d.positions, d.rest, tester) for d in (shape, first)]
     arrays = {}
     for name in METHODS:  # without an improvement the refined estimate is that of the network
-        one = estimates.get(name, estimate)
-        # The first yarn direction of the estimate is the nearer of the true warp and weft.
-        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
-        arrays[name] = one.samples if along else one.samples[:, SWAPPED]
-    specimen = along_warp(refined.content["specimen"] if refined else {}, along)
+        last = estimates.get(name, estimate)
+        arrays[name] = along_warp(last, synthetic.orientation)
+    specimen = specimen_along_warp(refined.content["specimen"] if refined else {},
+                                   math.cos(2 * (last.axis - synthetic.orientation)) >= 0)
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
             "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
-            "views": len(seen.views), "gained": "refined" in estimates,
+            "views": len(synthetic.views), "gained": "refined" in estimates,
             "status": refined.found.status.value if refined else "none",
             "spread": estimate.spread.tolist(), "arrays": arrays}
 
 
-def along_warp(specimen: dict, along: bool) -> dict:
+def specimen_along_warp(specimen: dict, along: bool) -> dict:
     """Entry ``specimen`` of ``estimate.json`` with warp and weft swapped unless ``along`` warp."""
     other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
     return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
@@ -110,7 +115,7 @@ def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
         if rows:
             error = np.array([one["median"] - truth for one, truth in rows])
             size = np.array([np.diff(one["interval_68"])[0] / 2 for one, _ in rows])
-            found[name] = {kind: float(np.sqrt(np.square(values).mean()) / deviations[name])
+            found[name] = {kind: rms(values) / deviations[name]
                            for kind, values in (("error", error), ("estimated", size))}
     return found
 
@@ -126,10 +131,10 @@ def posterior_errors(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
     places = np.concatenate([ranks(s[:, None], t[None])
                              for s, t in zip(samples, truth, strict=True)])
     return {
-        "log_alpha": float(np.sqrt(np.square(errors[:, LINEAR]).mean())),
+        "log_alpha": rms(errors[:, LINEAR]),
         "log_alpha_median": float(np.median(np.abs(errors[:, LINEAR]))),
         "log_alpha_worst_fabric": float(np.abs(errors[:, LINEAR]).mean(axis=1).max()),
-        "beta_over_alpha_mm": 1e3 * float(np.sqrt(np.square(errors[:, RATIO]).mean())),
+        "beta_over_alpha_mm": 1e3 * rms(errors[:, RATIO]),
         "inside": inside(places),
         "fabrics": len(truth),
     }

@@ -13,22 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
-from common.command import compose_config
-from data.captures.capture import Capture
-from data.dataset.options import Options, config_from_options
-from data.dataset.plan import plan_drape
-from data.fabrics.fabrics import fabric_from_theta
+from common.errors import InputError
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
-from drapenet.network.checkpoint import bundled, read_header
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import SHARED, joined
+from experiments.drapes import (
+    along_warp,
+    as_read,
+    capture_drape,
+    drape_as_planned,
+    header,
+    plan_specimen,
+)
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from experiments.estimation.refine_views import posterior_errors
-from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases, table
-from sim.drape import drape
-from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY, SWAPPED
+from experiments.result import ESTIMATOR, Config, Result, load_arrays, rms, run_cases, table
+from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
 COUNTS = (1, 2, 5)
@@ -42,30 +44,23 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
     from drapenet.inference import estimate_capture
     from experiments.estimation.bound import depth_information
 
-    words = ["nuisances=real", f"dataset.testers=[{rig}]", f"seed={seed}", "dataset.soft_share=0",
-             f"dataset.starts_per_fabric={drapes}"]
-    config = config_from_options(compose_config("generate", words, schema=Options))
     tester, setups = Rig.from_name(rig), Setups.load("real")
-    header = read_header(bundled(tester))
     arrays = {}
     for index in range(number * drapes, (number + 1) * drapes):
-        plan = plan_drape(index, config=config.sampling, prior=config.prior)
-        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(tester),
-                      edge=1e-3 * truth_mm, start=plan.start, seed=plan.seed,
-                      offset=tuple(plan.offset), laws=plan.nuisances.laws)
-        if not shape.converged:
+        plan = plan_specimen(index, f"dataset.starts_per_fabric={drapes}", rig=tester,
+                             nuisances="real", seed=seed)
+        try:
+            shape = drape_as_planned(plan, edge=1e-3 * truth_mm)
+        except InputError:  # it does not converge
             continue
-        seen = setups.capture(shape.positions, shape.faces, np.random.default_rng([seed, index]),
-                              rig=tester)
-        capture = Capture(seen.views, seen.intrinsics, seen.turns, REFERENCE_DENSITY, None, tester,
-                          Path(str(index)), ())
-        one = estimate_capture(capture, header, refine=refined, drapes=0).estimate
-        along = math.cos(2 * (one.axis - seen.orientation)) >= 0
+        synthetic = capture_drape(shape, setups, np.random.default_rng([seed, index]), tester)
+        estimate = estimate_capture(as_read(synthetic, tester), header(tester), refine=refined,
+                                    drapes=0).estimate
         found = depth_information(shape, nominal_camera(tester), nuisances=plan.nuisances,
-                                  orientation=seen.orientation)
-        arrays[f"samples_{index}"] = one.samples if along else one.samples[:, SWAPPED]
+                                  orientation=synthetic.orientation)
+        arrays[f"samples_{index}"] = along_warp(estimate, synthetic.orientation)
         arrays[f"fisher_{index}"] = found.fisher
-    return {"theta": plan.theta.tolist(), "spread": one.spread.tolist(), "names": found.names,
+    return {"theta": plan.theta.tolist(), "spread": estimate.spread.tolist(), "names": found.names,
             "arrays": arrays}
 
 
@@ -123,7 +118,7 @@ def run(config: Config) -> Result:
         least = [bound(names, fisher[k][:count]) for k in chosen]
         least = np.sqrt(np.nanmean(np.square(least), axis=0))
         summary[count] |= {
-            "bound": float(np.sqrt(np.square(least[LINEAR]).mean())),
+            "bound": rms(least[LINEAR]),
             "curl": float(least[-len(CURL_NUISANCES):].mean())}
     print(table(
         ["captures", "fabrics", "log alpha", "relative to one", "bound", "relative to one",

@@ -22,7 +22,7 @@ from data.captures.capture import write_capture
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, raw_scene
 from drapenet.result.output import DONE
-from experiments.known import known_drape
+from experiments.drapes import drape_as_planned, plan_specimen
 from experiments.result import ROOT, Config, Result
 from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
@@ -38,8 +38,8 @@ def make_tree(root: Path, *, fabrics: int, edge_mm: float, sensor: str, seed: in
         folder = root / f"fabric_{number}" / "sample_1"
         if (folder / str(SCENES)).exists():
             continue
-        _, shape = known_drape(number, rig=DISC_RIG, nuisances="real", edge_mm=edge_mm,
-                               seed=seed)
+        shape = drape_as_planned(plan_specimen(number, rig=DISC_RIG, nuisances="real", seed=seed),
+                                 edge=1e-3 * edge_mm)
         for capture in range(1, SCENES + 1):
             rng = np.random.default_rng([seed, number, capture])
             turns = np.array(QUARTERS) + np.radians(rng.uniform(-3, 3, len(QUARTERS)))

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.comparison import compare
+from experiments.drapes import RIG, plan_specimen
 from experiments.page import Section
-from experiments.papers.captured import RIG, rms, specimen
 from experiments.physics.testers import LENGTHS, add_noise
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.table import match
 from sim.cantilever.tester import bending_length
@@ -65,7 +65,7 @@ def case(
     *, number: int, edge_mm: float, noise_mm: list[float], knots: int, seed: int
 ) -> dict[str, Any]:
     """Errors of both fits of one fabric, by kind of torque and noise; None where a fit failed."""
-    plan = specimen(number, seed=seed)
+    plan = plan_specimen(number, seed=seed)
     plate = fabric_from_theta(plan.theta)
     alpha, ratio = float(np.exp(plan.theta[:3].mean())), float(plan.theta[3:].mean())
     weight, unit = plate.density * GRAVITY, bending_length(alpha, plate.density)

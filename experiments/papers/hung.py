@@ -12,9 +12,9 @@ from data.fabrics.nuisances import NuisanceConfig
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import value
 from drapenet.refine.refine import specimen_spread
+from experiments.drapes import header, plan_specimen
 from experiments.page import Section
-from experiments.papers.captured import header, rms, specimen
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.drape import DrapeResult, drape
 from sim.laws import Laws
 from sim.material import Fabric, is_admissible
@@ -160,7 +160,7 @@ def case(
     """True unknowns of one fabric, and the estimates and standard deviations of each fit that
     succeeded, in units of the standard deviation over fabrics.
     """
-    theta, rng = specimen(number, seed=seed).theta, np.random.default_rng([seed, number])
+    theta, rng = plan_specimen(number, seed=seed).theta, np.random.default_rng([seed, number])
     unknowns, sigma, fabric = sample_unknowns(rng), 1e-3 * noise_mm, fabric_from_theta(theta)
     mean, spread = prior()
     result: dict[str, Any] = {"true": ((unknowns - mean) / spread).tolist(), "fits": {}}

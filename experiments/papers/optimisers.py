@@ -16,13 +16,13 @@ from drapenet.refine.problem import Problem
 from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import RobustPositions
 from drapenet.refine.unknowns import Cloth, Knowledge
+from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
-from experiments.papers.captured import drape_specimen, rms, specimen
 from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum
 from experiments.papers.minimisers import METHODS
 from experiments.papers.transfer import ratio
 from experiments.physics import style3d
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.drape import DrapeResult
 from sim.hinge_laws import mean_modulus
 from sim.laws import Laws
@@ -105,14 +105,14 @@ def case(
     simulations_free: int, seed: int,
 ) -> dict[str, Any]:
     """Results of all searches for one drape; "failed" has the reason without one."""
-    plan = specimen(number, seed=seed)
+    plan = plan_specimen(number, seed=seed)
     truth = isotropic_mean(plan.theta)
     if target.startswith("style3d"):
         truth[3:] = 0.0  # it has no quadratic modulus
     plan, edge = replace(plan, theta=truth), 1e-3 * edge_mm
     try:
         shape, positions, motion = simulate_target(target, plan, edge=0.8 * edge, seconds=seconds)
-        start = perturb(isotropic_mean(specimen(number, seed=seed).theta),
+        start = perturb(isotropic_mean(plan_specimen(number, seed=seed).theta),
                           np.random.default_rng([seed, number]))
         fabric = fabric_from_theta(start)
         captured = register(shape, positions, fabric, plan.seed % TOPOLOGIES, edge)

@@ -7,15 +7,15 @@ from matplotlib.figure import Figure
 
 from data.dataset.plan import STARTS
 from experiments.comparison import mean_curvature
-from experiments.page import Section
-from experiments.papers.captured import (
+from experiments.drapes import (
     RIG,
     capture_drape,
     drape_specimen,
     ideal_setups,
     infer,
-    specimen,
+    plan_specimen,
 )
+from experiments.page import Section
 from experiments.papers.descriptors import GridSpectrum, RingSpectrum
 from experiments.result import Config, Report, Result, run_fabrics
 from sim.material import LINEAR
@@ -50,7 +50,7 @@ def describe_drape(positions: np.ndarray, mesh: Mesh, rig: Rig) -> dict[str, lis
 
 def fabric_case(*, number: int, starts: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Descriptors of all drapes of one fabric."""
-    plan = specimen(number, seed=seed)
+    plan = plan_specimen(number, seed=seed)
     rig, rng = RIG, np.random.default_rng([seed, number])
     found = []
     for k in range(starts):

@@ -13,16 +13,16 @@ from drapenet.network.dataset import Maps
 from drapenet.network.model import compressed
 from drapenet.network.training import CaptureSet
 from drapenet.report.figures import COLOURS
-from experiments.page import Section
-from experiments.papers.captured import (
+from experiments.drapes import (
     RIG,
     NetworkEstimate,
     capture_drape,
     drape_specimen,
     ideal_setups,
     infer,
-    specimen,
+    plan_specimen,
 )
+from experiments.page import Section
 from experiments.papers.stacked_views import StackedSet, downsample
 from experiments.papers.trainings import Training, load_trained, predict, train_all
 from experiments.result import (
@@ -55,7 +55,7 @@ def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: i
 
     "arrays" has the inputs of the small networks for the same captures.
     """
-    plan = specimen(number, seed=seed)
+    plan = plan_specimen(number, seed=seed)
     rng = np.random.default_rng([seed, number])
     shapes = [drape_specimen(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
               for k in range(starts)]

@@ -9,17 +9,16 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 
 from data.render.setups import SyntheticCapture
-from experiments.page import Section
-from experiments.papers.captured import (
+from experiments.drapes import (
     capture_drape,
     drape_specimen,
     ideal_setups,
     infer,
-    rms,
-    specimen,
+    plan_specimen,
     spread,
 )
-from experiments.result import Config, Report, Result, run_fabrics
+from experiments.page import Section
+from experiments.result import Config, Report, Result, rms, run_fabrics
 from sim.material import LINEAR
 
 Rng = np.random.Generator
@@ -71,7 +70,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Errors of log alpha and number of warnings for one fabric, by fault and value."""
     from data.fabrics.nuisances import Nuisances
 
-    plan, edge = specimen(number, seed=seed), 1e-3 * edge_mm
+    plan, edge = plan_specimen(number, seed=seed), 1e-3 * edge_mm
     shape = drape_specimen(plan, edge=edge)
     truth = plan.theta[LINEAR]
 

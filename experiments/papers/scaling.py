@@ -4,8 +4,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.drapes import posterior_bound
 from experiments.page import Section
-from experiments.papers.captured import posterior_bound
 from experiments.papers.trainings import Training, error_cell, train_all
 from experiments.result import Config, Report, Result
 

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.comparison import compare
+from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
-from experiments.papers.captured import drape_specimen, specimen
 from experiments.papers.trainings import Training, error_cell, train_all
 from experiments.result import Config, Report, Result, label_log_axes, run_cases, table
 from sim.drape import DrapeResult, drape
@@ -58,7 +58,7 @@ def linear_fit(target: DrapeResult) -> DrapeResult:
 
 def linear_case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Differences between drapes of the best linear law and those of fabric ``number``."""
-    plan = specimen(number, seed=seed)
+    plan = plan_specimen(number, seed=seed)
     target = drape_specimen(plan, edge=1e-3 * edge_mm)
     found = linear_fit(target)
     fabric, start = fabric_from_theta(plan.theta), {"start": "ring", "seed": plan.seed + 1}

@@ -8,20 +8,19 @@ from matplotlib.figure import Figure
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.comparison import compare
-from experiments.page import Section
-from experiments.papers.captured import (
+from experiments.drapes import (
     along_warp,
     capture_drape,
     drape_specimen,
     header,
     ideal_setups,
     infer,
-    rms,
-    specimen,
+    plan_specimen,
     spread,
 )
+from experiments.page import Section
 from experiments.physics.testers import LENGTHS, add_noise
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.fabric import estimate, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
@@ -67,7 +66,7 @@ def case(
     """
     from drapenet.inference import estimate_capture
 
-    edge, plan = 1e-3 * edge_mm, specimen(number, seed=seed)
+    edge, plan = 1e-3 * edge_mm, plan_specimen(number, seed=seed)
     fabric = fabric_from_theta(plan.theta)
     try:  # finer than the drapes of the estimates
         shape = drape_specimen(plan, edge=0.5 * edge)

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.comparison import compare, equilibrium_near
+from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
-from experiments.papers.captured import RIG, drape_specimen, specimen
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.equivalent import equivalent_modulus
@@ -43,7 +43,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
     nearest equilibrium of each model of one fabric; None without convergence.
     """
-    plan, rig, edge = specimen(number, seed=seed), RIG, 1e-3 * edge_mm
+    plan, rig, edge = plan_specimen(number, seed=seed), RIG, 1e-3 * edge_mm
     fabric = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
     equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
@@ -70,7 +70,7 @@ def style3d_case(
 
     "motion" has their displacements in the last quarter of the simulation, mm.
     """
-    plate = drape_specimen(specimen(number, seed=seed), edge=1e-3 * edge_mm)
+    plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, Specimen(plate.mesh, plate.held)
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,

@@ -7,17 +7,16 @@ from matplotlib.figure import Figure
 
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
-from experiments.page import Section
-from experiments.papers.captured import (
+from experiments.drapes import (
     capture_drape,
     drape_specimen,
     infer,
+    plan_specimen,
     posterior_bound,
-    rms,
-    specimen,
     spread,
 )
-from experiments.result import Config, Report, Result, run_fabrics
+from experiments.page import Section
+from experiments.result import Config, Report, Result, rms, run_fabrics
 from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
@@ -27,7 +26,7 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
     """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
     from dataclasses import replace
 
-    plan = specimen(number, seed=seed, nuisances="real")
+    plan = plan_specimen(number, seed=seed, nuisances="real")
     shape = drape_specimen(plan, edge=1e-3 * edge_mm)
     result = {}
     for count in VIEWS:

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.comparison import Draped, compare, equilibrium_near, same_folds
+from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, label_log_axes, run_cases, table
-from experiments.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
@@ -27,7 +27,7 @@ RIGS = {rig.name: rig for rig in (Rig(), DISC_RIG)}
 
 def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
     """Displacements of the drapes of one fabric on several meshes from that on a fine mesh."""
-    fabric = prior_fabrics(index + 1, seed)[index].at_density(REFERENCE_DENSITY)
+    fabric = prior_fabric(index, seed).at_density(REFERENCE_DENSITY)
     tester = RIGS[rig]
     drape(fabric, rig=tester, edge=0.01)  # compiles or loads the kernels of all meshes
     default, default_cost = timed_drape(fabric, tester, None, index)

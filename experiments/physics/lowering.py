@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from data.dataset.plan import Stream, stream
-from data.fabrics.fabrics import fabric_from_theta
-from data.fabrics.prior import load_prior, sample_admissible
+from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases, table
 from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
 from sim.energies.hysteresis import Hysteresis
@@ -60,8 +58,7 @@ def variant_case(
 
 def cost_case(*, index: int, start: str) -> dict[str, Any]:
     """CPU seconds of a drape of a fabric of the prior on its default mesh."""
-    theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
-    fabric = fabric_from_theta(theta)
+    fabric = prior_fabric(index, SEED)
     drape(fabric, rig=DISC_RIG, start=start, seed=index, edge=12e-3)  # compiles
     shape = drape(fabric, rig=DISC_RIG, start=start, seed=index)
     return {"seconds": shape.time_spent["total"], "iterations": shape.iterations,

@@ -18,12 +18,10 @@ from matplotlib.figure import Figure
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
-from common.command import compose_config
 from common.errors import InputError
 from data.captures.arrays import read_arrays
-from data.dataset.options import Options, config_from_options
-from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
+from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.energies.hysteresis import Hysteresis
@@ -72,9 +70,7 @@ def drape_case(
 def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> DrapeResult:
     """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
     ``alpha``, N·m."""
-    words = [f"dataset.testers=[{DISC_RIG.name}]", "dataset.soft_share=0"]
-    config = config_from_options(compose_config("generate", words, schema=Options))
-    plan = plan_drape(seed, config=config.sampling, prior=config.prior)
+    plan = plan_specimen(seed, seed=0, nuisances="real", rig=DISC_RIG)
     theta = plan.theta.copy()
     theta[:3] += np.log(alpha) - theta[:3].mean()
     return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,

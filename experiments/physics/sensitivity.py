@@ -19,9 +19,8 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
-from data.fabrics.prior import load_prior, sample_admissible
+from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.sensitivity import Tangent, follow, sensitivities
@@ -50,7 +49,7 @@ class Clock:
 
 def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     """Errors and costs of the derivatives of fabric ``index``."""
-    theta, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
+    theta = prior_theta(index, seed)
     fabric = fabric_from_theta(theta)
     drape(fabric, edge=0.01)  # loads the kernels
     clock, seconds = Clock(), {}

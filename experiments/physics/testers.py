@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from common.errors import InputError
-from data.dataset.plan import Stream, stream
 from data.fabrics.fabrics import fabric_from_theta
-from data.fabrics.prior import load_prior, sample_admissible
+from experiments.drapes import prior_theta
 from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import heavy_elastica
@@ -34,7 +33,7 @@ MIN_RATIO = 1e-3  # m; errors of beta are relative to the larger of |beta| and t
 
 def draw_fabric(index: int, *, stiffening: bool) -> Fabric:
     """Fabric ``index`` of a fixed sequence from the prior."""
-    theta, _ = sample_admissible(load_prior("gaussian"), stream(SEED, Stream.FABRIC, index))
+    theta = prior_theta(index, SEED)
     if stiffening:
         theta[5] = STIFFENING
     return fabric_from_theta(theta)

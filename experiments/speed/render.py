@@ -19,7 +19,7 @@ from data.render.cameras import Camera
 from data.render.raster import rasterise
 from data.render.rays import QUARTERS, VIEWS, DepthRenderer
 from data.render.setups import Setups
-from experiments.result import Config, Result, table
+from experiments.result import Config, Result, rms, table
 from sim.drape import drape
 from sim.rig import SQUARE_RIG
 
@@ -71,7 +71,7 @@ def agreement(shots: list[Shot]) -> dict[str, float]:
     error = 1e3 * np.abs(views - rays.astype(float))[inside]
     return {"cloth_pixels": int((rays > 0).sum()), "interior_pixels": int(inside.sum()),
             "silhouette_pixels_that_differ": int(((views > 0) != (rays > 0)).sum()),
-            "rms_mm": float(np.sqrt(np.square(error).mean())), "largest_mm": float(error.max())}
+            "rms_mm": rms(error), "largest_mm": float(error.max())}
 
 
 def shortest_times(work: dict[str, Callable], repeats: int) -> dict[str, float]:

@@ -15,24 +15,13 @@ from collections import Counter
 
 import numpy as np
 
-from data.dataset.plan import Stream, stream
-from data.fabrics.fabrics import fabric_from_theta
-from data.fabrics.prior import load_prior, sample_admissible
+from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, table
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.solver.linear import available_solvers
 
 MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
-
-
-def prior_fabrics(count: int, seed: int) -> list[Fabric]:
-    """Fabrics drawn from the bundled prior."""
-    prior = load_prior("gaussian")
-    return [
-        fabric_from_theta(sample_admissible(prior, stream(seed, Stream.FABRIC, i))[0])
-        for i in range(count)
-    ]
 
 
 def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
@@ -80,7 +69,7 @@ def peak_memory() -> float:
 
 def run(config: Config) -> Result:
     """Time all drapes; print the figures."""
-    fabrics = prior_fabrics(config["drapes"], config["seed"])
+    fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
     drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
     report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1}
     report["default"] = time_drapes(fabrics, config["edge_mm"])

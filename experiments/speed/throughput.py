@@ -15,8 +15,8 @@ import numpy as np
 
 from common.errors import InputError
 from common.workers import worker_pool
+from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from experiments.speed.speed import prior_fabrics
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 
@@ -81,8 +81,9 @@ def run(config: Config) -> Result:
     for key in ("drapes", "workers", "repeats"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")
-    found = throughput(prior_fabrics(config["drapes"], config["seed"]), edge_mm=config["edge_mm"],
-                       workers=config["workers"], repeats=config["repeats"])
+    fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
+    found = throughput(fabrics, edge_mm=config["edge_mm"], workers=config["workers"],
+                       repeats=config["repeats"])
     print(f"{found['drapes']} drapes: {found['drapes_per_second_one_core']:.3f} per second on one "
           f"core, {found['drapes_per_second_workers']:.3f} in {found['workers']} processes, "
           f"ratio {found['ratio']:.2f} ({found['median_ratio']:.2f} in the median round; "

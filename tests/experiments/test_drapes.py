@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.papers.captured import (
+from experiments.drapes import (
     capture_drape,
     drape_specimen,
     ideal_setups,
     infer,
+    plan_specimen,
     posterior_bound,
-    rms,
-    specimen,
     spread,
 )
 from experiments.papers.recognition import DESCRIPTORS, identification_rates
-from experiments.result import read_report
+from experiments.result import read_report, rms
 
 
 def test_the_posterior_bound_has_the_unit_of_the_errors():
@@ -24,7 +23,7 @@ def test_the_posterior_bound_has_the_unit_of_the_errors():
 
 
 def test_estimates_are_along_the_true_warp_for_all_orientations():
-    plan = specimen(4, seed=1)
+    plan = plan_specimen(4, seed=1)
     theta = plan.theta.copy()
     theta[:3] = np.log([120e-6, 40e-6, 15e-6])
     theta[3:] = -1e-3

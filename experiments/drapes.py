@@ -1,0 +1,161 @@
+"""Fabrics of the prior: drawn, draped, captured, and estimated by the bundled networks."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from common.command import compose_config
+from common.errors import InputError
+from common.types import Theta
+from data.captures.capture import Capture
+from data.dataset.options import Options, config_from_options
+from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.nuisances import Nuisances
+from data.fabrics.prior import load_prior, sample_admissible
+from experiments.result import read_report, rms
+from sim.drape import DrapeResult, drape
+from sim.laws import Laws
+from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED, Fabric
+from sim.rig import SQUARE_RIG, Rig
+
+if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
+    from data.render.setups import Setups, SyntheticCapture
+    from drapenet.inference import Inferred
+    from drapenet.network.checkpoint import Header
+    from drapenet.result.estimate import Estimate
+
+RIG = SQUARE_RIG
+CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
+         "border": 0, "holes": 0, "hem_share": 0.0}
+"""Fields of a set-up: exact quarter turns, a smooth sensor, an exact cut-out."""
+IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.527, 0.527),
+                 "fill": (1.0, 1.0), "above": (0.036, 0.036), "aside": (0.0, 0.0)}
+"""The same with the nominal pose of the camera."""
+
+
+def prior_fabric(index: int, seed: int) -> Fabric:
+    """Fabric ``index`` of the Gaussian prior."""
+    return fabric_from_theta(prior_theta(index, seed))
+
+
+def prior_theta(index: int, seed: int) -> Theta:
+    """Theta of fabric ``index`` of the Gaussian prior."""
+    return sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))[0]
+
+
+def plan_specimen(
+    number: int, *words: str, seed: int, nuisances: str = "none", rig: Rig = RIG
+) -> DrapePlan:
+    """A specimen as in a dataset without extra soft fabrics; ``words``: overrides of its config."""
+    config = config_from_options(compose_config("generate", [
+        f"nuisances={nuisances}", f"dataset.testers=[{rig.name}]", f"seed={seed}",
+        "dataset.soft_share=0", *words], schema=Options))
+    return plan_drape(number, config=config.sampling, prior=config.prior)
+
+
+def drape_specimen(
+    plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
+    offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
+    laws: Laws | None = None,
+) -> DrapeResult:
+    """Simulate a specimen, centred on its plate and from an artificial start if not told otherwise.
+
+    Raises:
+        InputError: the simulation does not converge.
+    """
+    nuisances = nuisances or plan.nuisances
+    shape = drape(fabric_from_theta(plan.theta), rig=nuisances.rig(plan.rig), edge=edge,
+                  start=start or plan.fallback, seed=plan.seed if seed is None else seed,
+                  offset=offset, laws=laws or nuisances.laws)
+    if not shape.converged:
+        raise InputError(f"a drape of fabric {plan.fabric} did not converge ({shape.message}); "
+                         "choose another seed=")
+    return shape
+
+
+def drape_as_planned(plan: DrapePlan, *, edge: float) -> DrapeResult:
+    """Simulate a specimen with the offset and the start of its plan."""
+    return drape_specimen(plan, edge=edge, start=plan.start, offset=tuple(plan.offset))
+
+
+def ideal_setups(**changes: object) -> "Setups":
+    """Set-up without faults, with ``changes``."""
+    from data.render.setups import Setups
+
+    return replace(Setups.load("real"), **IDEAL | changes)
+
+
+def capture_drape(
+    shape: DrapeResult, setups: "Setups", rng: np.random.Generator, rig: Rig = RIG
+) -> "SyntheticCapture":
+    """Capture a drape with a random set-up."""
+    return setups.capture(shape.positions, shape.faces, rng, rig=rig)
+
+
+def as_read(synthetic: "SyntheticCapture", rig: Rig = RIG) -> Capture:
+    """A synthetic capture as if it were read from a folder."""
+    return Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, REFERENCE_DENSITY, None,
+                   rig, Path(), ())
+
+
+@cache
+def header(rig: Rig = RIG) -> "Header":
+    """Header of the bundled network."""
+    from drapenet.network.checkpoint import bundled, read_header
+
+    return read_header(bundled(rig))
+
+
+def spread() -> Theta:
+    """Standard deviation of theta over fabrics."""
+    return header().scale.std[:6]
+
+
+def posterior_bound() -> float:
+    """Bound of log alpha with all nuisances unknown, in units of :func:`spread`."""
+    bounds = np.array([fabric["bounds"]["all nuisances unknown"]
+                       for fabric in read_report("information")["fabrics"]])
+    return rms(bounds[:, LINEAR] / spread()[LINEAR])
+
+
+@dataclass(frozen=True)
+class NetworkEstimate:
+    """Estimate by the network: posterior ``samples`` (S, 6) of theta along the true warp."""
+
+    samples: np.ndarray
+    inferred: "Inferred"
+    capture: Capture
+
+    @property
+    def theta(self) -> Theta:
+        """Posterior mean."""
+        return self.samples.mean(axis=0)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of ``infer.py``."""
+        from drapenet.views.checks import view_warnings
+
+        inferred = self.inferred
+        return [*inferred.estimate.warnings,
+                *view_warnings(inferred.located, inferred.drape, header().setups)]
+
+
+def infer(synthetic: "SyntheticCapture") -> NetworkEstimate:
+    """Estimate the moduli from a capture with the network."""
+    from drapenet.inference import infer_capture
+
+    capture = as_read(synthetic)
+    inferred = infer_capture(capture, header())
+    return NetworkEstimate(along_warp(inferred.estimate, synthetic.orientation), inferred, capture)
+
+
+def along_warp(estimate: "Estimate", orientation: float) -> np.ndarray:
+    """Samples (S, 6) along the true warp at the angle ``orientation``, rad; the estimate's first
+    yarn direction is the nearer of the true warp and weft."""
+    along = np.cos(2 * (estimate.axis - orientation)) >= 0
+    return estimate.samples if along else estimate.samples[:, SWAPPED]
