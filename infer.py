@@ -28,7 +28,7 @@ from drapenet.export.formats import export_all, targets_named
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import header_for
 from drapenet.result.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
-from sim.mesh.specimens import check_edge
+from sim.mesh.specimen import check_edge
 
 
 @command("infer", InferConfig, swept_out=".")

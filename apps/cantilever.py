@@ -26,9 +26,14 @@ from common.command import command, commands
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
-from sim.cantilever.fabric import METHODS, Strips, correct, estimate
-from sim.cantilever.regression import RATIO_RANGE
-from sim.cantilever.torque_curve import fit_torque_curve
+from sim.cantilever.moduli import (
+    METHODS,
+    RATIO_RANGE,
+    Strips,
+    correct,
+    estimate_moduli,
+    fit_torque_curve,
+)
 from sim.material import DIRECTIONS, MICRO, NANO, check_density
 from sim.rig import GRAVITY
 from sim.solver.newton import Status
@@ -135,7 +140,7 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
         "slope": float(np.radians(config.slope)),
         "degree": config.degree,
     }
-    found = estimate(strips, **options)
+    found = estimate_moduli(strips, **options)
     rows = {
         direction: {
             "alpha_uN_m": e.alpha / MICRO,

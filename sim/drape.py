@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from common.errors import InputError
+from sim.cloth import Laws
 from sim.energies.base import Energy
+from sim.energies.self_contact import self_intersections
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.laws import Laws
 from sim.lowering import LOWERING_MESHES, lowered, with_origins
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
-from sim.mesh.specimens import (
+from sim.mesh.specimen import (
     GRADING,
     MAX_BORROWED_EDGE,
     MAX_COARSE_EDGE,
@@ -27,7 +28,6 @@ from sim.mesh.specimens import (
 )
 from sim.rig import Rig
 from sim.scene import CONTACT_PRESSURE, Scene
-from sim.self_contact import self_intersections
 from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 from sim.start import (
@@ -151,13 +151,13 @@ def drape(
     Args:
         rig: specimen and its holder; None for the square on its cylinder.
         edge: edge length at the plate's rim, m, of the final mesh
-            (:func:`sim.mesh.specimens.make_specimen`); None chooses it by the fabric
-            (:func:`sim.mesh.specimens.default_edge`).
+            (:func:`sim.mesh.specimen.make_specimen`); None chooses it by the fabric
+            (:func:`sim.mesh.specimen.default_edge`).
         start: "lowered" (:mod:`sim.lowering`), or an initial shape (:data:`sim.start.STARTS`);
             None: lowered over a plate, else "sine".
         borrowed: warm start in place of ``start``: rest points (W, 2) and positions (W, 3), m, of
             another fabric's drape on the same rig, on a mesh fine enough for its folds.
-        seed: seed of the start; ``seed`` modulo :data:`sim.mesh.specimens.TOPOLOGIES`
+        seed: seed of the start; ``seed`` modulo :data:`sim.mesh.specimen.TOPOLOGIES`
             selects the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         laws: bending law, membrane and user-defined energies; evaluated for every mesh.
@@ -246,7 +246,7 @@ def check_arguments(
         raise InputError(f"rig={rig!r}: give a sim.rig.Rig, such as "
                          f"Rig.from_name('{Rig().name}')")
     if not isinstance(laws, Laws):
-        raise InputError(f"laws={laws!r}: give a sim.laws.Laws, such as "
+        raise InputError(f"laws={laws!r}: give a sim.cloth.Laws, such as "
                          f"Laws(bending='{Laws().bending}')")
     if start == LOWERED and not rig.has_plate:
         raise InputError(f"start={LOWERED} needs a plate, which {rig.name} lacks")

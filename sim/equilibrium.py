@@ -4,17 +4,19 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from sim.cloth import Cloth
+import numpy as np
+
+from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
-from sim.energies.self_contact import SelfContact
-from sim.laws import Laws
+from sim.energies.self_contact import SelfContact, contact_near, self_intersections
 from sim.material import Fabric
+from sim.mesh import Mesh, adjacency, smooth
 from sim.scene import Scene
-from sim.self_contact import contact_near, self_intersections, untangled
 from sim.solver.newton import NewtonOptions, NewtonResult, Status, minimise
 from sim.solver.state import State
 
-_DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.check finds them"
+_DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.base finds them"
+_MAX_UNTANGLING_ROUNDS = 60
 _STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-contact
 
 
@@ -145,3 +147,24 @@ def _with_contact(
     if found.converged and not exact:
         status = Status.MAX_ITERATIONS  # verified only with an approximate Hessian
     return found.ended(status, f"{found.message}; self-contact took {iterations} iterations")
+
+
+def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
+    """Positions (V, 3), m, near the given ones without intersections; None if none are found.
+
+    Vertices around each intersection move repeatedly half-way to the mean of their neighbours, in
+    a neighbourhood and number that grow with the rounds. Those ``held`` (V,) are fixed.
+    """
+    vertices, adjacent, x = len(positions), adjacency(mesh), positions.copy()
+    for step in range(_MAX_UNTANGLING_ROUNDS):
+        crossing = self_intersections(x, mesh.faces)
+        if len(crossing) == 0:
+            return x
+        around = np.zeros(vertices, dtype=bool)
+        around[crossing[:, :2]] = around[mesh.faces[crossing[:, 2]]] = True
+        for _ in range(1 + step // 6):
+            around |= adjacent @ around > 0
+        moving = around & ~held
+        for _ in range(2 + step // 4):
+            smooth(x, moving, adjacent)
+    return None

@@ -11,13 +11,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
-from sim.energies.hysteresis import HystereticBending
+from sim.energies.plate_variants import HystereticBending
 from sim.equilibrium import Equilibrium
-from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh.specimens import GRADING
+from sim.mesh.specimen import GRADING
 from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion

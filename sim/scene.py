@@ -10,7 +10,7 @@ from sim.rig import GRAVITY, Cylinder
 from sim.solver.state import State
 
 CONTACT_PRESSURE = 120.0
-"""Pressure of an obstacle on cloth :data:`sim.energies.contact.DEPTH` deep in it, as a multiple of
+"""Pressure of an obstacle on cloth :data:`sim.energies.external.DEPTH` deep in it, as a multiple of
 the cloth's weight."""
 
 

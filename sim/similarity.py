@@ -7,8 +7,8 @@ hysteresis at equal curvature times L.
 
 from dataclasses import replace
 
-from sim.energies.hysteresis import Hysteresis
-from sim.laws import Laws
+from sim.cloth import Laws
+from sim.energies.plate_variants import Hysteresis
 from sim.material import Fabric
 from sim.rig import Rig
 
@@ -16,7 +16,7 @@ from sim.rig import Rig
 def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric, Rig, Laws]:
     """Fabric, rig and laws of the drape that is ``factor`` times as large at equal density.
 
-    The bending law of ``laws`` must be :class:`sim.energies.hysteresis.Hysteresis` or the default.
+    The bending law must be :class:`sim.energies.plate_variants.Hysteresis` or the default.
     """
     bending = laws.bending
     if isinstance(bending, Hysteresis):

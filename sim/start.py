@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from common.errors import InputError
 from common.threads import one_blas_thread
-from sim.mesh.specimens import share_of_offset
+from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
 
 STARTS = ("sine", "fold", "ring")

@@ -14,8 +14,8 @@ from data.dataset.simulate import DatasetConfig, make_record
 from data.fabrics.prior import load_prior
 from data.render.cameras import Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
-from sim.laws import Laws
-from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.cloth import Laws
+from sim.mesh.specimen import TOPOLOGIES, make_specimen
 from sim.rig import Rig
 
 

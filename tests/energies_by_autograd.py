@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
-from sim.energies.contact import DEPTH
+from sim.energies.external import DEPTH
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, rows_at_clamp
 from sim.energies.plate_law import PlateConstants, constants

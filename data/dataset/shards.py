@@ -279,7 +279,7 @@ class Shard:
 
     def origin(self, row: int) -> np.ndarray:
         """Curvatures without friction (F, 3), 1/m, of a drape's triangles; see
-        :mod:`sim.energies.hysteresis`."""
+        :mod:`sim.energies.plate_variants`."""
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
 

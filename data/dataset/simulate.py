@@ -12,7 +12,7 @@ from data.dataset.plan import BORROWED, DrapePlan, SamplingConfig, choose_lender
 from data.dataset.shards import FACES, LENGTH_UNIT, ORIGIN, ORIGIN_UNIT, fields, to_counts
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import Prior, prior_content
-from sim.mesh.specimens import EDGE_RANGE, default_edge
+from sim.mesh.specimen import EDGE_RANGE, default_edge
 from sim.rig import Rig
 
 Solver = Callable[..., object]
@@ -33,7 +33,7 @@ class DatasetConfig:
         sampling: fabrics, testers, specimens, starts, seed.
         prior: distribution of the fabrics.
         edge: edge length of the meshes at the plate's rim, m; 0: chosen for each fabric, see
-            :func:`sim.mesh.specimens.default_edge`.
+            :func:`sim.mesh.specimen.default_edge`.
         drapes_per_shard: drapes per file.
     """
 

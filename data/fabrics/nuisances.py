@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from common.errors import InputError
-from sim.energies.hysteresis import KES_CURVATURE, Hysteresis
-from sim.laws import Laws
-from sim.membranes import Corotational, OrthotropicStVK
+from sim.cloth import Laws
+from sim.energies.membrane import Corotational, OrthotropicStVK
+from sim.energies.plate_variants import KES_CURVATURE, Hysteresis
 from sim.rig import Rig
 
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
@@ -27,7 +27,7 @@ class Nuisances:
         membrane: stiffness along the yarns, N/m.
         shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
         hysteresis: share of the torque that does not come back, see
-            :class:`sim.energies.hysteresis.Hysteresis`.
+            :class:`sim.energies.plate_variants.Hysteresis`.
         curl_warp, curl_weft: natural curvature as the specimen lies, 1/m; of the fabric's marked
             face up, with the sign changed face down.
         size, plate: deviations of the specimen's size and of the plate's diameter, m.
@@ -50,7 +50,7 @@ class Nuisances:
 
     @property
     def laws(self) -> Laws:
-        """The cloth's energies; the defaults of :class:`sim.laws.Laws` where they are equivalent.
+        """The cloth's energies; the defaults of :class:`sim.cloth.Laws` where they are equivalent.
         """
         membrane = isotropic = Corotational(self.membrane)
         if self.shear != 1.0:

@@ -26,7 +26,7 @@ from common.files import replace_file, require_file, require_folder
 from drapenet.config import ExportConfig
 from drapenet.export.material import Material, read_material
 from drapenet.result.table import csv_number, csv_table, interval_columns
-from sim.hinge_laws import ARCSIM, mean_modulus
+from sim.energies.hinges import ARCSIM, mean_modulus
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m

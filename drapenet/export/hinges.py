@@ -19,7 +19,7 @@ from tqdm import tqdm
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
-from sim.cantilever.equivalent import equivalent_modulus
+from sim.cantilever.tester import equivalent_modulus
 from sim.mesh import strip
 
 FILE = Path(__file__).parents[1] / "weights" / "hinges.json"

@@ -16,7 +16,7 @@ from common.errors import InputError
 from drapenet.export.hinges import GAMMA, MESHES, MIN_CELLS, hinge_ratio
 from drapenet.result.content import SCHEMA, SCHEMA_VERSION
 from drapenet.result.output import ESTIMATE, result_name
-from sim.hinge_laws import mean_modulus
+from sim.energies.hinges import mean_modulus
 from sim.material import DIRECTIONS, MICRO, NANO, SOFTENING_LIMIT, STIFF_SOFT, torque
 from sim.rig import GRAVITY
 

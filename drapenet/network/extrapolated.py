@@ -15,7 +15,7 @@ from data.fabrics.nuisances import Nuisances
 from sim.drape import FINE_OPTIONS, scene_on
 from sim.equilibrium import find_equilibrium
 from sim.material import REFERENCE_DENSITY
-from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES, make_specimen
 from sim.rig import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities

@@ -23,7 +23,7 @@ from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.search import CapturedScan
 from drapenet.refine.springs import captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.rig import DISC_RIG, Rig
 

@@ -34,7 +34,7 @@ from drapenet.refine.surface import CapturedShape, RobustPositions
 from drapenet.refine.unknowns import Cloth, Knowledge
 from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions
 

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drapenet.refine.laid import surface_positions
+from sim.cloth import Laws
 from sim.drape import DrapeResult, drape_result, scene_on
 from sim.energies.base import Energy
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import adjacency, smooth, vertex_normals
-from sim.mesh.specimens import coarse_to_fine, make_specimen
+from sim.mesh.specimen import coarse_to_fine, make_specimen
 from sim.rig import Rig
 from sim.scene import Scene
 from sim.solver.newton import NewtonOptions
@@ -79,7 +79,7 @@ def captured_shape(
 
     Args:
         points, normals: (N, 3) m and (N, 3), specimen's axes.
-        edge: m, of the mesh at the rim (:func:`sim.mesh.specimens.make_specimen`); coarser meshes
+        edge: m, of the mesh at the rim (:func:`sim.mesh.specimen.make_specimen`); coarser meshes
             give initial guesses.
 
     Returns:

@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from drapenet.refine.objective import Linearised, huber
+from sim.cloth import Laws
 from sim.drape import DrapeResult, scene_on
-from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh, edges_of, vertex_normals
-from sim.mesh.specimens import Specimen
+from sim.mesh.specimen import Specimen
 from sim.rig import Rig
 from sim.sensitivity.tangent import possible_contact
 from sim.solver.newton import Status

@@ -13,10 +13,10 @@ import numpy as np
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior
-from sim.energies.hysteresis import Hysteresis
-from sim.laws import Laws
+from sim.energies.plate_variants import Hysteresis
+from sim.cloth import Laws
 from sim.material import MICRO, Fabric
-from sim.mesh.specimens import share_of_offset
+from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
 from sim.sensitivity import Sensitivities, Tangent
 from sim.sensitivity.forward import tangent_sensitivities

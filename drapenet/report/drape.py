@@ -16,7 +16,7 @@ from data.render.cameras import Camera
 from data.render.rays import DepthRenderer
 from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult, drape
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
 

@@ -15,12 +15,11 @@ from experiments.page import Section
 from experiments.physics.testers import LENGTHS, add_noise
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.elastica import strip_shape, tabulated_law
-from sim.cantilever.table import match
+from sim.cantilever.moduli import fit_torque_curve, match
 from sim.cantilever.tester import bending_length
-from sim.cantilever.torque_curve import fit_torque_curve
+from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.torque_law import TorqueLaw
-from sim.laws import Laws
+from sim.energies.plate_variants import TorqueLaw
 from sim.material import Fabric, torque
 from sim.rig import GRAVITY
 from sim.sensitivity import follow

@@ -14,12 +14,12 @@ from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
-from sim.cantilever.equivalent import equivalent_modulus
+from sim.cantilever.tester import equivalent_modulus
 from sim.drape import DrapeResult
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.material import Fabric, torque
 from sim.mesh import strip
-from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
 from sim.solver.newton import Status
 
 _CELLS, _SAMPLES = 30, 6  # of the strips for the ratio of moduli

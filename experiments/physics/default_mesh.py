@@ -17,7 +17,7 @@ from experiments.result import Config, Result, label_log_axes, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
-from sim.mesh.specimens import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
 from sim.rig import DISC_RIG, Rig
 
 MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds

@@ -11,12 +11,11 @@ from matplotlib.figure import Figure
 from common.errors import InputError
 from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cantilever.equivalent import equivalent_modulus, free_end
-from sim.cantilever.tester import TIGHT
+from sim.cantilever.tester import TIGHT, equivalent_modulus, free_end
+from sim.cloth import Laws
+from sim.energies.hinges import ARCSIM, DISCRETE_SHELLS
+from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.hinge_laws import ARCSIM, DISCRETE_SHELLS
-from sim.laws import Laws
-from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
 from sim.solver.newton import Status

@@ -19,7 +19,7 @@ from drapenet.result.content import SCHEMA, SCHEMA_VERSION
 from experiments.physics import style3d
 from experiments.result import Config, Result, table
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
-from sim.cantilever.equivalent import free_end
+from sim.cantilever.tester import free_end
 from sim.material import DIRECTIONS, MICRO
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY

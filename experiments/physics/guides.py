@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 
+from sim.cloth import Laws
 from sim.energies.base import Energy
-from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh
 

@@ -12,13 +12,13 @@ import numpy as np
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases, table
 from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
-from sim.energies.hysteresis import Hysteresis
+from sim.energies.plate_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
-from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES, make_specimen
 from sim.rig import DISC_RIG
 
 SEED = 3  # of the fabrics whose cost is measured

@@ -8,12 +8,12 @@ import numpy as np
 from experiments.comparison import equilibrium_near
 from experiments.result import load_arrays
 from sim.drape import drape
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_outline
-from sim.membranes import Corotational
+from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
-from sim.mesh.specimens import TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
 from sim.rig import Rig
 from sim.solver.newton import Status
 

@@ -6,10 +6,10 @@ Isotropic plates have no Poisson effect, as in the default law.
 import numpy as np
 
 from common.errors import InputError
+from sim.cloth import Laws
+from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric, plate_constants
-from sim.membranes import Corotational
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
 from sim.rig import GRAVITY
 from sim.scene import Scene

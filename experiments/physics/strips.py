@@ -20,10 +20,10 @@ from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.tester import HungStrip, bending_length
-from sim.hinge_laws import modulus_along
-from sim.laws import Laws
+from sim.cloth import Laws
+from sim.energies.hinges import modulus_along
+from sim.energies.membrane import Corotational
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
-from sim.membranes import Corotational
 from sim.rig import GRAVITY
 from sim.solver.newton import Status
 

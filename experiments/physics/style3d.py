@@ -17,7 +17,7 @@ from common.errors import InputError
 from drapenet.export.formats import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
-from sim.mesh.specimens import Specimen
+from sim.mesh.specimen import Specimen
 from sim.rig import GRAVITY, Rig
 
 if TYPE_CHECKING:

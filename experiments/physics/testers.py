@@ -17,10 +17,10 @@ from experiments.drapes import prior_theta
 from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases, table
 from sim.cantilever import heavy_elastica
-from sim.cantilever.fabric import METHODS, Strips, correct, estimate
+from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
+from sim.cloth import Laws
 from sim.energies import plate_law
-from sim.laws import Laws
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.rig import GRAVITY
 
@@ -62,8 +62,8 @@ def run_case(
             result[f"noisy {method}"] = [estimate_moduli(s, fabric, method) for s in shaken]
         if free:
             strips = simulate_strips(fabric, lengths, **mesh)
-            result["free regression"] = estimate_moduli(strips, fabric, "regression")
-            found = estimate(strips, density=fabric.density, method="table")
+            result["free regression"] = method_rows(strips, fabric, "regression")
+            found = estimate_moduli(strips, density=fabric.density, method="table")
             result["free table"] = moduli_rows(found)
             result["free corrected"] = moduli(
                 correct(strips, found, density=fabric.density, rounds=rounds)
@@ -99,9 +99,9 @@ def moduli(fabric: Fabric) -> list[list[float]]:
     return np.column_stack([fabric.alpha / MICRO, fabric.beta / NANO]).tolist()
 
 
-def estimate_moduli(strips: Strips, fabric: Fabric, method: str) -> list[list[float]]:
+def method_rows(strips: Strips, fabric: Fabric, method: str) -> list[list[float]]:
     """Estimates of a method, in the form of :func:`moduli`."""
-    return moduli_rows(estimate(strips, density=fabric.density, method=method))
+    return moduli_rows(estimate_moduli(strips, density=fabric.density, method=method))
 
 
 def moduli_rows(found: dict) -> list[list[float]]:

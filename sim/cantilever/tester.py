@@ -1,4 +1,4 @@
-"""Virtual cantilever tester: simulation of clamped strips cut at any angle."""
+"""Virtual testers of strips: cantilever, pure bending, and hinge moduli of equal deflection."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
+from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
+from sim.cloth import Law, Laws
+from sim.energies.plate_variants import HystereticBending
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, NewtonResult, Status
+from sim.solver.state import State
 
 ANGLES = dict(zip(DIRECTIONS, (0.0, np.pi / 4, np.pi / 2), strict=True))
 TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
@@ -106,3 +109,106 @@ def bending_length(alpha: float, density: float) -> float:
 def fabric_of_gamma(gamma: float, length: float) -> Fabric:
     """Isotropic linear fabric whose strip of ``length`` (m) has rho g L³/alpha = ``gamma``."""
     return Fabric(alpha=np.full(3, REFERENCE_DENSITY * GRAVITY * length**3 / gamma))
+
+
+_LENGTH, _EDGE = 0.01, 5e-4  # m, of the bent square and of its cells
+_STEP = 1e-3  # 1/m, of the differences of the energy
+
+
+def pure_bending(
+    fabric: Fabric, law: Law, curvatures: Sequence[float], *, angle: float = 0.0
+) -> np.ndarray:
+    """Torques per width (K,), N, of cloth bent to ``curvatures`` (K,), 1/m, one after the other.
+
+    The torque is the derivative of the energy by the curvature, without stresses. Hysteresis
+    follows every curvature in turn, so that they should be close to each other.
+
+    Args:
+        angle: from the warp to the direction that is bent, rad.
+    """
+    flat, _ = strip(length=_LENGTH, width=_LENGTH, edge=_EDGE, clamp=0.0)
+    along, across = flat.rest.T
+    cos, sin = np.cos(angle), np.sin(angle)
+    mesh = Mesh(np.column_stack([cos * along - sin * across, sin * along + cos * across]),
+                flat.faces)
+    energy = law(mesh, np.ones(len(mesh.faces), dtype=bool), fabric=fabric)
+
+    def bent(curvature: float) -> np.ndarray:
+        """The cylinder's positions and edge normals."""
+        turn = curvature * along
+        middle = turn[mesh.edges].mean(axis=1)
+        reach, drop = along * np.sinc(turn / np.pi), along * np.sinc(turn / 2 / np.pi) * np.sin(
+            turn / 2)
+        positions = np.column_stack([reach, across, -drop])
+        normals = np.column_stack([np.sin(middle), np.zeros(len(middle)), np.cos(middle)])
+        return np.concatenate([positions.ravel(), normals.ravel()])
+
+    torques = []
+    for curvature in curvatures:
+        ends = [energy.value(bent(curvature + sign * _STEP)) for sign in (1, -1)]
+        torques.append((ends[0] - ends[1]) / (2 * _STEP * mesh.areas.sum()))
+        if isinstance(energy, HystereticBending):
+            energy.origin = energy.origin_at(bent(curvature))
+    return np.array(torques)
+
+
+_MAX_ITERATIONS = 12  # simulated strips
+
+
+@dataclass(frozen=True)
+class EquivalentModulus:
+    """The hinge modulus equivalent to a physical one on a given mesh."""
+
+    ratio: float  # hinge modulus over the physical alpha
+    mismatch: float  # relative error of the strip's stiffness
+    found: bool  # whether the mismatch is below the tolerance
+    message: str  # reason of a failure; else the number of strips simulated
+
+
+def equivalent_modulus(
+    mesh: Mesh, held: np.ndarray, *, gamma: float = 10.0, laws: Laws | None = None,
+    tolerance: float = 1e-4,
+) -> EquivalentModulus:
+    """Hinge modulus with which a strip has the deflection of the heavy elastica of ``gamma``.
+
+    Args:
+        mesh, held: a strip along +x, and its vertices (V,) clamped at x <= 0; see
+            :func:`sim.mesh.strip`.
+        gamma: rho g L³/alpha of the physical strip, L its free length. At 10 the drop about
+            equals the reach, as for the cloth of a drape.
+        laws: linear hinges by default.
+        tolerance: relative, of the stiffness.
+    """
+    laws = laws or Laws(bending="hinge_linear")
+    elastica(gamma)  # raises for a gamma out of range
+    length = float(mesh.rest[:, 0].max())
+    if not length > 0:
+        raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
+    physical = fabric_of_gamma(gamma, length)
+    scene = Scene(mesh=mesh, held=held)
+    state = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+    ratio, mismatch = 1.0, np.inf
+    for strips in range(1, _MAX_ITERATIONS + 1):
+        fabric = Fabric(ratio * physical.alpha, density=physical.density)
+        found = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
+        state = found.state
+        if not found.converged:
+            return EquivalentModulus(ratio, mismatch, False, found.message)
+        # The gamma of a physical strip of this shape measures the stiffness, which is nearly
+        # proportional to the modulus: a few corrections by its relative error suffice.
+        try:
+            apparent = gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, state)))
+        except InputError as error:
+            return EquivalentModulus(ratio, mismatch, False, str(error))
+        mismatch = abs(apparent / gamma - 1)
+        if mismatch < tolerance:
+            return EquivalentModulus(ratio, mismatch, True, f"{strips} strips")
+        ratio *= apparent / gamma
+    return EquivalentModulus(ratio, mismatch, False, f"no match in {_MAX_ITERATIONS} strips")
+
+
+def free_end(mesh: Mesh, state: State) -> np.ndarray:
+    """Mean (reach, drop) (2,), m, of the free end of a strip along +x."""
+    x = mesh.rest[:, 0]
+    end = state.positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
+    return np.array([end[0], -end[2]])

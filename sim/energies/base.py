@@ -1,10 +1,13 @@
-"""Interface of an energy: value, gradient and Hessian blocks over small stencils."""
+"""Interface of an energy, its check by differences, and what several energies use."""
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, TypeVar
 
+import numba
 import numpy as np
 
 from common.errors import InputError
+from sim.solver.state import moved
 
 
 class Energy(Protocol):
@@ -14,8 +17,7 @@ class Energy(Protocol):
     edge normal (rad): 3 V + E. A state ``q`` holds the coordinates, then the normals, (3 V + 3 E,)
     float64 (:mod:`sim.solver.state`); derivatives are with respect to a step from it. It includes
     held coordinates, so that energies need not know which ones are free. User-defined energies
-    enter a drape by :attr:`sim.laws.Laws.others` (docs/extending.md); deriving them from this class
-    provides the default :meth:`allows`.
+    enter a drape by :attr:`sim.cloth.Laws.others` (docs/extending.md) and derive from this class.
 
     Attributes:
         dofs: (N, K) int64, unknowns of each of the N elements; -1 marks an absent one, whose
@@ -46,3 +48,108 @@ def dofs_of(energy: Energy) -> np.ndarray:
         raise InputError(f"{type(energy).__name__}.dofs must be an array (N, K) of integers: the "
                          "unknowns that each element depends on (sim.energies.base.Energy)")
     return dofs
+
+
+T = TypeVar("T")
+
+
+class StateCache:
+    """Results of one function at the latest states.
+
+    Newton's method evaluates a trial state, then its gradient and its Hessian.
+
+    Args:
+        states: number of states; two hold the start of a step and the trial state.
+    """
+
+    def __init__(self, states: int = 2) -> None:
+        self._states = states
+        self._latest: list[tuple[np.ndarray, object]] = []
+
+    def at(self, q: np.ndarray, function: Callable[[np.ndarray], T]) -> T:
+        """``function(q)``, cached or computed; ``function`` must be the same in all calls."""
+        for state, value in self._latest:
+            if np.array_equal(state, q):
+                return value
+        value = function(q)
+        self._latest = [(q.copy(), value), *self._latest[: self._states - 1]]
+        return value
+
+
+@numba.njit(cache=True)
+def raise_eigenvalues(matrices, floor):
+    """Raise eigenvalues of symmetric matrices (N, 3, 3) to at least ``floor``, in place."""
+    for matrix in matrices:
+        # Positive pivots of matrix - floor: most matrices need no eigenvectors.
+        first = matrix[0, 0] - floor
+        second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
+        if first > 0.0 and second > 0.0:
+            cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
+            if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
+                continue
+        value, vector = np.linalg.eigh(matrix)
+        for k in range(3):
+            if value[k] < floor:
+                for i in range(3):
+                    for j in range(3):
+                        matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
+
+
+STEP = 1e-7  # m, or rad
+TOLERANCE = 1e-4  # relative to the magnitude of the terms
+DIRECTIONS = 3
+
+
+def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) -> None:
+    """Compare gradient and Hessian with differences of value and gradient along random steps.
+
+    Choose a state with non-zero energy: where it vanishes, the check is trivial.
+
+    Args:
+        q: state (3 V + 3 E,) as in :class:`sim.energies.base.Energy`.
+        edges: (E, 2), of the mesh.
+
+    Raises:
+        InputError: ``dofs`` are missing or have another form, gradient or Hessian deviates from
+            the differences, or the convex Hessian is not positive semi-definite.
+    """
+    name, dofs = type(energy).__name__, dofs_of(energy)
+    unknowns, rng = len(q) - 2 * len(edges), np.random.default_rng(seed)
+    if dofs.max(initial=-1) >= unknowns:
+        raise InputError(f"{name}.dofs: {dofs.max()} is beyond the {unknowns} unknowns")
+    gradient = energy.gradient(q)
+    if np.shape(gradient) != dofs.shape:
+        raise InputError(f"{name}.gradient has the shape {np.shape(gradient)}; it must have "
+                         f"that of {name}.dofs, {dofs.shape}")
+    full, convex = (np.zeros((*dofs.shape, dofs.shape[1])) if hessian is None else hessian
+                    for hessian in (energy.hessian(q), energy.hessian(q, convex=True)))
+    for _ in range(DIRECTIONS):
+        step = rng.standard_normal(unknowns)
+        local = np.where(dofs >= 0, step[dofs], 0.0)  # (N, K)
+        ahead, behind = (moved(q, edges, sign * STEP * step) for sign in (1.0, -1.0))
+        rounding = 1e-15 * abs(energy.value(q)) / STEP
+        _compare(f"{name}.gradient", "value", (gradient * local).sum(),
+                 (energy.value(ahead) - energy.value(behind)) / (2 * STEP),
+                 np.abs(gradient * local).sum(), rounding)
+        slopes = ((energy.gradient(ahead) - energy.gradient(behind)) * local).sum(1) / (2 * STEP)
+        rounding = 1e-15 * np.abs(gradient).max(initial=0.0) / STEP
+        _compare(f"{name}.hessian", "gradient", np.einsum("ni,nij,nj->n", local, full, local),
+                 slopes, np.einsum("ni,nij,nj->n", *map(np.abs, (local, full, local))).max(
+                     initial=0.0), rounding)
+    present = (dofs[:, :, None] >= 0) & (dofs[:, None, :] >= 0)
+    values = np.linalg.eigvalsh(np.where(present, convex, 0.0))
+    if values.min(initial=0.0) < -1e-9 * np.abs(values).max(initial=0.0):
+        raise InputError(f"{name}.hessian(q, convex=True) has the negative eigenvalue "
+                         f"{values.min():.3g}; it must be positive semi-definite")
+
+
+def _compare(
+    name: str, of: str, given: np.ndarray, found: np.ndarray, size: float, rounding: float
+) -> None:
+    given, found = np.atleast_1d(given), np.atleast_1d(found)
+    error = np.abs(given - found)
+    worst = int(error.argmax()) if len(error) else 0
+    if len(error) and not error[worst] <= TOLERANCE * size + 100 * rounding:
+        raise InputError(f"{name} is not the derivative of the {of}: along a random step it gives "
+                         f"{given[worst]:.4g}, differences give {found[worst]:.4g}"
+                         + (f" (element {worst})" if len(error) > 1 else ""))

@@ -23,9 +23,7 @@ import numba
 import numpy as np
 
 from sim.energies import dihedral, fold_barrier, plate_law
-from sim.energies.base import Energy
-from sim.energies.cache import StateCache
-from sim.energies.convex import raise_eigenvalues
+from sim.energies.base import Energy, StateCache, raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import sparse
 
 from common.errors import InputError, one_line
-from sim.energies.base import Energy
-from sim.energies.cache import StateCache
+from sim.energies.base import Energy, StateCache
 from sim.mesh import Mesh
+from sim.scene import Scene
 
 _PRESSURE_AT_HALF = 3.0 * np.log(4.0) + 4.5
 """Pressure of two parallel sheets at half the barrier's distance, in units of its stiffness: each
@@ -168,3 +168,47 @@ class SelfContact(Energy):
         corners = np.array(corners, dtype=np.int64).reshape(-1, 4)
         couples = corners[:, np.stack(np.triu_indices(4, 1), axis=-1)].reshape(-1, 2)
         return np.unique(np.sort(couples, axis=1), axis=0)
+
+
+DISTANCE = 1e-3
+"""Distance of two sheets of cloth, m, below which contact acts, about two thicknesses."""
+PRESSURE = 20.0
+"""Pressure between two sheets at half that distance, as a multiple of the cloth's weight."""
+_MAX_SHARE_OF_HEIGHT = 0.5  # limit of the distance on fine meshes, in heights of a triangle
+_REACH = 3.0  # pairs within this multiple of the distance are part of the Hessian's pattern
+
+
+def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Self-intersections (N, 3) of cloth at finite positions (V, 3) with faces (F, 3): the two
+    vertices of an edge and the face that it passes through.
+
+    Exact, by floating-point predicates with certified signs. Edges that share a vertex with the
+    face do not count; an edge that only touches a face does.
+    """
+    ipctk = import_ipctk()
+    edges = ipctk.edges(faces)
+    boxes = ipctk.LBVH()
+    boxes.build(np.asfortranarray(positions), edges, faces)
+    near = [(pair.edge_id, pair.face_id) for pair in boxes.detect_edge_face_candidates()]
+    edge, face = np.array(near, dtype=np.int64).reshape(-1, 2).T
+    apart = (edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+    edge, face = edge[apart], face[apart]
+    corners = positions[np.concatenate([edges[edge], faces[face]], axis=1)]
+    crossing = np.array([ipctk.is_edge_intersecting_triangle(*five) for five in corners], bool)
+    found = np.column_stack([edges[edge], face])[crossing]
+    return found[np.lexsort(found.T)]
+
+
+def contact_near(scene: Scene, positions: np.ndarray, *, density: float) -> SelfContact:
+    """Self-contact of a cloth of ``density``, kg/m², near positions (V, 3), m; its energy is zero
+    for most drapes."""
+    distance = contact_distance(scene.mesh)
+    return SelfContact(scene.mesh, positions, distance=distance,
+                       pressure=PRESSURE * density * scene.gravity, reach=_REACH * distance)
+
+
+def contact_distance(mesh: Mesh) -> float:
+    """Distance, m, below which contact acts on ``mesh``; none acts in a flat specimen."""
+    corners = mesh.rest[mesh.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    return float(min(DISTANCE, _MAX_SHARE_OF_HEIGHT * (2 * mesh.areas / longest).min()))

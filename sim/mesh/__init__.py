@@ -1,4 +1,4 @@
-"""Meshes: topology, grids, graded meshes; meshes of specimens are in `sim.mesh.specimens`."""
+"""Meshes: topology, grids, graded meshes; meshes of specimens are in `sim.mesh.specimen`."""
 
 from sim.mesh.grid import DIAGONALS, choose_diagonals, grid_faces, grid_points, strip
 from sim.mesh.topology import Mesh, adjacency, edges_of, smooth, vertex_normals

@@ -9,10 +9,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from common.errors import InputError
+from sim.cloth import Law, Laws
 from sim.drape import DrapeResult
-from sim.laws import Law, Laws
+from sim.energies.membrane import Corotational
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.membranes import Corotational
 from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.tangent import Tangent
@@ -51,9 +51,9 @@ def equilibria(
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m².
         membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density (that of
-            :mod:`sim.laws` is of cloth of the reference density). None: as in a drape, proportional
-            to the density, also in the derivatives by the density.
-        bending, others: bending law and laws of further energies, as in :class:`sim.laws.Laws`,
+            laws is of cloth of the reference density). None: as in a drape, proportional to the
+            density, also in the derivatives by the density.
+        bending, others: bending law and laws of further energies, as in :class:`sim.cloth.Laws`,
             the ``others`` for cloth of the reference density.
         options: stopping criteria of the minimisations.
 

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Laws
 from sim.drape import FINE_OPTIONS, DrapeResult, drape_result
 from sim.energies.base import Energy
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.sensitivity.forward import Sensitivities
 from sim.solver.newton import NewtonOptions

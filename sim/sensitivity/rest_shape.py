@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.cloth import Cloth
-from sim.mesh.specimens import share_of_offset
+from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
 from sim.scene import Scene
 from sim.sensitivity.tangent import Tangent

@@ -4,9 +4,8 @@ import numpy as np
 
 from sim.cloth import Cloth
 from sim.drape import DrapeResult
-from sim.energies.self_contact import SelfContact
+from sim.energies.self_contact import SelfContact, contact_near
 from sim.equilibrium import Equilibrium
-from sim.self_contact import contact_near
 from sim.solver.linear import CholeskySolver, make_solver
 from sim.solver.potential import hessian_product
 

@@ -6,8 +6,7 @@ from functools import cached_property
 import numba
 import numpy as np
 
-from sim.energies.base import Energy
-from sim.energies.cache import StateCache
+from sim.energies.base import Energy, StateCache
 from sim.solver.linear import SparsePattern
 from sim.solver.state import moved
 

@@ -19,7 +19,7 @@ from apps.drape import main
 from common.ctrl_c import deferred, require_interruption
 from common.errors import InputError
 from common.workers import worker_pool
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 
@@ -209,8 +209,8 @@ from functools import partial
 import numpy as np
 from common.workers import worker_pool
 from sim.drape import drape
-from sim.energies.gravity import Gravity
-from sim.laws import Laws
+from sim.energies.external import Gravity
+from sim.cloth import Laws
 from sim.material import Fabric
 
 def heavier(mesh, active, *, fabric):

@@ -25,7 +25,7 @@ from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.render.cameras import nominal_camera
 from sim.measures import maximum_stretch
-from sim.mesh.specimens import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES, make_specimen
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,8 +6,8 @@ from data.dataset.options import Options, config_from_options
 from data.dataset.plan import SamplingConfig, draw_fabric, plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, is_soft, load_prior
-from sim.laws import Laws
-from sim.mesh.specimens import make_specimen
+from sim.cloth import Laws
+from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
 
 

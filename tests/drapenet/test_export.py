@@ -27,7 +27,7 @@ from drapenet.export.hinges import (
     simulated_ratio,
 )
 from drapenet.export.material import read_material
-from sim.hinge_laws import HingeLaw, mean_modulus
+from sim.energies.hinges import HingeLaw, mean_modulus
 from sim.material import MICRO, NANO, Fabric, torque
 from sim.mesh import strip
 

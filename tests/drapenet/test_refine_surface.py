@@ -5,7 +5,7 @@ import pytest
 
 from common.errors import InputError
 from drapenet.refine.surface import Cloud, RobustPositions, distances
-from sim.mesh.specimens import Specimen, make_specimen
+from sim.mesh.specimen import Specimen, make_specimen
 from sim.rig import DISC_RIG
 
 

@@ -24,7 +24,7 @@ from experiments.estimation.bound import (
 )
 from sim.drape import drape
 from sim.material import Fabric
-from sim.mesh.specimens import make_specimen, share_of_offset
+from sim.mesh.specimen import make_specimen, share_of_offset
 from sim.rig import Rig
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset

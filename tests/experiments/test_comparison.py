@@ -9,7 +9,7 @@ from common.errors import InputError
 from experiments.comparison import compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 RIG = Rig()

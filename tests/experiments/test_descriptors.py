@@ -10,7 +10,7 @@ from experiments.papers.descriptors import (
     RingSpectrum,
     interpolation,
 )
-from sim.mesh.specimens import Specimen, make_specimen
+from sim.mesh.specimen import Specimen, make_specimen
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 
 

@@ -28,7 +28,7 @@ from experiments.result import (
 from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 from sim.solver.newton import NewtonOptions
 

@@ -8,7 +8,7 @@ from experiments.papers import optimisers
 from experiments.physics import style3d
 from sim.drape import drape
 from sim.material import MICRO, Fabric
-from sim.mesh.specimens import Specimen
+from sim.mesh.specimen import Specimen
 
 THETA = to_theta(np.array([60.0, 40.0, 20.0]) * MICRO, np.array([-120.0, -80.0, -40.0]) * 1e-9)
 

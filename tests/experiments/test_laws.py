@@ -6,8 +6,8 @@ import pytest
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.papers import hung
 from experiments.papers.curves import KINDS, true_torque
+from sim.cloth import Laws
 from sim.drape import drape
-from sim.laws import Laws
 from sim.rig import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.solver.newton import NewtonOptions

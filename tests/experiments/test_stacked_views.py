@@ -11,7 +11,7 @@ from data.render.rays import DepthRenderer
 from drapenet.network.targets import Symmetry
 from experiments.papers import stacked_views
 from sim.material import Fabric
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 

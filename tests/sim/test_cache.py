@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.energies.cache import StateCache
+from sim.energies.base import StateCache
 
 
 def test_the_latest_two_states_are_kept_by_their_value():

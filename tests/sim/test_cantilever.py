@@ -21,10 +21,10 @@ from sim.cantilever.elastica import (
     strip_shape,
     tabulated_law,
 )
+from sim.cloth import Laws
 from sim.energies import plate_law
-from sim.laws import Laws
+from sim.energies.membrane import Corotational
 from sim.material import Fabric, torque
-from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.solver.state import State, moved
 

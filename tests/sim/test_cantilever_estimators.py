@@ -6,12 +6,20 @@ from elastica_curves import LAWS, WEIGHT, curves_of
 
 from common.errors import InputError
 from experiments.physics.guides import guided
-from sim.cantilever.bezier import Bezier, fit_bezier
-from sim.cantilever.fabric import correct, estimate, fabric_of
-from sim.cantilever.regression import fit_law, moment_beyond, regress, torque_and_curvature
-from sim.cantilever.table import match
+from sim.cantilever.moduli import (
+    Bezier,
+    correct,
+    estimate_moduli,
+    fabric_of,
+    fit_bezier,
+    fit_law,
+    match,
+    moment_beyond,
+    regress,
+    torque_and_curvature,
+)
 from sim.cantilever.tester import bending_length, simulate_strips
-from sim.laws import Laws
+from sim.cloth import Laws
 from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
 
 
@@ -103,7 +111,7 @@ def test_the_table_stands_noise():
 @pytest.mark.parametrize("method", ["regression", "table"])
 def test_curves_that_no_strip_has_are_refused(method):
     with pytest.raises(InputError, match="hanging strip"):
-        estimate({"warp": curves_of(*LAWS[0])[:1]}, density=0.3, method=method,
+        estimate_moduli({"warp": curves_of(*LAWS[0])[:1]}, density=0.3, method=method,
                  slope=np.radians(89))
 
 
@@ -115,7 +123,7 @@ def test_a_bezier_curve_bends():
 def test_density_scales_the_moduli():
     curves = {"warp": curves_of(*LAWS[0])}
     light, heavy = (
-        estimate(curves, density=d, method="regression")["warp"] for d in (0.15, 0.3))
+        estimate_moduli(curves, density=d, method="regression")["warp"] for d in (0.15, 0.3))
     assert heavy.alpha == pytest.approx(2 * light.alpha, rel=1e-6)
     assert heavy.beta == pytest.approx(2 * light.beta, rel=1e-5)
 
@@ -129,7 +137,7 @@ def test_three_free_strips_give_six_moduli():
     lengths = {d: [x * bending_length(a, 0.3) for x in (1.5, 2.5)]
                for d, a in zip(DIRECTIONS, FABRIC.alpha, strict=True)}
     strips = simulate_strips(FABRIC, lengths, cells=24, seed=5)
-    found = estimate(strips, density=0.3, method="table")
+    found = estimate_moduli(strips, density=0.3, method="table")
     raw = fabric_of(found, 0.3)
     corrected = correct(strips, found, density=0.3)
     assert raw.alpha[1] < 0.98 * FABRIC.alpha[1]  # a free bias strip hangs lower than a cylinder
@@ -143,6 +151,6 @@ def test_guided_simulated_strips_are_read():
     strips = simulate_strips(FABRIC, lengths, cells=24, width=None, across=3,
                              laws=guided(Laws(), 3))
     for method in ("regression", "table"):
-        found = estimate(strips, density=0.3, method=method)["weft"]
+        found = estimate_moduli(strips, density=0.3, method=method)["weft"]
         assert found.alpha == pytest.approx(alpha, rel=0.02)
         assert found.beta == pytest.approx(FABRIC.beta[2], rel=0.1)

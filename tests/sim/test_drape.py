@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Corotational, Laws
 from sim.drape import drape
-from sim.energies.gravity import Gravity
+from sim.energies.external import Gravity
 from sim.equilibrium import find_equilibrium
-from sim.laws import Corotational, Laws
 from sim.material import Fabric
 from sim.measures import maximum_stretch
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import GRAVITY, Rig
 from sim.scene import CONTACT_PRESSURE, Scene
 from sim.sensitivity import follow

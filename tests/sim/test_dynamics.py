@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from sim.cloth import Cloth
-from sim.laws import Laws
+from sim.cloth import Cloth, Laws
+from sim.energies.membrane import Corotational
 from sim.material import Fabric
-from sim.membranes import Corotational
 from sim.mesh import Mesh, strip
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion

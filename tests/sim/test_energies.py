@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
-from sim.energies.contact import ObstacleContact
+from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
-from sim.energies.gravity import Gravity
-from sim.energies.hysteresis import Hysteresis
+from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.torque_law import TorqueLaw
+from sim.energies.plate_variants import Hysteresis, TorqueLaw
 from sim.material import Fabric
-from sim.membranes import Corotational
 from sim.mesh import strip
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Cylinder, Rig
 from sim.solver.state import State, moved
 

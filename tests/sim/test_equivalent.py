@@ -5,12 +5,11 @@ import pytest
 
 from common.errors import InputError
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cantilever.equivalent import equivalent_modulus, free_end
-from sim.cantilever.tester import TIGHT
+from sim.cantilever.tester import TIGHT, equivalent_modulus, free_end
+from sim.cloth import Laws
+from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import Fabric
-from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.scene import Scene
 from sim.solver.state import State

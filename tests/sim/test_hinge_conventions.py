@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_hinges import BOTH, one_hinge
 
-from sim.hinge_laws import ARCSIM, DISCRETE_SHELLS, HingeLaw
+from sim.energies.hinges import ARCSIM, DISCRETE_SHELLS, HingeLaw
 from sim.material import Fabric
 
 ALPHA, BETA = 25e-6, -30e-9

@@ -12,15 +12,19 @@ from test_energies import (
 )
 
 from common.errors import InputError
+from sim.cloth import BENDING, Laws
 from sim.energies.fold_barrier import LIMIT_START, is_bent
 from sim.energies.hinges import (
+    HINGE_LAWS,
+    WEIGHTINGS,
     DihedralBending,
+    HingeLaw,
     Hinges,
     QuadraticBending,
     hinge_angles,
+    mean_modulus,
+    modulus_along,
 )
-from sim.hinge_laws import HINGE_LAWS, WEIGHTINGS, HingeLaw, mean_modulus, modulus_along
-from sim.laws import BENDING, Laws
 from sim.material import Fabric, torque
 from sim.mesh import Mesh, strip
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import brentq
 
 from common.errors import InputError
-from sim.cantilever.pure_bending import pure_bending
-from sim.energies.hysteresis import BUILD_UP, KES_CURVATURE, Hysteresis, kes_fabric
+from sim.cantilever.tester import pure_bending
+from sim.energies.plate_variants import BUILD_UP, KES_CURVATURE, Hysteresis, kes_fabric
 from sim.material import Fabric, torque
 
 TWILL = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.gravity import Gravity
-from sim.laws import Laws
+from sim.energies.external import Gravity
 from sim.material import Fabric
 from sim.measures import fold_count
 from sim.rig import DISC_RIG, GRAVITY, Rig

@@ -13,7 +13,7 @@ from sim.measures import (
     shadow_radius,
 )
 from sim.mesh import Mesh
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 RIG = Rig()

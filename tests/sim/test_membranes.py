@@ -5,10 +5,10 @@ import pytest
 from test_energies import STEPS, assert_error_falls_with_square, crumpled_strip, scattered
 
 from common.errors import InputError
+from sim.cloth import Laws
 from sim.drape import drape
-from sim.laws import Laws
+from sim.energies.membrane import Corotational, Guarded, OrthotropicStVK
 from sim.material import Fabric
-from sim.membranes import Corotational, Guarded, OrthotropicStVK
 from sim.mesh import strip
 
 ORTHOTROPIC = OrthotropicStVK(warp=400.0, weft=90.0, poisson=0.6, shear=30.0)

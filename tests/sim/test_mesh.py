@@ -6,9 +6,9 @@ import pytest
 
 from common.errors import InputError
 from sim.mesh import Mesh, strip
-from sim.mesh.graded import GROWTH
-from sim.mesh.specimens import (
+from sim.mesh.specimen import (
     GRADING,
+    GROWTH,
     MAX_EDGE,
     MAX_SHARED_OFFSET,
     TOPOLOGIES,

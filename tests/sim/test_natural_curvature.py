@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
+from sim.cloth import Laws
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.natural_curvature import NaturallyCurved
+from sim.energies.plate_variants import NaturallyCurved
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.scene import Scene

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Laws
 from sim.energies.fold_barrier import LIMIT_START, is_bent
 from sim.energies.midedge import MidEdgeBending
-from sim.laws import Laws
 from sim.material import Fabric
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 from sim.scene import Scene
 from sim.solver.state import State, moved

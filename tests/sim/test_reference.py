@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Laws
 from sim.energies.fold_barrier import is_bent
-from sim.laws import Laws
+from sim.energies.membrane import Corotational
 from sim.material import Fabric
-from sim.membranes import Corotational
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
 from sim.scene import Scene
 from sim.solver.state import moved

@@ -12,7 +12,7 @@ from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.measures import drape_coefficient, fold_count, max_penetration
 from sim.mesh import strip
-from sim.mesh.specimens import coarse_to_fine, default_edge, make_specimen
+from sim.mesh.specimen import coarse_to_fine, default_edge, make_specimen
 from sim.rig import DISC_RIG, HUNG_SQUARE, RIGS, Cylinder, Rig
 from sim.scene import Scene
 from sim.start import interpolate_positions

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from sim.energies.self_contact import SelfContact, import_ipctk
-from sim.equilibrium import find_equilibrium
-from sim.material import Fabric
-from sim.mesh import Mesh, strip
-from sim.mesh.specimens import make_specimen
-from sim.rig import Rig
-from sim.scene import Scene
-from sim.self_contact import (
+from sim.energies.self_contact import (
+    SelfContact,
     contact_distance,
+    import_ipctk,
     self_intersections,
     untangled,
 )
+from sim.equilibrium import find_equilibrium
+from sim.material import Fabric
+from sim.mesh import Mesh, strip
+from sim.mesh.specimen import make_specimen
+from sim.rig import Rig
+from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 

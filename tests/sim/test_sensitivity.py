@@ -8,15 +8,14 @@ import torch
 
 from common.errors import InputError
 from sim.cantilever.elastica import elastica
-from sim.cloth import Cloth
+from sim.cloth import Cloth, Laws
 from sim.drape import FINE_OPTIONS, DrapeResult, drape
 from sim.energies.base import Energy
+from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.natural_curvature import NaturallyCurved
+from sim.energies.plate_variants import NaturallyCurved
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.laws import Laws
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.membranes import Corotational
 from sim.mesh import strip
 from sim.rig import GRAVITY
 from sim.scene import Scene

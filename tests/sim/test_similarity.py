@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.energies.hysteresis import Hysteresis
+from sim.cloth import Laws
+from sim.energies.membrane import OrthotropicStVK
+from sim.energies.plate_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
-from sim.laws import Laws
 from sim.material import Fabric
-from sim.membranes import OrthotropicStVK
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
 from sim.scene import Scene
 from sim.similarity import similar

@@ -6,9 +6,9 @@ from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from sim.cantilever.elastica import elastica, strip_shape, tabulated_law
-from sim.cantilever.torque_curve import fit_torque_curve
+from sim.cantilever.moduli import fit_torque_curve
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.torque_law import TorqueLaw
+from sim.energies.plate_variants import TorqueLaw
 from sim.material import Fabric, torque
 from sim.mesh import strip
 

@@ -10,9 +10,9 @@ from data.dataset.progress import over_shards
 from data.dataset.shards import COORDINATES, FACES, Shard
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.prior import prior_from_content, sample_admissible
+from sim.energies.self_contact import self_intersections
 from sim.material import MICRO
 from sim.measures import maximum_stretch
-from sim.self_contact import self_intersections
 
 COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message", "iterations",
            "drape_coefficient", "folds")

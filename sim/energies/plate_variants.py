@@ -1,4 +1,17 @@
-"""Bending with hysteresis: a share of the torque that does not come back.
+"""Variants of the plate: natural curvature, hysteresis, torque curve.
+
+Cloth with a natural curvature: its two faces differ, as after weaving, finishing or storage.
+
+A constant torque is added to that of mid-edge bending (:mod:`sim.energies.midedge`): with the
+plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
+S0 in warp/weft axes,
+
+    psi(S) - S : A : S0.
+
+For a linear fabric this equals psi(S - S0) up to a constant, and S0 is the curvature at rest. For a
+softening fabric the moment is the same, the curvature at rest slightly different. Free edges curl.
+
+Bending with hysteresis: a share of the torque that does not come back.
 
 In Kawabata's pure bending test (KES-FB2) the torque of a fabric follows a loading curve when it is
 first bent; when it is bent back, its torque is lower by 2HB, read at 1 cm⁻¹. Here the moduli are
@@ -20,14 +33,24 @@ curvature gives 2HB.
 
 HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m, which
 are shares of 0.05 to 0.37 (docs/physics.md).
+
+Isotropic bending with a tabulated torque curve.
+
+With |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature, the energy per
+area is W(|S|): cloth bent to a cylinder along any direction carries the torque of the curve. For
+the curve of :func:`sim.material.torque` this is the law of an isotropic fabric
+(:mod:`sim.energies.plate_law`).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
-from sim.energies.natural_curvature import CurvedBending, NaturallyCurved
+from sim.energies.midedge import MidEdgeBending
+from sim.energies.plate_law import METRIC
 from sim.material import (
     BIAS,
     REFERENCE_DENSITY,
@@ -39,6 +62,54 @@ from sim.material import (
 )
 from sim.mesh import Mesh
 
+
+@dataclass(frozen=True)
+class NaturallyCurved:
+    """A bending law (:class:`sim.cloth.Law`) with a natural curvature.
+
+    Attributes:
+        curvature: (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist; positive bends the
+            cloth as in a drape, down when its faces are counter-clockwise seen from above.
+
+    Raises:
+        InputError: not three finite numbers.
+    """
+
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.curvature) != (3,) or not np.isfinite(self.curvature).all():
+            raise InputError(f"curvature={self.curvature}: give three finite numbers, 1/m: along "
+                             "warp, along weft and of twist")
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurvedBending":
+        return CurvedBending(mesh, active, fabric=fabric, curvature=np.array(self.curvature))
+
+
+class CurvedBending(MidEdgeBending):
+    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m; other arguments
+    are those of :class:`sim.energies.midedge.MidEdgeBending`."""
+
+    def __init__(
+        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray
+    ) -> None:
+        self._curvature = curvature
+        super().__init__(mesh, active, fabric=fabric)
+
+    def _set_fabric(self, fabric: Fabric) -> None:
+        super()._set_fabric(fabric)
+        a11, a22, a12, a66 = plate_constants(fabric.alpha)
+        xx, yy, xy = self._curvature
+        self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
+
+    def density(self, curvatures: np.ndarray) -> np.ndarray:
+        return super().density(curvatures) - curvatures @ self._moment
+
+    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        stress, tangent = super().stress(curvatures)
+        return stress - self._moment, tangent
+
+
 KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
 BUILD_UP = 0.03
@@ -48,14 +119,14 @@ _MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth
 
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
-    """A bending law (:class:`sim.laws.Law`) with hysteresis.
+    """A bending law (:class:`sim.cloth.Law`) with hysteresis.
 
     Attributes:
         share: HB over the torque of the loading curve at the curvature ``at``, one number or
             (warp, bias, weft). Friction builds up over a change of curvature in proportion to 1/HB.
         added: whether the moduli are those of the elastic part alone, as KES's B, so that the
             friction adds to them: HB is the same share of their sum.
-        curvature: natural curvature, see :class:`sim.energies.natural_curvature.NaturallyCurved`.
+        curvature: natural curvature, see :class:`sim.energies.plate_variants.NaturallyCurved`.
         origin: (N, 3) S0 of the active triangles of a mesh, 1/m; None: zero.
         at: curvature, 1/m, at which HB is read.
 
@@ -186,3 +257,66 @@ class HystereticBending(CurvedBending):
 def _quadratic(change: np.ndarray, form: np.ndarray) -> np.ndarray:
     """C : P : C (N,) of changes of curvature C (N, 3) with the form P (3, 3)."""
     return ((change @ form) * change).sum(axis=1)
+
+
+_MIN_CURVATURE = 1e-6  # 1/m, below which cloth counts as flat
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLaw:
+    """A bending law (:class:`sim.cloth.Law`), estimated by :mod:`sim.cantilever.moduli`.
+
+    The torque is the monotone cubic spline (PCHIP) through the knots, continued linearly with the
+    slope of the last interval. The moduli of the fabric are ignored.
+
+    Attributes:
+        curvature, torque: (K,) 1/m and N per width, of cloth of 300 g/m², at which drapes are
+            simulated; both increasing from 0.
+
+    Raises:
+        InputError: a curve that does not increase from 0.
+    """
+
+    curvature: np.ndarray
+    torque: np.ndarray
+
+    def __post_init__(self) -> None:
+        if len(self.curvature) != len(self.torque):
+            raise InputError(f"a torque curve of {len(self.curvature)} curvatures and "
+                             f"{len(self.torque)} torques: give as many of each")
+        knots = np.array([self.curvature, self.torque], dtype=np.float64)
+        if not (knots.shape[1] > 2 and np.isfinite(knots).all() and not knots[:, 0].any()
+                and (np.diff(knots) > 0).all()):
+            raise InputError("a torque curve needs three or more curvatures and torques, both "
+                             "increasing from 0")
+
+    @cached_property
+    def spline(self) -> PchipInterpolator:
+        """Torque, N, by curvature, 1/m."""
+        # A repetition of the last interval: PCHIP is linear there.
+        return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
+                                   for v in (self.curvature, self.torque)))
+
+    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurveBending":
+        return CurveBending(mesh, active, law=self)
+
+
+class CurveBending(MidEdgeBending):
+    """Energy of the free triangles by a :class:`TorqueLaw`."""
+
+    def __init__(self, mesh: Mesh, active: np.ndarray, *, law: TorqueLaw) -> None:
+        self._torque, self._work = law.spline, law.spline.antiderivative()
+        self._stiffness = law.spline.derivative()
+        # For the fold barrier and the minimum stiffness of the convex Hessian.
+        super().__init__(mesh, active, fabric=Fabric(np.full(3, float(self._stiffness(0.0)))))
+
+    def density(self, curvatures: np.ndarray) -> np.ndarray:
+        return self._work(np.sqrt(curvatures**2 @ METRIC))
+
+    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _MIN_CURVATURE)
+        direction = METRIC * curvatures / size[:, None]
+        torque, across = self._torque(size), (self._torque(size) / size)[:, None, None]
+        along = self._stiffness(size)[:, None, None] - across
+        tangent = across * np.diag(METRIC) + along * direction[:, :, None] * direction[:, None, :]
+        return torque[:, None] * direction, tangent
