@@ -19,7 +19,8 @@ from data.dataset.shards import LENGTH_UNIT, Shard
 from data.dataset.simulate import DatasetConfig, make_record
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
-from sim.solver.linear import SparsePattern, available_solvers, make_solver, pardiso
+from sim.solver import linear
+from sim.solver.linear import SparsePattern, available_solvers, make_solver
 
 ROOT = Path(__file__).parents[2]
 
@@ -244,10 +245,10 @@ def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
         make_solver(SparsePattern([np.arange(3)[None]], 3), "pardiso")
 
     for code in (-1, -3, -7):
-        monkeypatch.setattr(pardiso._Factor, "_call", lambda *_, code=code: code)
+        monkeypatch.setattr(linear._Factor, "_call", lambda *_, code=code: code)
         message = make_record(0, small_config(), solver=factor)["message"]
         assert message == f"LinAlgError: PARDISO ended with error {code}".encode()
-    monkeypatch.setattr(pardiso._Factor, "_call", lambda *_: -2)
+    monkeypatch.setattr(linear._Factor, "_call", lambda *_: -2)
     with pytest.raises(MemoryError):
         make_record(0, small_config(), solver=factor)
 

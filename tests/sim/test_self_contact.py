@@ -11,9 +11,8 @@ from sim.energies.self_contact import (
     contact_distance,
     import_ipctk,
     self_intersections,
-    untangled,
 )
-from sim.equilibrium import find_equilibrium
+from sim.equilibrium import find_equilibrium, untangled
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.mesh.specimen import make_specimen
