@@ -15,8 +15,8 @@ from common.types import Metres, Points, Turns, Views
 from data.render.cameras import Camera
 from data.render.rays import DepthRenderer
 from drapenet.views.located import LocatedViews
-from sim.drape import DrapeResult, drape
 from sim.cloth import Laws
+from sim.drape import DrapeResult, drape
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
 
