@@ -7,13 +7,13 @@ from typing import Protocol
 import numpy as np
 
 from common.errors import InputError
+from sim.cloth import Laws
 from sim.drape import FINE_OPTIONS, scene_on
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.laws import Laws
 from sim.material import Fabric
 from sim.measures import fold_angles
 from sim.mesh import Mesh
-from sim.mesh.specimens import Specimen
+from sim.mesh.specimen import Specimen
 from sim.rig import Rig
 from sim.start import interpolate_positions
 

@@ -16,8 +16,8 @@ from drapenet.result.estimate import Estimate
 from drapenet.views.checks import view_warnings
 from experiments import known
 from experiments.result import read_report
-from sim.drape import DrapeResult
 from sim.cloth import Laws
+from sim.drape import DrapeResult
 from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED
 from sim.rig import SQUARE_RIG
 

@@ -15,8 +15,8 @@ from experiments.page import Section
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.tester import equivalent_modulus
-from sim.drape import DrapeResult
 from sim.cloth import Laws
+from sim.drape import DrapeResult
 from sim.material import Fabric, torque
 from sim.mesh import strip
 from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen

@@ -15,12 +15,12 @@ from scipy.stats import spearmanr
 
 from common.errors import InputError
 from experiments.result import Config, Result, run_cases, table
-from sim.drape import drape
-from sim.energies.plate_variants import kes_fabric
 from sim.cloth import Laws
+from sim.drape import drape
+from sim.energies.membrane import Membrane, OrthotropicStVK
+from sim.energies.plate_variants import kes_fabric
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import drape_coefficient, fold_count
-from sim.energies.membrane import Membrane, OrthotropicStVK
 from sim.rig import Rig
 
 _POISSON = 0.3

@@ -11,10 +11,10 @@ import numpy as np
 
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases, table
+from sim.cloth import Laws
 from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
 from sim.energies.plate_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
-from sim.cloth import Laws
 from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count

@@ -21,11 +21,11 @@ from matplotlib.figure import Figure
 from data.render.shade import shade
 from experiments.comparison import compare, equilibrium_near, same_folds
 from experiments.result import Config, Result, load_arrays, run_cases, table
-from sim.drape import drape
 from sim.cloth import Laws
+from sim.drape import drape
+from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_outline
-from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.mesh.specimen import TOPOLOGIES, make_specimen
 from sim.rig import Rig
 from sim.solver.newton import Status

@@ -7,11 +7,11 @@ import numpy as np
 
 from experiments.comparison import equilibrium_near
 from experiments.result import load_arrays
-from sim.drape import drape
 from sim.cloth import Laws
+from sim.drape import drape
+from sim.energies.membrane import Corotational
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_outline
-from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
 from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
 from sim.rig import Rig

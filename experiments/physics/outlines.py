@@ -23,9 +23,9 @@ from data.captures.arrays import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases, table
+from sim.cloth import Laws
 from sim.drape import DrapeResult, drape
 from sim.energies.plate_variants import Hysteresis
-from sim.cloth import Laws
 from sim.material import MICRO, Fabric
 from sim.measures import folds_around, shadow_radius
 from sim.mesh import Mesh

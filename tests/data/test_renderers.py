@@ -13,7 +13,7 @@ from data.render.raster import camera_points, draw, rasterise
 from data.render.rays import DepthRenderer
 from data.render.shade import shade
 from sim.mesh import grid_faces
-from sim.mesh.specimens import make_specimen
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 HEIGHT, WIDTH = 90, 120
