@@ -17,8 +17,8 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
 from experiments.result import read_report, rms
+from sim.cloth import Laws
 from sim.drape import DrapeResult, drape
-from sim.laws import Laws
 from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED, Fabric
 from sim.rig import SQUARE_RIG, Rig
 

@@ -13,8 +13,8 @@ import numpy as np
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior
-from sim.energies.plate_variants import Hysteresis
 from sim.cloth import Laws
+from sim.energies.plate_variants import Hysteresis
 from sim.material import MICRO, Fabric
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig

@@ -15,10 +15,10 @@ from drapenet.refine.refine import specimen_spread
 from experiments.drapes import header, plan_specimen
 from experiments.page import Section
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.drape import DrapeResult, drape
 from sim.cloth import Laws
-from sim.material import Fabric, is_admissible
+from sim.drape import DrapeResult, drape
 from sim.energies.membrane import OrthotropicStVK
+from sim.material import Fabric, is_admissible
 from sim.rig import HUNG_SQUARE
 from sim.sensitivity import Tangent, follow
 from sim.sensitivity.forward import tangent_sensitivities

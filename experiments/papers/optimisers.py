@@ -23,9 +23,9 @@ from experiments.papers.minimisers import METHODS
 from experiments.papers.transfer import ratio
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
+from sim.cloth import Laws
 from sim.drape import DrapeResult
 from sim.energies.hinges import mean_modulus
-from sim.cloth import Laws
 from sim.material import REFERENCE_DENSITY, Fabric, is_admissible, torque
 from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
 from sim.sensitivity import follow

@@ -21,7 +21,7 @@ from experiments.drapes import (
 from experiments.page import Section
 from experiments.physics.testers import LENGTHS, add_noise
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.cantilever.moduli import estimate, fabric_of
+from sim.cantilever.moduli import estimate_moduli, fabric_of
 from sim.cantilever.tester import bending_length, simulate_strips
 from sim.drape import DrapeResult, drape
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
@@ -51,7 +51,7 @@ def estimate_strips(
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
-                estimate(noisy, density=fabric.density, method=method), fabric.density)
+                estimate_moduli(noisy, density=fabric.density, method=method), fabric.density)
         except InputError:
             continue
     return found
