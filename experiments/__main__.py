@@ -5,8 +5,9 @@
     python -m experiments papers                # all of docs/studies.md, hours of CPU
     python -m experiments page                  # docs/studies.md and its figures from the reports
 
-An experiment prints tables and writes a report, docs/validation/NAME.json unless out= names another
-file; most also write a figure beside it. An interrupted run resumes from its folder cases=."""
+An experiment writes a report, docs/validation/NAME.json unless out= names another file, and most a
+figure beside it; it prints what the documentation claims and shows of it. An interrupted run resumes
+from its folder cases=."""
 
 import ast
 import sys
@@ -52,6 +53,7 @@ def run_experiment(name: str, words: list[str]) -> None:
     @command(f"experiment/{name}", schema_of(f"experiment/{name}"), swept_out=f"{name}.json")
     @wraps(module.run)  # the help is the docstring of its module
     def run(settings: Any) -> None:
+        from experiments.figures import shown
         from experiments.result import EXECUTION_KEYS, REPORTS, write_figure, write_report
 
         config, stored = asdict(settings), REPORTS / f"{name}.json"
@@ -65,8 +67,8 @@ def run_experiment(name: str, words: list[str]) -> None:
         write_report(out, report)
         if figure := section.draw(report) if section else result.figure:
             write_figure(out.with_suffix(".png"), figure)
-        if section:
-            print(section.summary(report))
+        print(section.summary(report) if section else shown(
+            out.stem if out.parent == REPORTS else name, report))
         if section and out == stored:
             write_page()
 

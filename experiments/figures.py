@@ -1,36 +1,56 @@
-"""Write the figures of the documentation from the reports: ``python -m experiments.figures``.
+"""Figures of the documentation from the reports: ``python -m experiments.figures``.
 
 In README.md and docs/*.md, the text between ``<!-- figures: NAME -->`` and ``<!-- end -->`` is
 replaced by the block NAME of :data:`BLOCKS`, made from docs/validation/*.json. A test compares
-pages and reports; ``make docs`` updates the pages.
+pages and reports; ``make docs`` updates the pages. An experiment prints its claims and its block.
 """
 
 import json
+import operator
 import re
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator
 from math import exp, sqrt
+from pathlib import Path
+from string import Formatter
+from typing import Any
 
 from common.cli import run_command
 from common.errors import InputError
 from common.files import replace_file
 from drapenet.network.checkpoint import bundled, read_header
-from experiments.result import REPORTS, ROOT, read_report, table
+from experiments.result import REPORTS, ROOT, Report, read_report, table
 from sim.rig import Rig
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+CLAIMS = Path(__file__).with_name("claims.md")
 MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
+COMMANDS = {
+    **{f"evaluation_{rig}": f"drapenet.network.evaluate rig={rig}" for rig in RIGS.values()},
+    "refine_views_real": "experiments refine_views variation=real "
+                         "out=docs/validation/refine_views_real.json"}
+"""Commands of reports with another name."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""
+_RELATIONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+              "==": operator.eq}
 
 
-report = cache(read_report)
+class Reports(dict[str, Report]):
+    """Reports by name of the experiment, read when used, with the figures of :data:`DERIVED`."""
 
+    def __missing__(self, name: str) -> Report:
+        return self.add(name, read_report(name))
 
-def cell(kind: str, name: str = "as trained") -> dict:
-    """Evaluation of the network for ``kind`` of specimens under the condition ``name``."""
-    return report(f"evaluation_{RIGS[kind]}")["cells"].get(name)
+    def add(self, name: str, report: Report) -> Report:
+        """Use this report in place of a stored one."""
+        derived = DERIVED.get(name)
+        self[name] = report | derived(report) if derived else report
+        return self[name]
+
+    def cell(self, kind: str, name: str = "as trained") -> Report:
+        """Evaluation of the network for ``kind`` of specimens under the condition ``name``."""
+        return self[f"evaluation_{RIGS[kind]}"]["cells"].get(name)
 
 
 def spread(kind: str) -> float:
@@ -62,199 +82,135 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def claims() -> str:
-    """Table of claims; missed targets are marked."""
-    rows: list[list[str]] = []
+# --- Claims -----------------------------------------------------------------------------------
 
-    def add(claim: str, section: str, figure: str, target: str, command: str, *,
-            met: bool = True) -> None:
-        module = "" if command.startswith("drapenet.") else "experiments "
-        rows.append([f"[{claim}](#{slug(section)})", figure,
-                     target if met else f"{target}: {MISSED}", f"`{module}{command}`"])
 
-    found = report("elastica")
-    add("Hanging strips have the shape of the elastica", "Strips against the heavy elastica",
-        f"ratio of drop to reach within {percent(found['largest_deviation'], 2)} for Γ from 0.1 to "
-        "1000, on four triangulations", "0.5 %", "elastica", met=found["passed"])
+class Figures(Formatter):
+    """Format texts with figures of a report: ``{default[mean_cpu_seconds]:.2f}``.
 
-    found = report("strips")
-    bent = max(abs(row["deviation"]) for row in found["nonlinear"])
-    cut = max(abs(row["deviation"]) for row in found["angled"])
-    add("… also with quadratic moduli and off-axis",
-        "Non-linear and anisotropic strips, and plates",
-        f"{percent(bent, 2)} (non-linear); {percent(cut, 2)} of the modulus at five angles",
-        "1 %; 2 %", "strips", met=bent < 0.01 and cut < 0.02)
-    rates = found["plate_rates"].values()
-    add("The element converges to plate theory", "Non-linear and anisotropic strips, and plates",
-        f"order {min(rates):.1f} to {max(rates):.1f} on three plates", "2", "strips",
-        met=min(rates) > 1.9)
+    In addition to Python's format, ``.1%`` gives 12.3 %, ``.1mm`` converts metres and ``.1M``
+    divides by a million.
+    """
 
-    found = report("testers")["errors_percent"]["guided regression"]
-    worst = [found[name]["largest"] for name in ("alpha", "beta")]
-    add("Cantilever estimators recover the moduli of guided strips", "Cantilever estimators",
-        f"α within {worst[0]:.1f} %, β within {worst[1]:.1f} % in {found['alpha']['readings']} of "
-        "60 directions", "2 %; 10 %", "testers", met=worst[0] <= 2 and worst[1] <= 10)
+    def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:
+        value = kwargs
+        for key in re.findall(r"[^\[\]]+", field_name):
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        return value, field_name
 
-    found = report("meshes")
-    midedge, hinge = (found["summary"][law]["largest_mean_mm"] for law in ("midedge", "hinge"))
-    add("On fine meshes a drape does not depend on the mesh †", "Mesh independence",
-        f"three kinds of meshes agree within {midedge:.2f} mm (hinge model {hinge:.1f} mm)",
-        f"{found['limit_mm']} mm", "meshes", met=found["passed"])
+    def format_field(self, value: Any, format_spec: str) -> str:
+        for unit, factor, name in (("%", 1e2, " %"), ("mm", 1e3, " mm"), ("M", 1e-6, "")):
+            if format_spec.endswith(unit):
+                return f"{factor * value:{format_spec.removesuffix(unit)}f}{name}"
+        return super().format_field(value, format_spec)
 
-    found = report("default_mesh")
-    free, placed = found["meshes"][RIGS["squares"]][:2]
-    add("The default mesh is close to a fine one", "The default mesh",
-        f"{free['mean_mm']:.2f} mm as draped, {placed['mean_mm']:.2f} mm in the fine mesh's "
-        "minimum", f"{found['limit_mm']} mm as draped", "default_mesh",
-        met=free["mean_mm"] <= found["limit_mm"])
+    def holds(self, condition: str, report: Report) -> bool:
+        """Whether a figure is true, or is in a relation to a number or to another figure."""
+        field, *relation = condition.rsplit(" ", 2)
+        value = self.get_field(field, (), report)[0]
+        if not relation:
+            return bool(value)
+        number = re.fullmatch(r"[\d.]+", relation[1])
+        limit = float(number[0]) if number else self.get_field(relation[1], (), report)[0]
+        return _RELATIONS[relation[0]](value, limit)
 
-    found = report("convergence")
-    drapes = found["all"]
-    deepest = drapes["deepest_entry_of_accepted_mm"]
-    add("Drapes converge", "Convergence",
-        f"{percent(drapes['share_reached'], 1)} of {drapes['drapes']}, "
-        f"{drapes['accepted_that_intersect_themselves']} intersect themselves, at most "
-        f"{deepest:.3f} mm inside the cylinder", "99 %; 0; 0.2 mm", "convergence",
-        met=found["passed"])
 
-    found = report("speed")["default"]
-    mean, median = found["mean_cpu_seconds"], found["median_cpu_seconds"]
-    add("A drape from `sine` costs one to two CPU-seconds", "Speed",
-        f"mean {mean:.2f}, median {median:.2f} (the paper's took 19.8 on other hardware)",
-        "1.2; 1.0", "speed", met=mean <= 1.2 and median <= 1.0)
+def claim_rows(reports: Reports, only: str = "") -> Iterator[list[str]]:
+    """Rows of the table of claims, of all reports or of one; missed targets are marked."""
+    figures = Figures()
+    for line in CLAIMS.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("| ") or line.startswith(("| claim |", "| --- |")):
+            continue
+        claim, section, text, target, conditions, name = line.strip("| ").split(" | ")
+        if name != (only or name):
+            continue
+        text, target = (figures.vformat(part, (), reports[name]) for part in (text, target))
+        met = conditions == "–" or all(figures.holds(condition, reports[name])
+                                       for condition in conditions.split(", "))
+        yield [f"[{claim}](#{slug(section)})", text, target if met else f"{target}: {MISSED}",
+               f"`{COMMANDS.get(name, f'experiments {name}')}`"]
 
-    cost = report("lowering")["cost"]
-    more = cost["lowered"]["seconds"] - cost["ring"]["seconds"]
-    add("A lowered drape costs little more than a `ring` one", "Real cloth",
-        f"{more:+.2f} CPU-seconds (means of 32: {cost['lowered']['seconds']:.2f} and "
-        f"{cost['ring']['seconds']:.2f})", "0.7", "lowering", met=more <= 0.7)
 
-    found = report("outlines")["summary"]["parallel"]
-    plain, fabrics, ring = (found[name]["all"] for name in ("flat", "fabrics", "ring"))
-    off = abs(plain["folds"] - plain["folds_real"])
-    add("Lowered drapes have the folds of real outlines", "Real cloth",
-        f"{plain['folds']:.2f} folds where nine fabrics have {plain['folds_real']:.2f} (ring start "
-        f"{ring['folds']:.2f})", "within 0.4", "outlines", met=off <= 0.4)
-    add("… and their spectra", "Real cloth",
-        f"differ by {plain['spectrum']:.2f} deviations of repeats for isotropic cloth, "
-        f"{fabrics['spectrum']:.2f} for fabrics of the prior", "1 for isotropic cloth", "outlines",
-        met=plain["spectrum"] <= 1)
-    found = next(iter(report("laboratory")["summary"].values()))
-    add("Laboratory fabrics with measured hysteresis drape as measured", "Real cloth",
-        f"drape coefficient off by {found['rms_hysteresis']:.1f} points rms (four fabrics), all "
-        f"ten {found['rms']:.1f}, rank correlation {found['rank']:.2f}", "8 points", "laboratory",
-        met=found["rms_hysteresis"] <= 8)
+def strips(report: Report) -> Report:
+    """Largest deviations of both kinds of strips, and range of the orders of the plates."""
+    rates = report["plate_rates"].values()
+    return {name: max(abs(row["deviation"]) for row in report[kind])
+            for name, kind in (("bent", "nonlinear"), ("cut", "angled"))} | {
+            "orders": [min(rates), max(rates)]}
 
-    worst = report("membranes")["scaling_worst_mm"]
-    add("A drape depends on moduli over density alone", "Membrane",
-        f"{worst:.0e} mm, if the membrane scales as well", "0.01 mm", "membranes",
-        met=worst < 0.01)
 
-    found = report("sensitivity")
-    cost = found["share_of_the_drape"]["backward"]["largest"]
-    add("Derivatives of a drape are right", "Derivatives of a drape",
-        "forward {:.1e}, adjoint {:.1e} from central differences; backward pass at most "
-        "{} of a drape".format(*found["worst"].values(), percent(cost, 1)), "1e-3; 15 %",
-        "sensitivity", met=found["passed"])
+def lowering_cost(report: Report) -> Report:
+    """CPU-seconds of a lowered drape more than of one from a ring start."""
+    cost = report["cost"]
+    return {"more": cost["lowered"]["seconds"] - cost["ring"]["seconds"]}
 
-    found = report("throughput")
-    add("Two cores double the throughput †", "Speed",
-        f"{found['ratio']:.2f} times; {found['ratio_from_their_start']:.2f} with the start of the "
-        "processes", "2", "throughput", met=found["ratio_from_their_start"] >= 2)
 
-    agreement = report("render")["agreement"]["rasteriser"]
-    speeds = report("render")["views_per_second"]["240x180"]
-    add("The rasteriser agrees with ray casting †", "Rendering",
-        f"{agreement['silhouette_pixels_that_differ']} of "
-        f"{1e-6 * agreement['cloth_pixels']:.1f} million pixels differ, depth within "
-        f"{agreement['largest_mm']:.3f} mm; {speeds['rasteriser'] / speeds['rays']:.1f} times as "
-        "fast", "1 pixel; 0.05 mm", "render", met=agreement["largest_mm"] < 0.05)
+def outline_folds(report: Report) -> Report:
+    """Difference of the number of folds from that of real outlines."""
+    flat = report["summary"]["parallel"]["flat"]["all"]
+    return {"off": abs(flat["folds"] - flat["folds_real"])}
 
-    bounds = report("information")["rms"]
-    bound = bounds["all nuisances unknown"]
-    ideal = bounds["no nuisances"]
-    add("Smallest possible error with four views of a drape", "What a drape determines",
-        f"log α to {ideal['log_alpha']:.2f} and β/α to {1e3 * ideal['beta_over_alpha']:.1f} mm "
-        f"without nuisances; {bound['log_alpha']:.2f} and {1e3 * bound['beta_over_alpha']:.1f} mm "
-        "with all unknown", "–", "information")
 
-    for kind in RIGS:
-        found = cell(kind)
-        error, ratio = found["log_alpha"]["rmse"], found["beta_over_alpha"]["rmse"]
-        low, high = found["log_alpha"]["interval_95"]
-        limit = {"squares": 0.84, "discs": None}[kind]
-        add(f"The network's error on unseen {kind}", "The estimator",
-            f"log α {error:.3f} ({low:.3f} to {high:.3f}) and β/α {ratio:.2f} of the spread",
-            f"β/α {limit}" if limit else "–", f"drapenet.network.evaluate rig={RIGS[kind]}",
-            met=limit is None or ratio <= limit)
-        off = max(abs(100 * one["mean"] - float(level.strip("%")))
-                  for level, one in found["inside"].items())
-        add(f"… and the coverage of its 50, 68 and 90 % intervals ({kind})", "The estimator",
-            coverage(found), "3 points", f"drapenet.network.evaluate rig={RIGS[kind]}",
-            met=off <= 3)
+def render_speed(report: Report) -> Report:
+    """Speed of the rasteriser relative to ray casting."""
+    speeds = report["views_per_second"]["240x180"]
+    return {"ratio": speeds["rasteriser"] / speeds["rays"]}
 
-    found = report("tree")
-    same = all(found["same_tables"].values())
-    add("A killed run of many captures gives the same tables", "Whole scenes and faulty captures",
-        f"{found['captures']} simulated captures in one command, {found['failures']} failures, "
-        f"killed twice with {'the same' if same else 'other'} tables", "the same", "tree", met=same)
 
-    found = report("cutouts")["summary"]["all"]
-    add("Cloth is cut out of whole scenes", "Whole scenes and faulty captures",
-        "intersection over union {:.3f}, worst {:.3f}; plate within {:.1f} mm (worst {:.1f}), "
-        "tilt {:.2f}° ({:.2f}), turns {:.2f}° ({:.1f})".format(
-            *found["iou"], *found["across_mm"], *found["tilt_deg"], *found["turn_deg"]),
-        "0.985, 0.96; worst 1.5 mm, 0.3°, 0.7°", "cutouts",
-        met=found["across_mm"][1] <= 1.5 and found["tilt_deg"][1] <= 0.3)
+def evaluated(report: Report) -> Report:
+    """The evaluation as trained, with the coverage and its largest error in points."""
+    cell = report["cells"]["as trained"]
+    return {"trained": cell, "coverage": coverage(cell), "off": max(
+        abs(100 * one["mean"] - float(level.strip("%"))) for level, one in cell["inside"].items())}
 
-    found = dict(report("faults")["found"])
+
+def tree_tables(report: Report) -> Report:
+    """Whether the tables of both runs are the same."""
+    same = all(report["same_tables"].values())
+    return {"same": same, "tables": "the same" if same else "other"}
+
+
+def detected_faults(report: Report) -> Report:
+    """Kinds of faults, the share that is detected, and the share of warnings without fault."""
+    found = dict(report["found"])
     sound = found.pop("sound")
-    share = sum(found.values()) / len(found)
-    add("Faults of captures are detected", "Whole scenes and faulty captures",
-        f"{percent(share, 1)} of {len(found)} kinds corrected, refused or reported; "
-        f"{percent(sound)} of sound captures have a warning", "95 %; 2 %", "faults",
-        met=share >= 0.95 and sound <= 0.02)
-
-    for name, text, words in (
-            ("refine_views", "without", ""),
-            ("refine_views_real", "with",
-             " variation=real out=docs/validation/refine_views_real.json")):
-        before, after = (report(name)["summary"]["all"][who] for who in ("network", "refined"))
-        worst = after["log_alpha_worst_fabric"]
-        met = round(after["log_alpha"], 2) <= 0.10 and worst <= 0.35
-        add(f"Refinement of views {text} nuisances", "Refinement",
-            f"error of log α {after['log_alpha']:.3f} (network {before['log_alpha']:.3f}), worst "
-            f"fabric {worst:.2f}", "0.10; 0.35", f"refine_views{words}", met=met)
-    found = report("refine_scans")
-    before, after = (found["summary"][who]["log_alpha"] for who in ("network", "refined"))
-    add("Refinement of simulated scans with nuisances", "Refinement",
-        f"error of log α {after:.3f} (network {before:.3f}); {found['mean_away_mm']:.1f} mm from "
-        "the scan", "–", "refine_scans")
-    found = report("repeats")["summary"]
-    add("Repeated drapes of one fabric", "Repeated drapes",
-        "error of log α {:.3f}, {:.3f}, {:.3f} with 1, 2, 5 captures (bound {:.3f}, {:.3f}, "
-        "{:.3f}); inside with 5: {}".format(
-            *(found[n][key] for key in ("log_alpha", "bound") for n in "125"),
-            coverage(found["5"])),
-        "0.081 with 5", "repeats", met=found["5"]["log_alpha"] <= 1.2 * 0.081)
-
-    found = report("service")
-    many, bad = found["many_at_once"], found["malformed"]
-    add("The service handles simultaneous and malformed requests", "The service",
-        f"{many['with_their_own_result']} of {many['uploads']} simultaneous uploads answered with "
-        f"their own result; {bad['requests']} malformed requests, {bad['tracebacks']} tracebacks, "
-        f"answers within {bad['longest_seconds']:.0f} s", "all; 0; 10 s", "service",
-        met=many["with_their_own_result"] == many["uploads"] and not bad["tracebacks"])
-
-    found = report("prior")["models"]
-    vae, mixture = (found[name]["log_likelihood_unseen"] for name in ("vae4", "gmm3"))
-    add("The prior describes unseen fabrics", "The fabric prior",
-        "VAE-4 {:.2f} ± {:.2f} nats, best mixture {:.2f} ± {:.2f}".format(*vae, *mixture),
-        "not below the mixture", "prior", met=vae[0] >= mixture[0])
-    return markdown(["claim", "figure", "target", "`python -m …`"], rows)
+    return {"sound": sound, "kinds": len(found), "share": sum(found.values()) / len(found)}
 
 
-def demo() -> str:
+def joint_coverage(report: Report) -> Report:
+    """Coverage of intervals from five captures."""
+    return {"coverage": coverage(report["summary"]["5"])}
+
+
+DERIVED: dict[str, Callable[[Report], Report]] = {
+    "strips": strips, "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
+    **{f"evaluation_{rig}": evaluated for rig in RIGS.values()}, "tree": tree_tables,
+    "faults": detected_faults,
+    "repeats": joint_coverage}
+"""Figures of claims that are computed from a report."""
+
+
+def shown(name: str, report: Report) -> str:
+    """The claims and the block of an experiment, from a new report."""
+    reports = Reports()
+    try:
+        reports.add(name, report)
+        parts = [f"{claim.partition('](')[0].lstrip('[')}: {text} (target: {target})"
+                 for claim, text, target, _ in claim_rows(reports, name)]
+        return "\n".join([*parts, BLOCKS[name](reports)] if name in BLOCKS else parts)
+    except (KeyError, IndexError, TypeError, ValueError, ZeroDivisionError, StopIteration):
+        return "The settings are too small for the claims of the documentation; see the report."
+
+
+# --- Blocks -----------------------------------------------------------------------------------
+
+
+def claims(reports: Reports) -> str:
+    """Table of claims."""
+    return markdown(["claim", "figure", "target", "`python -m …`"], claim_rows(reports))
+
+
+def demo(reports: Reports) -> str:
     """Output of ``make demo``, and a table of the true and the estimated moduli."""
     printed = (REPORTS / "demo.txt").read_text(encoding="utf-8").rstrip()
     truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
@@ -266,8 +222,8 @@ def demo() -> str:
         rows.append([direction, f"{true['alpha_uN_m']:.0f}", f"{alpha} ({low} to {high})",
                      f"{true['beta_nN_m2']:.0f}", f"{beta} ({least} to {most})"])
     known = table(["", "α true, µN·m", "estimate (68 %)", "β true, nN·m²", "estimate (68 %)"], rows)
-    contained = " and ".join(
-        f"{percent(sum(cell(kind)['inside']['68%']['each'][3:]) / 3)} ({kind})" for kind in RIGS)
+    shares = {kind: reports.cell(kind)["inside"]["68%"]["each"][3:] for kind in RIGS}
+    contained = " and ".join(f"{percent(sum(each) / 3)} ({kind})" for kind, each in shares.items())
     return (f"```\n{printed}\n```\n\n"
             f"**The capture of the demo is simulated**, so the true moduli are known:\n\n{known}\n"
             "\nA drape says little about β, so its estimate is pulled towards the β/α of typical "
@@ -275,11 +231,11 @@ def demo() -> str:
             "fabrics, and one fabric can be missed in several directions at once.")
 
 
-def views() -> str:
+def views(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
-    found = {count: cell("squares", f"views {count}")["log_alpha"]["rmse"] * spread("squares")
-             for count in (1, 2, 4, 8)}
-    joined = report("repeats")["summary"]
+    cells = {count: reports.cell("squares", f"views {count}") for count in (1, 2, 4, 8)}
+    found = {count: cell["log_alpha"]["rmse"] * spread("squares") for count, cell in cells.items()}
+    joined = reports["repeats"]["summary"]
     return "\n\n".join((
         table(["views of one drape", *found], [["error of log α", *map("{:.2f}".format,
                                                                       found.values())]]),
@@ -287,7 +243,7 @@ def views() -> str:
               [["error of log α", *(f"{one['log_alpha']:.2f}" for one in joined.values())]])))
 
 
-def testers() -> str:
+def testers(reports: Reports) -> str:
     """Errors of the cantilever estimators."""
     def share(value: float) -> str:
         return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
@@ -296,14 +252,14 @@ def testers() -> str:
     rows = [[" ".join(names.get(word, word) for word in strips.split()),
              *(share(found[name][key]) for name in ("alpha", "beta")
                for key in ("median", "rms", "largest"))]
-            for strips, found in report("testers")["errors_percent"].items()]
+            for strips, found in reports["testers"]["errors_percent"].items()]
     return table(["strips, estimator", "α: median", "rms", "largest", "β: median", "rms",
                   "largest"], rows)
 
 
-def default_mesh() -> str:
+def default_mesh(reports: Reports) -> str:
     """Displacements of drapes on the default and other meshes from a fine mesh."""
-    kinds = report("default_mesh")["meshes"]
+    kinds = reports["default_mesh"]["meshes"]
     rows = []
     for kind, rig in RIGS.items():
         for row in kinds[rig]:
@@ -318,12 +274,12 @@ def default_mesh() -> str:
                   "within 0.8 mm", "CPU-seconds a drape"], rows)
 
 
-def cutouts() -> str:
+def cutouts(reports: Reports) -> str:
     """Errors of cut-outs by sensor, medians and worst cases."""
     rows = [[name, f"{found['iou'][1]:.3f}",
              *("{:.2f}, {:.2f}".format(*found[key]) for key in ("across_mm", "tilt_deg",
                                                                 "turn_deg", "shift"))]
-            for name, found in report("cutouts")["summary"].items()
+            for name, found in reports["cutouts"]["summary"].items()
             if name in ("smooth", "paper", "tof")]
     return table(["sensor", "intersection over union, worst",
                   *(f"{what}: median, worst" for what in
@@ -331,21 +287,21 @@ def cutouts() -> str:
                  rows)
 
 
-def information() -> str:
+def information(reports: Reports) -> str:
     """Posterior bounds by unknown nuisances."""
     rows = [[name.replace("_", " along "), f"{found['log_alpha']:.3f}",
              f"{1e3 * found['beta_over_alpha']:.2f}",
              f"{found['standardised_log_alpha']:.3f}",
              f"{found['standardised_beta_over_alpha']:.3f}"]
-            for name, found in report("information")["rms"].items()]
+            for name, found in reports["information"]["rms"].items()]
     return table(["unknown", "log α", "β/α, mm", "log α, of the spread", "β/α, of the spread"],
                  rows)
 
 
-def cells() -> str:
+def cells(reports: Reports) -> str:
     """Errors and coverage of the networks, with one condition changed at a time."""
     def columns(kind: str, name: str) -> list[str]:
-        found = cell(kind, name)
+        found = reports.cell(kind, name)
         if not found:
             return ["–"] * 3
         low, high = found["log_alpha"]["interval_95"]
@@ -353,17 +309,17 @@ def cells() -> str:
                 f"{found['beta_over_alpha']['rmse']:.2f}", coverage(found)]
 
     rows = [[name, *columns("squares", name), *columns("discs", name)]
-            for name in report(f"evaluation_{RIGS['discs']}")["cells"]
+            for name in reports[f"evaluation_{RIGS['discs']}"]["cells"]
             if name.split()[0] not in ("sensor", "pitch", "distance")]
     head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
                            ("log α / spread (95 %)", "β/α / spread", "inside"))]
-    return f"{table(head, rows)}\n\n{soft_fabrics()}"
+    return f"{table(head, rows)}\n\n{soft_fabrics(reports)}"
 
 
-def soft_fabrics() -> str:
+def soft_fabrics(reports: Reports) -> str:
     """The errors of soft fabrics, beside how far these differ from each other."""
     def shares(name: str) -> str:
-        found = [cell(kind, "soft fabrics") for kind in RIGS]
+        found = [reports.cell(kind, "soft fabrics") for kind in RIGS]
         return " and ".join(percent(one[name]["rmse"] / one["prior"][name]) for one in found)
 
     return ("Soft fabrics alone differ less from each other: of their own spread, the error of "
@@ -371,12 +327,12 @@ def soft_fabrics() -> str:
             f"{shares('beta_over_alpha')}.")
 
 
-def refinement() -> str:
+def refinement(reports: Reports) -> str:
     """Errors of the network and of the refinement on simulated captures and scans."""
-    sets = {"views, no nuisances": report("refine_views")["summary"]["all"],
-            "views, other folds": report("refine_views")["summary"]["other folds"],
-            "views, all nuisances": report("refine_views_real")["summary"]["all"],
-            "scans, all nuisances": report("refine_scans")["summary"]}
+    sets = {"views, no nuisances": reports["refine_views"]["summary"]["all"],
+            "views, other folds": reports["refine_views"]["summary"]["other folds"],
+            "views, all nuisances": reports["refine_views_real"]["summary"]["all"],
+            "scans, all nuisances": reports["refine_scans"]["summary"]}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
@@ -385,7 +341,7 @@ def refinement() -> str:
                   "inside"], rows)
 
 
-def outlines() -> str:
+def outlines(reports: Reports) -> str:
     """Folds, radii and spectra of real and simulated outlines at equal drape coefficient."""
     starts = {"flat": "lowered", "curled": "lowered, natural curvature from both faces",
               "specimens": "lowered, nuisances of specimens",
@@ -394,36 +350,36 @@ def outlines() -> str:
              *(f"{found[key]:.{digits}f}" for key, digits in (
                  ("folds_real", 2), ("folds", 2), ("folds_rms", 2), ("deviation_real_mm", 1),
                  ("deviation_mm", 1), ("spectrum", 2)))]
-            for reading, each in report("outlines")["summary"].items()
+            for reading, each in reports["outlines"]["summary"].items()
             for name, label in starts.items() for found in [each[name]["all"]]]
     return table(["pictures read as", "start", "folds, real", "simulated", "rms difference",
                   "deviation of the radius, mm, real", "simulated",
                   "spectra differ by, deviations"], rows)
 
 
-def laboratory() -> str:
+def laboratory(reports: Reports) -> str:
     """Drape coefficients and nodes of laboratory fabrics, measured and simulated."""
     rows = [[one["fabric"], one["composition"], one["tester"].replace("_", " "), one["membrane"],
              one["hysteresis"], f"{one['measured']:.1f}",
              f"{one['coefficient']:.1f} ({one['coefficient'] - one['measured']:+.1f})",
              "" if one["nodes_measured"] is None else f"{one['nodes_measured']:.0f}",
-             f"{one['nodes']:.1f}"] for one in report("laboratory")["fabrics"]]
+             f"{one['nodes']:.1f}"] for one in reports["laboratory"]["fabrics"]]
     return table(["fabric", "", "tester", "stretch and shear", "2HB", "DC measured, %",
                   "simulated", "nodes measured", "simulated"], rows)
 
 
-def lowering() -> str:
+def lowering(reports: Reports) -> str:
     """Folds and drape coefficients of lowered drapes, one setting changed at a time."""
-    found = report("lowering")
+    found = reports["lowering"]
     rows = [[row["variant"], *(f"{folds:.1f}, {dc:.1f}" for folds, dc in zip(
         row["folds"], row["coefficients"], strict=True))] for row in found["variants"]]
     return table(["folds, drape coefficient in %",
                   *(f"{alpha:g} µN·m" for alpha in found["settings"]["alphas"])], rows)
 
 
-def prior() -> str:
+def prior(reports: Reports) -> str:
     """Likelihoods and distances of the priors on fitted and unseen fabrics."""
-    found = report("prior")
+    found = reports["prior"]
     names = {**{f"gmm{k}": f"mixture of {k} normal distributions" for k in (3, 7)},
              **{f"vae{k}": f"VAE-{k}" for k in range(1, 5)}, "gaussian": "one normal distribution"}
     keys = ("log_likelihood_fitted", "log_likelihood_unseen", "wasserstein")
@@ -434,14 +390,14 @@ def prior() -> str:
                   "split by row"], rows)
 
 
-def accuracy() -> str:
+def accuracy(reports: Reports) -> str:
     """List of three items: errors, what was compared with real cloth, limits."""
-    squares, discs = cell("squares"), cell("discs")
-    error = {kind: exp(cell(kind)["log_alpha"]["rmse"] * spread(kind)) - 1 for kind in RIGS}
-    four = {kind: exp(cell(kind, "views 4")["log_alpha"]["rmse"] * spread(kind)) - 1
+    squares, discs = reports.cell("squares"), reports.cell("discs")
+    error = {kind: exp(reports.cell(kind)["log_alpha"]["rmse"] * spread(kind)) - 1 for kind in RIGS}
+    four = {kind: exp(reports.cell(kind, "views 4")["log_alpha"]["rmse"] * spread(kind)) - 1
             for kind in RIGS}
-    drapes = report("outlines")["summary"]["parallel"]["flat"]["all"]
-    bent = next(iter(report("laboratory")["summary"].values()))
+    drapes = reports["outlines"]["summary"]["parallel"]["flat"]["all"]
+    bent = next(iter(reports["laboratory"]["summary"].values()))
     return "\n".join([
         f"- **Simulated fabrics** outside the training set, with the variation of real "
         f"specimens and cameras: the typical error of α is {percent(error['squares'])} for "
@@ -460,7 +416,7 @@ def accuracy() -> str:
         "The bundled networks were trained on drapes from artificial starts."])
 
 
-BLOCKS: dict[str, Callable[[], str]] = {
+BLOCKS: dict[str, Callable[[Reports], str]] = {
     block.__name__: block for block in (
         demo, accuracy, views, claims, testers, default_mesh, cutouts,
         information, cells, refinement, prior, outlines, laboratory, lowering)
@@ -473,10 +429,12 @@ def fill_blocks(text: str) -> str:
     Raises:
         InputError: an unknown block.
     """
+    reports = Reports()
+
     def block(mark: re.Match[str]) -> str:
         if mark[2] not in BLOCKS:
             raise InputError(f"figures: {mark[2]} is not a block; known: {', '.join(BLOCKS)}")
-        return f"{mark[1]}{BLOCKS[mark[2]]()}\n{mark[3]}"
+        return f"{mark[1]}{BLOCKS[mark[2]](reports)}\n{mark[3]}"
 
     return MARK.sub(block, text)
 
