@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from common.command import command
-from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named
 from data.captures.capture import Capture, captures_in, checked_density, read_capture
@@ -56,9 +55,9 @@ def main(config: InferConfig) -> None:
     require_output(out, paths)
     for folder in folders:
         require_output(folder)
-    with deferred():  # importing torch takes seconds; input errors come first
-        from drapenet.inference import estimate_capture
-        from drapenet.result.joint import joint_result
+    # Importing torch takes seconds; input errors come first.
+    from drapenet.inference import estimate_capture
+    from drapenet.result.joint import joint_result
 
     found = []
     for (capture, seen), folder in zip(sources, folders, strict=True):
@@ -110,8 +109,7 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
         paths = [one for path in paths for one in captures_in(path)]
         return [(read_capture(path), None) for path in paths]
     density = checked_density(config.density_g_m2)
-    with deferred():
-        from drapenet.refine.scans import read_scan_capture
+    from drapenet.refine.scans import read_scan_capture
 
     return [read_scan_capture(path, density=density) for path in paths]
 

@@ -12,7 +12,7 @@ import common.interrupt  # noqa: F401
 import os
 
 from common.command import command
-from common.threads import ONE_THREAD
+from common.workers import ONE_THREAD
 from drapenet.service.settings import Settings
 
 

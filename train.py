@@ -13,7 +13,6 @@ import math
 from pathlib import Path
 
 from common.command import command
-from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named, require_folder
 from drapenet.config import TrainConfig
@@ -23,14 +22,14 @@ def train(config: TrainConfig) -> Path:
     """Train, or resume, and return the checkpoint with the lowest validation loss."""
     out = folder_named(config.out)
     require_folder(out / "tensorboard")
-    with deferred():  # importing torch takes seconds; input errors come first
-        import torch
-        from torch.utils.tensorboard import SummaryWriter
-        from tqdm import tqdm
+    # Importing torch takes seconds; input errors come first.
+    import torch
+    from torch.utils.tensorboard import SummaryWriter
+    from tqdm import tqdm
 
-        from drapenet.network import training as steps
-        from drapenet.network.checkpoint import save_checkpoint
-        from drapenet.network.model import MapNet
+    from drapenet.network import training as steps
+    from drapenet.network.checkpoint import save_checkpoint
+    from drapenet.network.model import MapNet
 
     device = steps.choose_device(config)
     training, unseen, manifest = steps.open_captures(config)

@@ -14,6 +14,7 @@ from common.errors import InputError, one_line
 
 PARTIAL_SUFFIX = ".part"
 """Suffix of a file while it is being written."""
+_unfinished: set[Path] = set()
 
 
 @contextmanager
@@ -28,6 +29,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         InputError: the system refuses to write.
     """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
+    _unfinished.add(temporary)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
@@ -40,6 +42,14 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         reason = error.strerror or one_line(error)
         raise InputError(f"cannot write {path}: {reason}; choose another place") from error
     finally:
+        with suppress(OSError):
+            temporary.unlink()
+        _unfinished.discard(temporary)
+
+
+def remove_unfinished() -> None:
+    """Remove temporary files of this process, which is about to end."""
+    for temporary in list(_unfinished):
         with suppress(OSError):
             temporary.unlink()
 

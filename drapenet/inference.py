@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.ctrl_c import require_interruption
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from data.captures.capture import Capture
 from data.fabrics.nuisances import Nuisances, at_density
@@ -134,13 +133,9 @@ def estimate_capture(
             warnings += drape.warnings
         if drapes:
             files = _shown(result({}), inferred, capture, drape)
-    except (KeyboardInterrupt, SystemError) as error:
-        require_interruption(error)
-        # A minute of refinement must not be lost for it.
-        warnings.append("interrupted: there is no report")
     except InputError:  # a word that is out of range
         raise
-    except Exception as error:  # nor for a font, a full memory or a name that cannot be drawn
+    except Exception as error:  # the estimate must not be lost for a font or a full memory
         warnings.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
     return result(files)
 

@@ -441,6 +441,9 @@ def fill_blocks(text: str) -> str:
 
 def main(argv: list[str]) -> None:
     """Update all pages; print the names of those that changed."""
+    if argv in (["-h"], ["--help"]):
+        print(__doc__)
+        return
     if argv:
         raise InputError(f"{' '.join(argv)}: this command takes no settings")
     for page in PAGES:
@@ -451,4 +454,4 @@ def main(argv: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(main, usage=__doc__)
+    run_command(main)

@@ -2,6 +2,6 @@
 
 import os
 
-from common.threads import ONE_THREAD
+from common.workers import ONE_THREAD
 
 os.environ.update(ONE_THREAD)

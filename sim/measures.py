@@ -8,7 +8,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from common.threads import one_blas_thread
+from common.workers import one_blas_thread
 from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
 from sim.rig import Cylinder, Rig

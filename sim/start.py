@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 from scipy.spatial import ConvexHull, QhullError
 
 from common.errors import InputError
-from common.threads import one_blas_thread
+from common.workers import one_blas_thread
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
 

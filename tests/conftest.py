@@ -1,10 +1,15 @@
 """Fixtures that several folders of tests share."""
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import cloths
 import pytest
+
+import common.interrupt  # noqa: F401
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 
 
 @pytest.fixture(scope="session")

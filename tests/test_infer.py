@@ -361,22 +361,6 @@ def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path) -
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page
 
 
-@pytest.mark.slow
-def test_an_interrupted_report_does_not_lose_the_estimate(
-    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("drapenet.report.figures.draw_report", interrupted)
-    infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=12"))
-    out = capture.parent / "out"
-    assert [file.name for file in out.iterdir()] == ["estimate.json"]
-    content = json.loads((out / "estimate.json").read_text())
-    assert any("interrupted" in warning for warning in content["warnings"])
-    assert content["moduli"]
-
-
 @pytest.mark.parametrize("name", ["$a$ and $$", os.fsdecode(b"caf\xe9 \n")])
 def test_a_report_that_fails_does_not_lose_the_estimate(
     capture: Path, checkpoint: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -434,18 +418,6 @@ def test_a_refinement_that_fails_leaves_the_network_its_answer(
         "refinement failed: LinAlgError, Eigenvalues did not converge; the network's estimate is "
         "given")]
     assert content == alone
-
-
-def test_an_interrupted_refinement_leaves_the_network_its_answer(
-    capture: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("drapenet.refine.refine.refined_capture", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
-    assert "refined" not in json.loads((capture.parent / "out" / "estimate.json").read_text())
 
 
 def test_the_report_drapes_cloth_with_the_stated_membrane(

@@ -12,7 +12,6 @@ from types import ModuleType
 
 import numpy as np
 
-from common.ctrl_c import deferred
 from common.errors import InputError, one_line
 from common.types import DepthImage, Faces, Points, Radians, Views
 from data.render.cameras import Camera
@@ -28,8 +27,7 @@ def import_open3d() -> ModuleType:
     # Imported late: it takes a second, and needs system libraries that inference from cut-out
     # pictures does not.
     try:
-        with deferred():  # an interrupted import reports a failed initialization
-            import open3d
+        import open3d
     except (ImportError, OSError) as error:
         raise InputError(
             f"open3d cannot be imported ({one_line(error)}); "

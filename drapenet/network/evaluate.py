@@ -22,7 +22,6 @@ import numpy as np
 from tqdm import tqdm
 
 from common.command import command, compose_config
-from common.ctrl_c import deferred
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
 from data.dataset.generate import generate_dataset
@@ -115,11 +114,11 @@ def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> di
 
     ``network``: of ``header``; ``known``: whether it is given the membrane.
     """
-    with deferred():  # importing torch takes seconds; input errors come first
-        from drapenet.network.posterior import covered, inside, ranks
-        from drapenet.network.predict import sample_targets
-        from drapenet.network.targets import MODULI
-        from drapenet.network.training import CaptureSet
+    # Importing torch takes seconds; input errors come first.
+    from drapenet.network.posterior import covered, inside, ranks
+    from drapenet.network.predict import sample_targets
+    from drapenet.network.targets import MODULI
+    from drapenet.network.training import CaptureSet
 
     disc = header.rig.specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
@@ -168,8 +167,7 @@ def require_unseen(header: Header, generation: dict) -> None:
 @command("evaluate", EvaluateConfig)
 def main(config: EvaluateConfig) -> None:
     """Evaluate all cells, print their results and write ``evaluation.json``."""
-    with deferred():
-        from drapenet.network.dataset import make_maps
+    from drapenet.network.dataset import make_maps
 
     header = read_header(config.checkpoint or bundled(Rig.from_name(config.rig)))
     out = folder_named(config.out) / header.rig.name

@@ -15,8 +15,6 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import brentq
 
-from common.ctrl_c import require_interruption
-
 MAX_STEP = 1.0
 """Maximum step, in a problem's units: the linearisation of a drape is not valid beyond."""
 
@@ -46,7 +44,6 @@ class Status(str, Enum):
     CONVERGED = "converged"
     STALLED = "stalled"  # no step decreases the value, although the model predicts it
     EXHAUSTED = "exhausted"  # limit of evaluations
-    INTERRUPTED = "interrupted"
     FAILED = "failed"  # the start has no value or no derivatives
 
 
@@ -117,9 +114,6 @@ def minimise(
             status, message = (method or levenberg_marquardt)(run)
     except Done as done:
         status, message = done.args
-    except (KeyboardInterrupt, SystemError) as error:
-        require_interruption(error)
-        status, message = Status.INTERRUPTED, "interrupted; the best so far"
     best = run.trace[-1] if run.trace else Point(0, problem.start, math.inf)
     return Outcome(best.x, best.value, run.evaluations, status, message, run.trace)
 

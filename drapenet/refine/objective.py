@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from drapenet.refine.minimise import Limits, Status, minimise
+from drapenet.refine.minimise import Limits, minimise
 
 NUISANCE_REACH = 20.0
 """Bounds of a nuisance around its start, in its scale."""
@@ -84,15 +84,11 @@ def fit_nuisances(
     objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
 ) -> np.ndarray:
     """Fit the nuisances (K,) to a fixed shape (V, 3), m, from ``start`` (K,), without simulation.
-
-    An interruption from the keyboard is raised.
     """
     if not len(start):
         return start
     outcome = minimise(_FixedShape(objective, positions, start), limits=Limits(
         evaluations=evaluations, decrease=1e-3))
-    if outcome.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
     return outcome.x * objective.scale
 
 

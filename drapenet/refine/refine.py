@@ -21,7 +21,6 @@ from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.render.rays import DepthRenderer
 from drapenet.network.predict import Draws
-from drapenet.refine.minimise import Status
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.scans import flat_turn
 from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, search
@@ -148,11 +147,7 @@ def _search(
 
 def best_view(found: Found, drape: DrapeResult) -> np.ndarray:
     """(K, H, W) views of a drape with the pose that fits the captured ones best."""
-    nuisance = found.best.nuisance
-    try:
-        nuisance = fit_nuisances(found.objective, drape.positions, nuisance)
-    except KeyboardInterrupt:
-        pass  # render with the present pose: the estimate must not be lost
+    nuisance = fit_nuisances(found.objective, drape.positions, found.best.nuisance)
     return found.objective.render(drape.positions, nuisance)
 
 
@@ -185,8 +180,7 @@ def _warnings(
                       "network's estimate stands")
     elif theta is None:
         warnings.append("the refinement gives no uncertainty: the network's estimate stands")
-    unsettled = scan and not near and found.status is not Status.INTERRUPTED
-    if unsettled or (near and near.displacement_mm > MAX_DISPLACEMENT_MM):
+    if (scan and not near) or (near and near.displacement_mm > MAX_DISPLACEMENT_MM):
         ends = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
                 f"{MAX_DISPLACEMENT_MM:g} mm)" if near else "does not come to rest at the scan")
         warnings.append(f"the estimate's drape {ends}: check the specimen's size and the support, "

@@ -17,7 +17,6 @@ from typing import Protocol
 
 import numpy as np
 
-from common.ctrl_c import require_interruption
 from common.types import Metres, Radians
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.minimise import Limits, Status, minimise
@@ -192,28 +191,20 @@ def search(
 ) -> Found | None:
     """Search for the specimen that ``seen`` shows; None if no cloth converges on its surface.
 
-    An interruption from the keyboard returns the best so far.
-
     Args:
         starts: initial guesses; the result is compared with the first of them.
         free: names of the free parameters of :data:`.cloth.UNKNOWNS`.
         known: prior; None for none.
     """
     run = _Run(seen, free, known, progress)
-    try:
-        cloths = starts
-        for number, level in enumerate(seen.rounds):
-            last = number == len(seen.rounds) - 1
-            run.round(level, cloths, first=starts[0] if last else None)
-            if run.problem is None:
-                return None
-            cloths = [run.problem.best.cloth]
-        run.conclude()
-    except (KeyboardInterrupt, SystemError) as error:
-        require_interruption(error)
-        if run.problem is None or run.problem.best is None:
-            raise KeyboardInterrupt from None
-        run.status, run.message = Status.INTERRUPTED, "interrupted; the best so far"
+    cloths = starts
+    for number, level in enumerate(seen.rounds):
+        last = number == len(seen.rounds) - 1
+        run.round(level, cloths, first=starts[0] if last else None)
+        if run.problem is None:
+            return None
+        cloths = [run.problem.best.cloth]
+    run.conclude()
     return Found(run.problem.best, run.problem.objective, run.start_value, run.uncertainty,
                  run.released, run.effort, time.perf_counter() - run.began, run.status, run.message)
 
@@ -286,8 +277,6 @@ class _Run:
         outcome = minimise(
             problem, limits=Limits(evaluations=evaluations + 1, decrease=MIN_DECREASE),
             report=lambda *_: self.report(problem))
-        if outcome.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
         self.status, self.message = outcome.status, outcome.message
 
     def conclude(self) -> None:

@@ -61,7 +61,7 @@ class Jobs:
         """Start the worker processes."""
         pool = ProcessPool(
             max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
-            initargs=(os.getpid(),), context=multiprocessing.get_context("spawn"))
+            context=multiprocessing.get_context("spawn"))
         pool.schedule(os.getpid)  # starts them
         return pool
 

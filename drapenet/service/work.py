@@ -9,7 +9,7 @@ from typing import Any
 from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
-from common.workers import follow
+from common.workers import end_with_parent
 from drapenet.result.output import ESTIMATE, write_result
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
@@ -37,9 +37,9 @@ def change_state(folder: Path, **values: object) -> None:
     replace_json(folder / STATE, (read_state(folder) or {}) | values)
 
 
-def warm_up(parent: int) -> None:
-    """Import and cache, in a worker of the process ``parent``, what the first estimate needs."""
-    follow(parent)
+def warm_up() -> None:
+    """Import and cache, in a worker, what the first estimate needs."""
+    end_with_parent()
     from data.render.rays import import_open3d
     from drapenet.inference import network_of
     from drapenet.network.checkpoint import bundled, read_header

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from common.errors import InputError
-from common.threads import one_blas_thread
+from common.workers import one_blas_thread
 from drapenet.refine.objective import Linearised
 from sim.rig import Rig
 

@@ -1,6 +1,6 @@
-"""Worker processes: which stay for the next call, and how they end."""
+"""Worker processes, and Ctrl-C: how they end."""
 
-import multiprocessing
+import ast
 import os
 import signal
 import subprocess
@@ -9,29 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-from joblib import Parallel, delayed
 
 import common
-from common import workers
 from common.errors import InputError
-from common.threads import ONE_THREAD
-from common.workers import worker_pool
+from common.workers import ONE_THREAD, worker_pool
 
-
-@pytest.fixture(autouse=True)
-def none_is_kept():
-    workers._idle_pools.clear()
-    yield
-    workers._idle_pools.clear()
-
-
-def process_of(pool) -> int:
-    return pool.submit(os.getpid).result()
-
-
-def slowly() -> int:
-    time.sleep(1.0)
-    return os.getpid()
+ROOT = Path(common.__file__).parents[1]
 
 
 def ended(process: int) -> bool:
@@ -45,116 +28,98 @@ def ended(process: int) -> bool:
     return False
 
 
-def test_processes_stay_for_the_next_call():
-    with worker_pool(1) as pool:
-        first = process_of(pool)
-        for name, value in ONE_THREAD.items():
-            assert pool.submit(os.getenv, name).result() == value
-    with worker_pool(1) as pool:
-        assert process_of(pool) == first
-        with worker_pool(1) as other:  # one within the other: each has its own
-            assert process_of(other) != first
-    with worker_pool(2) as pool:
-        found = {future.result() for future in [pool.submit(slowly) for _ in range(6)]}
-        assert len(found) == 2 and first not in found
-    assert ended(first)
-
-
-def test_joblib_has_a_pool_of_its_own():
-    with worker_pool(2) as pool:
-        pool.submit(os.getpid).result()
-    assert Parallel(n_jobs=2)(delayed(abs)(-k) for k in range(3)) == [0, 1, 2]
-    with worker_pool(2) as pool:
-        assert pool.submit(os.getenv, "MKL_CBWR").result() == "AUTO"
-
-
-def test_nobody_comes_and_they_end(monkeypatch):
-    monkeypatch.setattr(workers, "IDLE_SECONDS", 0.5)
-    with worker_pool(1) as pool:
-        process = process_of(pool)
-    assert ended(process)
-    with worker_pool(1) as pool:
-        assert process_of(pool) != process
-
-
 @pytest.mark.filterwarnings("error")
-def test_what_went_wrong_is_not_kept():
+def test_workers_have_one_thread_ignore_ctrl_c_and_end_with_a_failing_block():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with pytest.raises(ZeroDivisionError), worker_pool(1) as pool:
-        process = process_of(pool)
-        for _ in range(100):  # more than Loky sends to its processes in advance
+        process = pool.submit(os.getpid).result()
+        assert [pool.submit(os.getenv, name).result() for name in ONE_THREAD] == [
+            *ONE_THREAD.values()]
+        assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
+        for _ in range(100):
             pool.submit(time.sleep, 1000)
         raise ZeroDivisionError
     assert ended(process)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+    assert not {"MKL_CBWR", "GLIBC_TUNABLES"} & set(os.environ)
+
+
+def test_a_killed_worker_is_an_input_error():
     with pytest.raises(InputError, match="was killed"), worker_pool(1) as pool:
-        os.kill(process_of(pool), signal.SIGKILL)
+        os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
         pool.submit(time.sleep, 10).result()
-    with worker_pool(1) as pool:
-        process = process_of(pool)
-    os.kill(process, signal.SIGKILL)  # while nobody uses it
-    assert ended(process)
-    time.sleep(1.0)
-    with worker_pool(1) as pool:
-        assert process_of(pool) != process
-
-
-def test_a_copy_of_the_process_starts_its_own():
-    def in_the_copy(connection) -> None:
-        with worker_pool(1) as pool:
-            connection.send(process_of(pool))
-            pool.shutdown()
-
-    with worker_pool(1) as pool:
-        first = process_of(pool)
-    fork = multiprocessing.get_context("fork")
-    here, there = fork.Pipe()
-    copy = fork.Process(target=in_the_copy, args=(there,))
-    copy.start()
-    assert here.poll(60) and here.recv() != first
-    copy.join(60)
-    assert copy.exitcode == 0
-    with worker_pool(1) as pool:
-        assert process_of(pool) == first
 
 
 SCRIPT = """
+import common.interrupt
 import os, sys, time
+from pathlib import Path
+from common.files import replacing
 from common.workers import worker_pool
 
 def slowly():
-    time.sleep(1.0)
+    time.sleep(0.5)
     return os.getpid()
 
-with worker_pool(2) as pool:
-    print(*{future.result() for future in [pool.submit(slowly) for _ in range(6)]}, flush=True)
-    if sys.argv[1] == "busy":
+if __name__ == "__main__":
+    with worker_pool(2) as pool, replacing(Path(sys.argv[1])) as file:
+        print(*{future.result() for future in [pool.submit(slowly) for _ in range(6)]}, flush=True)
         pool.submit(time.sleep, 1000).result()
-time.sleep(1000)
 """
 
 
-@pytest.mark.parametrize("at_work", ["busy", "idle"])
-def test_they_end_with_a_main_process_that_is_killed(at_work):
-    environment = os.environ | {"PYTHONPATH": str(Path(common.__file__).parents[1])}
-    main = subprocess.Popen([sys.executable, "-c", SCRIPT, at_work], stdout=subprocess.PIPE,
-                            stderr=subprocess.DEVNULL, text=True, env=environment)
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_the_main_process(tmp_path, number):
+    """The signal of Ctrl-C is sent to all processes, and twice, as certain shells do."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "out").mkdir()
+    main = subprocess.Popen([sys.executable, tmp_path / "script.py", tmp_path / "out" / "file"],
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            env=os.environ | {"PYTHONPATH": str(ROOT)}, start_new_session=True,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT,
+                                                             signal.default_int_handler))
     processes = [int(word) for word in main.stdout.readline().split()]
     assert len(processes) == 2
-    main.kill()
-    main.communicate()
+    if number == signal.SIGINT:
+        os.killpg(main.pid, number)
+        os.killpg(main.pid, number)
+    else:
+        main.kill()
+    _, message = main.communicate(timeout=60)
     assert all(ended(process) for process in processes)
+    if number == signal.SIGINT:
+        assert main.returncode == 130 and message == "interrupted\n"
+        assert not any((tmp_path / "out").iterdir())
 
 
-def large_array(megabytes: int) -> int:
-    import numpy as np
+COMPILED = """
+import common.interrupt
+import time
+import numpy as np
+from sim.solver.linear import SparsePattern
 
-    return len(np.ones(megabytes * 2**17))
+stencil = np.random.default_rng(0).integers(0, 20000, (20000, 12))
+SparsePattern([stencil], 20000)
+print("ready", flush=True)
+while True:
+    SparsePattern([stencil], 20000)
+"""
 
 
-def test_a_process_that_has_made_large_arrays_stays(recwarn):
-    with worker_pool(1) as pool:
-        first = process_of(pool)
-        for _ in range(3):
-            assert pool.submit(large_array, 400).result()
-            time.sleep(1.1)  # Loky looks at the memory once a second
-        assert process_of(pool) == first
-    assert not recwarn.list
+def test_ctrl_c_in_a_compiled_function_is_one_line():
+    main = subprocess.Popen([sys.executable, "-c", COMPILED], cwd=ROOT, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT,
+                                                             signal.default_int_handler))
+    main.stdout.readline()
+    main.send_signal(signal.SIGINT)
+    _, message = main.communicate(timeout=60)
+    assert (main.returncode, message) == (130, "interrupted\n")
+
+
+@pytest.mark.parametrize("command", ["train.py", "infer.py", "serve.py", "data/dataset/generate.py",
+                                     "apps/drape.py", "apps/cantilever.py"])
+def test_commands_see_to_ctrl_c_before_other_imports(command):
+    tree = ast.parse((ROOT / command).read_text(encoding="utf-8"))
+    first = next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom))
+    assert ast.unparse(first) == "import common.interrupt"

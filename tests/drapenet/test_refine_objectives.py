@@ -11,7 +11,6 @@ from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.laid import surface_positions
 from drapenet.refine.objective import (
-    Linearised,
     fit_nuisances,
     huber,
     value,
@@ -140,24 +139,6 @@ def test_turn_and_pose_are_found_from_one_shape(compared: tuple[np.ndarray, Dept
     off = np.array([0.05, 0.01, -0.008, 3e-3, -2e-3, 2e-3, 0, 0, 0, 0.01, 1.0])
     found = fit_nuisances(objective, positions, objective.start + off)
     assert np.abs((found - objective.start) / objective.scale)[:6].max() < 0.15
-
-
-def test_an_interruption_while_the_pose_is_fitted_is_passed_on() -> None:
-    class Interrupted:
-        nuisances, start, scale = ("turn",), np.zeros(1), np.ones(1)
-        calls = 0
-
-        def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-            self.calls += 1
-            if self.calls == 2:
-                raise KeyboardInterrupt
-            return nuisance - 3.0
-
-        def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-            return Linearised(nuisance - 3.0, lambda moves: moves, np.ones((1, 1)), 1)
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_nuisances(Interrupted(), np.zeros((1, 3)), np.zeros(1))
 
 
 def test_points_of_the_views_lie_on_the_shape(compared: tuple[np.ndarray, DepthViews]) -> None:

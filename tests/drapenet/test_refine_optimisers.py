@@ -108,23 +108,6 @@ def test_never_worse_than_the_start_whatever_the_derivatives_say(method: str) ->
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_interruption_hands_back_the_best_so_far(method: str) -> None:
-    class Impatient(Valley):
-        def value(self, x: np.ndarray) -> float:
-            if self.asked == 8:
-                raise KeyboardInterrupt
-            return super().value(x)
-
-    problem = Impatient()
-    seen = []
-    found = minimise(problem, method=METHODS[method], limits=Limits(evaluations=100),
-                     report=lambda point, _: seen.append(point.value))
-    assert found.status is Status.INTERRUPTED
-    assert found.evaluations == 8 == len(seen)
-    assert found.value == min(seen)
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_no_more_simulations_than_allowed(method: str) -> None:
     problem = Valley()
     found = minimise(problem, method=METHODS[method],
