@@ -1,7 +1,7 @@
 """Reading and validation of input documents: regular files of bounded size and nesting depth.
 
 All YAML, JSON and CSV files are read here and validated by a :class:`Schema`; every fault raises an
-InputError of one line: quantity, value, limit, remedy.
+InputError of one line.
 """
 
 import csv
@@ -9,7 +9,6 @@ import json
 import os
 import reprlib
 import stat
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -44,29 +43,11 @@ class Schema(BaseModel):
         try:
             return cls.model_validate(content)
         except ValidationError as error:
+            place = error.errors()[0]["loc"]
+            field = cls.model_fields.get(str(place[0])) if place else None
+            remedy = (field.description if field else None) or cls.remedy
             prefix = f"{what}: " if what else ""
-            raise InputError(prefix + cls._message(error)) from None
-
-    @classmethod
-    def _message(cls, error: ValidationError) -> str:
-        first = min(error.errors(include_url=False), key=lambda one: one["type"] != _UNKNOWN)
-        place, kind = first["loc"], first["type"]
-        field = cls.model_fields.get(str(place[0])) if place else None
-        remedy = (field.description if field else None) or cls.remedy
-        name = ".".join(map(str, place))
-        if kind == _UNKNOWN:
-            known = ", ".join(sorted(cls.model_fields)) if len(place) == 1 else ""
-            return f"unknown key {shown(name)}" + (f"; known keys: {known}" if known else "")
-        if kind == "missing":
-            complaint = f"{name} is missing"
-        else:
-            limits = {key: getattr(limit, key) for limit in (field.metadata if field else ())
-                      for key in ("ge", "le") if hasattr(limit, key)}
-            words = _MESSAGES["outside" if len(limits) == 2 and kind.endswith("_equal") else kind
-                           if kind in _MESSAGES else "value_error"].format_map(
-                {"error": one_line(Exception(first["msg"])), **limits, **first.get("ctx", {})})
-            complaint = (f"{name}={shown(first['input'])} " if name else "") + words
-        return complaint + (f"; {remedy}" if remedy else "")
+            raise InputError(prefix + faults(error) + f"; {remedy}" * bool(remedy)) from None
 
 
 class Excerpt(Schema):
@@ -75,21 +56,16 @@ class Excerpt(Schema):
     model_config = ConfigDict(extra="ignore")
 
 
-_UNKNOWN = "extra_forbidden"
-_MESSAGES = {
-    "outside": "is outside {ge:g}-{le:g}",
-    "float_type": "is not a number", "int_type": "is not a whole number",
-    "finite_number": "is not a finite number", "string_type": "is not a text",
-    "list_type": "is not a list", "dict_type": "is not a mapping", "bool_type": "is not true or "
-    "false", "model_type": "is not a mapping", "greater_than": "must be more than {gt:g}",
-    "greater_than_equal": "must be at least {ge:g}", "less_than": "must be less than {lt:g}",
-    "less_than_equal": "must be at most {le:g}", "too_long": "has {actual_length} items, at most "
-    "{max_length} are taken", "too_short": "has {actual_length} items, at least {min_length} are "
-    "needed", "string_too_long": "is longer than {max_length} characters",
-    "string_pattern_mismatch": "is not of the expected form", "literal_error": "must be {expected}",
-    "int_from_float": "is not a whole number", "value_error": "{error}",
-}
-"""Error messages by Pydantic's error type."""
+def faults(error: ValidationError) -> str:
+    """Up to three faults in one line: path of the field, value, and Pydantic's message."""
+    lines = []
+    for fault in error.errors(include_url=False)[:3]:
+        name, kind = ".".join(map(str, fault["loc"])), fault["type"]
+        text = "unknown key" if kind == "extra_forbidden" else one_line(Exception(fault["msg"]))
+        value = "" if kind in ("extra_forbidden", "missing") or not name else (
+            f"={shown(fault['input'])}")
+        lines.append(f"{name}{value}: {text.removeprefix('Value error, ')}".removeprefix(": "))
+    return "; ".join(lines)
 
 
 class _Loader(yaml.SafeLoader):
@@ -108,26 +84,24 @@ class _Loader(yaml.SafeLoader):
         self.depth -= 1
         return node
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict:
+    def mapping_of(self, node: Any) -> dict:
         """Construct a mapping whose keys differ."""
-        return _without_repeats([(self.construct_object(key, deep=True),
-                                  self.construct_object(value, deep=deep))
-                                 for key, value in node.value])
-
-    def construct_yaml_map(self, node: Any) -> Any:
-        """Construct a mapping at once; without aliases nothing refers to it before."""
-        return self.construct_mapping(node, deep=True)
+        return without_repeats([(self.construct_object(key, deep=True),
+                                 self.construct_object(value, deep=True))
+                                for key, value in node.value])
 
 
-_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.construct_yaml_map)
+_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.mapping_of)
 
 
-def _without_repeats(pairs: list[tuple[Any, Any]]) -> dict:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        (twice, _), = Counter(key for key, _ in pairs).most_common(1)
-        raise ValueError(f"the key {shown(twice)} occurs twice; remove one")
-    return found
+def without_repeats(pairs: list[tuple[Any, Any]]) -> dict:
+    """A mapping of ``pairs``; ValueError for a repeated key."""
+    mapping = {}
+    for key, value in pairs:
+        if key in mapping:
+            raise ValueError(f"the key {shown(key)} occurs twice; remove one")
+        mapping[key] = value
+    return mapping
 
 
 def parse_yaml(text: str, what: str | Path) -> Mapping:
@@ -147,7 +121,7 @@ def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again
     """Parse JSON, named ``what`` in errors, without NaN, deep nesting and repeated keys."""
     try:
         from_json(data, allow_inf_nan=False)  # bounds the depth, which json does not
-        return json.loads(data, object_pairs_hook=_without_repeats)
+        return json.loads(data, object_pairs_hook=without_repeats)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{what} is damaged or not a JSON document ({one_line(error)}); "
                          f"{remedy}") from None
@@ -191,47 +165,26 @@ def read_table(
 
 
 def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:
-    """Read a regular file of up to ``max_bytes`` bytes; ``kind`` names its type in errors.
-
-    Pipes, which would block, and devices, which may be endless, are refused.
-    """
+    """Read a regular file of up to ``max_bytes`` bytes; ``kind`` names its type in errors."""
+    require_regular(file, max_bytes, kind)
     try:
-        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            size = _checked_size(file, os.fstat(descriptor), max_bytes, kind)
-            with open(descriptor, "rb", closefd=False) as stream:
-                data = stream.read(size + 1)  # allocates this much
-        finally:
-            os.close(descriptor)
-    except (OSError, ValueError) as error:  # ValueError: null byte in the name
-        raise _unreadable(file, error) from None
-    if len(data) > size:
-        raise InputError(f"{file} was being written while it was read; run the command again when "
-                         "it is complete")
-    return data
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); check the permissions"
+                         ) from None
 
 
 def require_regular(file: Path, max_bytes: int, kind: str) -> None:
-    """Check ``file`` as :func:`read_bytes` does, for libraries that open files themselves."""
+    """InputError for pipes, which would block, devices, which may be endless, and large files."""
     try:
-        _checked_size(file, os.stat(file), max_bytes, kind)
-    except (OSError, ValueError) as error:
-        raise _unreadable(file, error) from None
-
-
-def _unreadable(file: Path, error: Exception) -> InputError:
-    if isinstance(error, InputError):
-        return error
-    return InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error}); check "
-                      "the path and the permissions")
-
-
-def _checked_size(file: Path, found: os.stat_result, max_bytes: int, kind: str) -> int:
-    if not stat.S_ISREG(found.st_mode):
+        status = os.stat(file)
+    except (OSError, ValueError) as error:  # ValueError: null byte in the name
+        raise InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error}); "
+                         "check the path and the permissions") from None
+    if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{file} is not a regular file; give a {kind}")
-    if found.st_size > max_bytes:
-        raise InputError(f"{file} has {found.st_size} bytes; a {kind} has at most {max_bytes}")
-    return found.st_size
+    if status.st_size > max_bytes:
+        raise InputError(f"{file} has {status.st_size} bytes; a {kind} has at most {max_bytes}")
 
 
 def shown(value: object) -> str:
