@@ -30,7 +30,7 @@ from drapenet.result.output import ESTIMATE, keep_estimate, require_output, resu
 from sim.mesh.specimen import check_edge
 
 
-@command("infer", InferConfig, swept_out=".")
+@command("infer", InferConfig)
 def main(config: InferConfig) -> None:
     """Estimate, print, and write the files."""
     check(config)

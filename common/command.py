@@ -87,11 +87,10 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
 
     @functools.wraps(task)  # Hydra reads the task's module
     def job(config: Any) -> None:
-        settings = checked(config, schema)
         if HydraConfig.get().mode is RunMode.MULTIRUN:
-            task(settings)
+            task(checked(config, schema))
         else:
-            composed.append(settings)
+            composed.append(config)  # the task runs outside of Hydra, which would print its errors
 
     argv, full = sys.argv, os.environ.get(_FULL_ERROR, "0")
     try:  # Hydra reads sys.argv, and raises its errors if the variable is set
@@ -103,8 +102,8 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
         raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
     finally:
         sys.argv, os.environ[_FULL_ERROR] = argv, full
-    for settings in composed:  # outside of Hydra, which would change its errors
-        task(settings)
+    for config in composed:
+        task(checked(config, schema))
 
 
 def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
@@ -138,11 +137,10 @@ def quoted(word: str, schema: type) -> str:
 def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
     """Compose ``configs/NAME.yaml`` with the overrides ``words`` into an instance of ``schema``."""
     try:
-        return checked(_compose(name, [quoted(word, schema) for word in words]), schema)
-    except InputError:
-        raise
+        config = _compose(name, [quoted(word, schema) for word in words])
     except Exception as error:
         raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
+    return checked(config, schema)
 
 
 def schema_of(name: str) -> type:
@@ -168,12 +166,15 @@ def _compose(name: str, words: list[str]) -> Any:
 def checked(config: Any, schema: type) -> Any:
     """A composed ``config`` as an instance of ``schema``; InputError for invalid values."""
     from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
 
     schema.__pydantic_config__ = ConfigDict(  # that of nested dataclasses, too
         extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
-    content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     try:
+        content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         return TypeAdapter(schema).validate_python(content)
+    except OmegaConfBaseException as error:
+        raise InputError(one_line(error)) from None
     except ValidationError as error:
         raise InputError(faults(error)) from None
 

@@ -56,13 +56,16 @@ class Excerpt(Schema):
     model_config = ConfigDict(extra="ignore")
 
 
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
 def faults(error: ValidationError) -> str:
     """Up to three faults in one line: path of the field, value, and Pydantic's message."""
     lines = []
     for fault in error.errors(include_url=False)[:3]:
         name, kind = ".".join(map(str, fault["loc"])), fault["type"]
-        text = "unknown key" if kind == "extra_forbidden" else one_line(Exception(fault["msg"]))
-        value = "" if kind in ("extra_forbidden", "missing") or not name else (
+        text = "unknown key" if kind in _UNKNOWN else one_line(Exception(fault["msg"]))
+        value = "" if kind in (*_UNKNOWN, "missing") or not name else (
             f"={shown(fault['input'])}")
         lines.append(f"{name}{value}: {text.removeprefix('Value error, ')}".removeprefix(": "))
     return "; ".join(lines)

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from common.command import Seed, Threads, Workers
+
 FromOne = Annotated[int, Field(ge=1)]
 FromZero = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -36,15 +38,15 @@ class TrainConfig:
     data: str
     out: str
     maps: str
-    seed: FromZero
+    seed: Seed
     epochs: FromOne
     captures: FromOne
     neighbours: bool
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
     fabrics: FromZero
     device: Annotated[str, Field(pattern="^(auto|cpu|cuda)$")]
-    workers: FromOne
-    threads: FromZero
+    workers: Workers
+    threads: Threads
     half_precision: bool
     setup: dict[str, Any]
     model: ModelConfig
@@ -87,8 +89,8 @@ class EvaluateConfig:
     fabrics: str
     drapes: FromOne
     captures: FromOne
-    seed: FromZero
-    workers: FromOne
+    seed: Seed
+    workers: Workers
 
 
 @dataclass

@@ -50,7 +50,7 @@ def run_experiment(name: str, words: list[str]) -> None:
     """Run an experiment with the overrides ``words``; write report, figure and section."""
     module = module_of(name)
 
-    @command(f"experiment/{name}", schema_of(f"experiment/{name}"), swept_out=f"{name}.json")
+    @command(f"experiment/{name}", schema_of(f"experiment/{name}"))
     @wraps(module.run)  # the help is the docstring of its module
     def run(settings: Any) -> None:
         from experiments.figures import shown

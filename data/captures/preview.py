@@ -50,7 +50,7 @@ class CaptureConfig:
     board: str
 
 
-@command("capture", CaptureConfig, swept_out=".")
+@command("capture", CaptureConfig)
 def main(config: CaptureConfig) -> None:
     """Cut out the cloth and write the capture and its picture, or write a board."""
     if config.board:

@@ -98,7 +98,7 @@ def generate_dataset(
     return manifest
 
 
-@command("generate", Options, check=config_from_options)
+@command("generate", Options)
 def main(options: Options) -> None:
     """Generate the dataset, or part of it, of ``options`` and print a summary."""
     manifest = generate_dataset(config_from_options(options), folder_named(options.out),

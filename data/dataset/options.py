@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, dataclass
 
+from common.command import Seed, Workers
 from common.errors import InputError
 from common.units import si
 from data.dataset.plan import SamplingConfig
@@ -52,10 +53,10 @@ class Options:
 
     out: str
     drapes: int
-    workers: int
+    workers: Workers
     part: int
     parts: int
-    seed: int
+    seed: Seed
     edge_mm: float
     dataset: DatasetOptions
     prior: PriorOptions

@@ -7,7 +7,8 @@ from typing import Annotated
 import joblib
 from pydantic import Field
 
-from drapenet.config import FromOne, FromZero, Positive
+from common.command import Threads
+from drapenet.config import FromOne, Positive
 
 
 @dataclass
@@ -18,7 +19,7 @@ class Settings:
     port: Annotated[int, Field(ge=0, le=65535)]
     names: str
     results: str
-    workers: FromZero
+    workers: Threads
     queue: FromOne
     job_seconds: Positive
     upload_seconds: Positive

@@ -30,7 +30,7 @@ class InspectConfig:
     sheet: int
 
 
-@command("inspect", InspectConfig, first="data", swept_out=".")
+@command("inspect", InspectConfig, first="data")
 def main(config: InspectConfig) -> None:
     """Verify the dataset; print and write the report."""
     if not config.data:
