@@ -56,18 +56,20 @@ class Excerpt(Schema):
     model_config = ConfigDict(extra="ignore")
 
 
-_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-
-
 def faults(error: ValidationError) -> str:
     """Up to three faults in one line: path of the field, value, and Pydantic's message."""
     lines = []
-    for fault in error.errors(include_url=False)[:3]:
-        name, kind = ".".join(map(str, fault["loc"])), fault["type"]
-        text = "unknown key" if kind in _UNKNOWN else one_line(Exception(fault["msg"]))
-        value = "" if kind in (*_UNKNOWN, "missing") or not name else (
-            f"={shown(fault['input'])}")
-        lines.append(f"{name}{value}: {text.removeprefix('Value error, ')}".removeprefix(": "))
+    unknown = ("extra_forbidden", "unexpected_keyword_argument")
+    for fault in sorted(error.errors(), key=lambda fault: fault["type"] not in unknown)[:3]:
+        name, text = ".".join(map(str, fault["loc"])), one_line(Exception(fault["msg"]))
+        if fault["type"] in unknown:
+            lines.append(f"unknown key {shown(name)}")
+        elif fault["type"] == "missing":
+            lines.append(f"{name} is missing")
+        else:
+            value = f"{name}={shown(fault['input'])}" if name else ""
+            # Sentences of the project's validators go on after the value.
+            lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(": "))
     return "; ".join(lines)
 
 

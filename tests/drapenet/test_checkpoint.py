@@ -41,17 +41,17 @@ def test_a_loaded_network_predicts_the_same(checkpoint: Path, half: bool) -> Non
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"schema_version": 99}, "schema_version=99 must be 3; use the program"),
+    ({"schema_version": 99}, "schema_version=99.*use the program"),
     ({"targets": {"mean": [0], "std": [1]}}, "must have model.targets=6 numbers"),
     ({"targets": {"mean": [0] * 6, "std": [1] * 5 + [0]}},
-     r"targets\.std\.5=0 must be more than 0"),
+     r"targets\.std\.5=0"),
     ({"fabrics": {"low": [0] * 6}}, r"fabrics\.high is missing"),
     ({"model": {"targets": 8}}, r"model\.width is missing"),
-    ({"dataset": {"sha256": 3}}, r"dataset\.sha256=3 is not a text"),
+    ({"dataset": {"sha256": 3}}, r"dataset\.sha256=3"),
     ({"model": {"width": 100000, "components": 2, "targets": 6, "distance": 0.1, "spread": 0.1}},
-     r"model\.width=100000 must be at most 512"),
+     r"model\.width=100000"),
     ({"model": {"width": 8, "targets": 6, "depth": 3}}, r"unknown key 'model\.depth'"),
-    ({"config": {"setup": None}}, r"config\.setup=None is not a mapping"),
+    ({"config": {"setup": None}}, r"config\.setup=None"),
 ])
 def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:
     change_description(checkpoint, **changes)

@@ -205,8 +205,8 @@ def test_wrong_wishes_have_one_line(estimate: Path, words: list[str], complaint:
     ({"schema": "other"}, "is not an estimate of version 2"),
     ({"moduli": {}}, "directions"),
     ({"moduli": {name: {"alpha_uN_m": summary(-1.0), "beta_nN_m2": summary(0.0)}
-                 for name in ("warp", "bias", "weft")}}, "median=-1.0 must be more than 0"),
-    ({"capture": None}, "capture=None is not a mapping"),
+                 for name in ("warp", "bias", "weft")}}, "median=-1.0"),
+    ({"capture": None}, "capture=None"),
 ])
 def test_other_files_are_refused(tmp_path: Path, changes: dict, complaint: str) -> None:
     path = write(tmp_path / "estimate.json", **changes)
