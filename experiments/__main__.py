@@ -6,8 +6,8 @@
     python -m experiments page                  # docs/studies.md and its figures from the reports
 
 An experiment writes a report, docs/validation/NAME.json unless out= names another file, and most a
-figure beside it; it prints what the documentation claims and shows of it. An interrupted run resumes
-from its folder cases=."""
+figure beside it; it prints what the documentation claims and shows of it. An interrupted run
+resumes from its folder cases=."""
 
 import ast
 import sys

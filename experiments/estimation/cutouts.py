@@ -24,7 +24,7 @@ from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.located import locate
 from experiments.drapes import drape_as_planned, plan_specimen
-from experiments.result import ESTIMATOR, Config, Result, run_cases, table
+from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
@@ -121,7 +121,7 @@ def posterior_shifts(
 
 
 def run(config: Config) -> Result:
-    """Evaluate all captures; print a table by sensor and clutter."""
+    """Evaluate all captures."""
     settings = {key: config[key] for key in ("rig", "edge_mm", "seed")}
     densities = list(CLUTTER)
     cases = {f"{sensor}_{k}": {
@@ -135,14 +135,6 @@ def run(config: Config) -> Result:
         for kind, names in (("sensor", SENSORS), ("clutter", densities)) for name in names}
     summary = {name: summarise([results[key] for key in keys]) for name, keys in groups.items()
                if keys}
-    print(table(["", "captures", "failed", "IoU median", "worst", "with background: worst",
-                 "across, mm", "worst", "tilt, °", "worst", "from shown: worst", "turn, °", "worst",
-                 "log alpha, sd",
-                 "true mask"],
-                [[name, one["captures"], one["failed"], *one["iou"], one["iou_background"][1],
-                  *one["across_mm"], *one["tilt_deg"], one["tilt_from_shown_deg"][1],
-                  *one["turn_deg"], one["shift"][0], one["shift_true_mask"][0]]
-                 for name, one in summary.items()]))
     return Result({"targets": TARGETS, "summary": summary, "cases": results})
 
 

@@ -22,7 +22,7 @@ from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import locate
 from drapenet.views.radial_map import radial_map
-from experiments.result import Config, Result, table
+from experiments.result import Config, Result
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
 from sim.rig import Rig
@@ -182,7 +182,7 @@ def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def run(config: Config) -> Result:
-    """Check captures without and with faults; print the share with a warning of each."""
+    """Check captures without and with faults."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
     source = drapes(Path(config["data"]))
@@ -216,11 +216,6 @@ def run(config: Config) -> Result:
             find_warnings(replace(seen, views=views), rig, setups))
     shares = {name: float(np.mean([bool(one) for one in lines]))
               for name, lines in messages.items()}
-    print(table(["capture", "number", "corrected, reported or refused"],
-                [[name, len(messages[name]), share] for name, share in shares.items()]))
-    faults = [share for name, share in shares.items() if name != "sound"]
-    print(f"faults detected: {np.mean(faults):.1%} on average; captures without faults that have "
-          f"a warning: {shares['sound']:.1%}")
     reasons = Counter(line.split(":")[-1 if line.startswith("view ") else 0][:50]
                       for lines in messages["sound"] for line in lines)
     return Result({"found": shares, "warnings_of_sound": dict(reasons.most_common(20))})

@@ -26,7 +26,7 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
-from experiments.result import Config, Result, label_log_axes, table
+from experiments.result import Config, Result, label_log_axes
 from sim.drape import drape
 from sim.rig import Rig
 
@@ -103,7 +103,7 @@ def summarise(cases: list[dict], spread: np.ndarray) -> dict[str, dict[str, floa
 
 
 def run(config: Config) -> Result:
-    """Compute the bounds; print the table."""
+    """Compute the bounds."""
     settings = {key: config[key] for key in ("seed", "edge_mm", "noise_mm", "pixels")}
     cases = [bounds_of_fabric(k, **settings) for k in tqdm(range(config["fabrics"]), unit="fabric")]
     spread = load_prior("gaussian").deviation
@@ -118,26 +118,7 @@ def run(config: Config) -> Result:
         "fabrics": [case | {"bounds": {row: case["bounds"][row] for row in PLOTTED}}
                     for case in complete],
     }
-    if failed:
-        print("without derivatives:", "; ".join(failed))
-    if not complete:
-        return Result(report)
-    print_table(report)
-    return Result(report, draw(report))
-
-
-def print_table(report: dict) -> None:
-    """Print the table and the two bounds that estimators are compared with."""
-    print(table(
-        ["unknown, with moduli and pose", "log alpha", "beta/alpha, mm",
-         "log alpha, of the spread", "beta/alpha, of the spread"],
-        [[name, row["log_alpha"], MM * row["beta_over_alpha"],
-          row["standardised_log_alpha"], row["standardised_beta_over_alpha"]]
-         for name, row in report["rms"].items()]))
-    for name in (NO_NUISANCES, ALL_UNKNOWN):
-        row = report["rms"][name]
-        print(f"posterior bound: log alpha {row['standardised_log_alpha']:.3f}, beta/alpha "
-              f"{row['standardised_beta_over_alpha']:.3f} of the spread over fabrics ({name})")
+    return Result(report, draw(report) if complete else None)
 
 
 def draw(report: dict) -> Figure:

@@ -35,7 +35,7 @@ from data.fabrics.prior import (
     require_fabrics,
     run_layers,
 )
-from experiments.result import Config, Result, table
+from experiments.result import Config, Result
 from sim.material import is_admissible
 
 FITTED = 0.8  # share of the fabrics that is fitted, as in the paper
@@ -250,35 +250,6 @@ def compare(fabrics: FabricTable, models: list[str], splits: int, samples: int) 
     }
 
 
-def print_tables(result: dict) -> None:
-    """Print Table 1, with the split by row that the paper used, and the coverage."""
-    def cell(figures: dict, name: str, digits: int = 2) -> str:
-        if name not in figures:
-            return ""
-        mean, error = figures[name]
-        return f"{mean:.{digits}f} ± {error:.{digits}f}"
-
-    leaked = result["leaked_rows"]
-    names = ("log_likelihood_fitted", "log_likelihood_unseen", "wasserstein")
-    print(f"\n{result['fabrics']} distinct fabrics, {result['unseen']} of them unseen, "
-          f"{result['splits']} splits; by row: {np.mean(leaked['leaked']):.0f} of "
-          f"{leaked['of']} rows leaked\n")
-    head = ["model", "log-likelihood, fitted", "unseen", "Wasserstein", "by row: fitted", "unseen"]
-    print(table(head, [
-        [NAMES[model], *(cell(figures, name) for name in names),
-         *(cell(result["by_row"][model], name) for name in names[:2])]
-        for model, figures in result["models"].items()]))
-    mean, error = result["wasserstein_of_the_fitted_fabrics"]
-    print(f"\nWasserstein distance of the fitted fabrics themselves: {mean:.2f} ± {error:.2f}\n")
-    columns = [f"within_{radius:g}{kind}" for kind in ("", "_widened") for radius in RADII]
-    head = ["unseen fabrics with a sample within ...", *(f"{radius:g}" for radius in RADII),
-            *(f"widened {radius:g}" for radius in RADII), "rejected"]
-    print(table(head, [
-        [NAMES[model], *(cell(figures, name) for name in columns),
-         cell(figures, "rejected_widened" if "rejected_widened" in figures else "rejected", 4)]
-        for model, figures in result["models"].items()]))
-
-
 def plot_samples(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figure:
     """Figure 15: fabrics and samples of models fitted to all fabrics, in three projections."""
     views = (("alpha warp, µN·m", "alpha weft, µN·m"), ("alpha bias, µN·m", "beta/alpha bias, mm"),
@@ -312,12 +283,11 @@ def plot_samples(fabrics: FabricTable, samples: int, models: tuple[str, ...]) ->
 
 
 def run(config: Config) -> Result:
-    """Compare the models; print the tables."""
+    """Compare the models."""
     if unknown := [name for name in config["models"] if name not in FITS]:
         raise InputError(f"models={','.join(unknown)}: known are {', '.join(FITS)}")
     if config["splits"] < 1 or config["samples"] < 10:
         raise InputError("splits must be at least 1, samples at least 10")
     fabrics = read_fabric_table(config["fabrics"])
     result = compare(fabrics, config["models"], config["splits"], config["samples"])
-    print_tables(result)
     return Result(result, plot_samples(fabrics, config["samples"], ("gmm3", "vae4")))

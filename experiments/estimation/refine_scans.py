@@ -5,7 +5,6 @@ nuisances, with noise. Each is registered, estimated and refined as by ``infer.p
 refine=scan``. Errors are those at 300 g/m².
 """
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,7 +74,7 @@ def refine_scan(scan: "Registered") -> dict:
 
 
 def run(config: Config) -> Result:
-    """Refine all scans; print the errors."""
+    """Refine all scans."""
     folder = Path(config["cases"])
     results = run_cases(simulated, {
         f"simulated_{k}": {"number": k, "noise_mm": config["noise_mm"], "seed": config["seed"]}
@@ -85,14 +84,8 @@ def run(config: Config) -> Result:
     arrays = [load_arrays(folder, name) for name in results]
     summary = {way: posterior_errors(truth, [own[way] for own in arrays]) for way in METHODS}
     summary["specimen"] = nuisance_errors(list(results.values()))
-    for name, found in summary.items():
-        print(f"{name}: {json.dumps(found)}")
     away = [r["refined"].get("fidelity", {}).get("displacement_mm") for r in results.values()]
     rest = [value for value in away if value is not None]
     seconds = float(np.median([r["seconds"] for r in results.values()]))
-    print(f"drapes released at the scan move by {np.mean(rest):.2f} mm on average, at most "
-          f"{max(rest):.1f} mm; {len(away) - len(rest)} did not converge; "
-          f"{sum(bool(r['warnings']) for r in results.values())} with a warning; "
-          f"median {seconds:.0f} s")
     return Result({"summary": summary, "mean_away_mm": float(np.mean(rest)), "seconds": seconds,
                    "scans": results})

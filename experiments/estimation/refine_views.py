@@ -38,7 +38,6 @@ from experiments.result import (
     load_arrays,
     rms,
     run_cases,
-    table,
 )
 from sim.drape import drape
 from sim.material import LINEAR, MICRO, RATIO
@@ -141,7 +140,7 @@ def posterior_errors(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Refine all captures; print the table."""
+    """Refine all captures."""
     folder = Path(config["cases"]) / config["variation"]
     settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
     settings["nuisances"] = config["variation"]
@@ -158,16 +157,6 @@ def run(config: Config) -> Result:
         for group, rows in groups.items() if rows.any()}
     seconds = np.array([r["seconds"] for r in results.values()])
     specimen = nuisance_errors(list(results.values()))
-    print(table(
-        ["", "fabrics", "log alpha", "median", "worst fabric", "beta/alpha, mm", "inside 50 %",
-         "68 %", "90 %"],
-        [[f"{group}, {way}", f["fabrics"], f["log_alpha"], f["log_alpha_median"],
-          f["log_alpha_worst_fabric"], f["beta_over_alpha_mm"], *f["inside"].values()]
-         for group, ways in summary.items() for way, f in ways.items()]))
-    print(f"median {np.median(seconds):.1f} s, 90th percentile {np.quantile(seconds, 0.9):.1f} s; "
-          f"{sum(not r['gained'] for r in results.values())} refinements without improvement")
-    for name, f in specimen.items():
-        print(f"{name}: error {f['error']:.2f} of its spread, estimated {f['estimated']:.2f}")
     return Result({"summary": summary, "specimen": specimen,
                    "seconds": {"median": float(np.median(seconds)),
                                "largest": float(seconds.max())}, "cases": results},

@@ -18,7 +18,7 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from drapenet.result.estimate import Estimate
-from drapenet.result.joint import SHARED, joined
+from drapenet.result.joint import joined
 from experiments.drapes import (
     along_warp,
     as_read,
@@ -29,7 +29,7 @@ from experiments.drapes import (
 )
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from experiments.estimation.refine_views import posterior_errors
-from experiments.result import ESTIMATOR, Config, Result, load_arrays, rms, run_cases, table
+from experiments.result import ESTIMATOR, Config, Result, load_arrays, rms, run_cases
 from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
@@ -94,7 +94,7 @@ def correlation(errors: list[np.ndarray]) -> np.ndarray:
 
 
 def run(config: Config) -> Result:
-    """Estimate all fabrics; print the table."""
+    """Estimate all fabrics."""
     settings = {key: config[key] for key in ("rig", "drapes", "refined", "truth_mm", "seed")}
     folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
     results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
@@ -120,13 +120,4 @@ def run(config: Config) -> Result:
         summary[count] |= {
             "bound": rms(least[LINEAR]),
             "curl": float(least[-len(CURL_NUISANCES):].mean())}
-    print(table(
-        ["captures", "fabrics", "log alpha", "relative to one", "bound", "relative to one",
-         "beta/alpha, mm", "inside 50 %", "68 %", "90 %", "curvature, bound"],
-        [[count, f["fabrics"], f["log_alpha"], f["log_alpha"] / summary[1]["log_alpha"],
-          f["bound"], f["bound"] / summary[1]["bound"], f["beta_over_alpha_mm"],
-          *f["inside"].values(), f["curl"]] for count, f in summary.items()]))
-    print("bound of the curvature in units of its spread; correlation of the errors of two "
-          f"captures of a fabric: log alpha {shared[LINEAR].mean():.2f}, beta/alpha "
-          f"{shared[3:].mean():.2f} (SHARED = {SHARED:g})")
     return Result({"correlation": shared.tolist(), "summary": summary})

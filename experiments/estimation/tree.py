@@ -75,7 +75,7 @@ def killed_twice(root: Path, out: Path, count: int) -> list[int]:
 
 
 def run(config: Config) -> Result:
-    """Write the captures, estimate them twice; compare the tables."""
+    """Write the captures, estimate them twice, and compare the tables."""
     work = Path(config["work"])
     root, whole, broken = work / "captures", work / "undisturbed", work / "killed"
     make_tree(root, fabrics=config["fabrics"], edge_mm=config["edge_mm"],
@@ -89,9 +89,6 @@ def run(config: Config) -> Result:
     same = {name: (whole / name).read_bytes() == (broken / name).read_bytes() for name in TABLES}
     rows = {name: list(csv.DictReader((whole / name).read_text("utf-8-sig").splitlines()))
             for name in TABLES}
-    print(f"{len(rows['captures.csv'])} captures of {len(rows['fabrics.csv'])} fabrics in "
-          f"{seconds:.0f} s, {len(rows['failures.csv'])} failures; killed after {finished}: "
-          f"tables {'the same' if all(same.values()) else 'DIFFER'}")
     return Result({
         "captures": len(rows["captures.csv"]), "fabrics": len(rows["fabrics.csv"]),
         "failures": len(rows["failures.csv"]), "seconds": seconds, "killed_after": finished,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from experiments.comparison import Draped, compare, equilibrium_near, same_folds
 from experiments.drapes import prior_fabric
-from experiments.result import Config, Result, label_log_axes, run_cases, table
+from experiments.result import Config, Result, label_log_axes, run_cases
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
@@ -129,7 +129,7 @@ def plot(fabrics: dict[str, list[dict]]) -> Figure:
 
 
 def run(config: Config) -> Result:
-    """Simulate and compare all drapes; print the tables."""
+    """Simulate and compare all drapes."""
     settings = {k: config[k] for k in ("seed", "edges_mm")}
     counts = dict(zip(RIGS, (config["drapes"], config["discs"]), strict=True))
     cases = {f"{rig}_{i}": {"index": i, "rig": rig, **settings}
@@ -138,13 +138,5 @@ def run(config: Config) -> Result:
     fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
                for rig, count in counts.items() if count}
     rows = {rig: summarise(results) for rig, results in fabrics.items()}
-    for rig, summaries in rows.items():
-        print(rig)
-        print(table(
-            ["edges at the rim, mm", "same folds", "mean displacement, mm", "median", "largest",
-             f"within {MAX_DISPLACEMENT:g} mm", "CPU-seconds per drape, mean", "median"],
-            [[r["mesh"], r["same_folds"], r["mean_mm"], r["median_mm"], r["largest_mm"],
-              r["within_limit"], r["mean_cpu_seconds"], r["median_cpu_seconds"]]
-             for r in summaries]))
     return Result({"limit_mm": MAX_DISPLACEMENT, "meshes": rows, "fabrics": list(found.values())},
                   plot(fabrics))

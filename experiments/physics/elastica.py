@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.errors import InputError
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.tester import TIGHT, equivalent_modulus, free_end
 from sim.cloth import Laws
@@ -98,11 +98,6 @@ def equivalents(mesh: str, law: str, edge: float, gamma: float) -> dict:
     return {"ratio": found.ratio if found.found else None, "message": found.message}
 
 
-def equivalent_case(law: str, mesh: str, edge: float, gamma: float) -> str:
-    """Name of a case of :func:`equivalents`."""
-    return f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}"
-
-
 def fitted_rate(rows: list[dict]) -> float:
     """Order of convergence fitted to the three finest meshes of one gamma."""
     last = sorted(rows, key=lambda row: row["cells"])[-3:]
@@ -111,43 +106,32 @@ def fitted_rate(rows: list[dict]) -> float:
 
 
 def run(config: Config) -> Result:
-    """Simulate all strips; print the tables."""
+    """Simulate all strips."""
     unknown = set(config["meshes"]) - set(MESHES)
     if unknown:
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
     meshes, laws, gammas = config["meshes"], config["laws"], sorted(config["gammas"])
-    hinges = [law for law in laws if law != "midedge"]
 
     def series(law: str, mesh: str) -> dict:
         return {"mesh": mesh, "law": law, "gammas": gammas, "membrane": 200.0,
                 "cells": [cells_for(gamma) for gamma in gammas]}
 
-    hung = run_cases(hang_series, {
-        f"{law}_{mesh}": series(law, mesh) for law in laws for mesh in meshes
-    }, config)
+    hung = run_cases(hang_series, {f"{law}_{mesh}": series(law, mesh)
+                                   for law in laws for mesh in meshes}, config)
     rates = run_cases(hang_series, {
         f"rate_{mesh}": {"mesh": mesh, "law": "midedge", "gammas": list(RATE_GAMMAS),
                          "cells": [80, 80, 80, 160], "membrane": RATE_MEMBRANE}
-        for mesh in meshes
-    }, config)
+        for mesh in meshes}, config)
     moduli = run_cases(equivalents, {
-        equivalent_case(law, mesh, edge, gamma):
+        f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}":
             {"mesh": mesh, "law": law, "edge": edge, "gamma": gamma}
-        for law in hinges for mesh in meshes for edge, gamma in EQUIVALENT_PAIRS
-    }, config)
-
-    deviations = {
-        law: {mesh: [_at(hung[f"{law}_{mesh}"]["rows"], gamma) for gamma in gammas]
-              for mesh in meshes}
-        for law in laws
-    }
+        for law in laws if law != "midedge" for mesh in meshes
+        for edge, gamma in EQUIVALENT_PAIRS}, config)
+    deviations = {law: {mesh: [_at(hung[f"{law}_{mesh}"]["rows"], gamma) for gamma in gammas]
+                        for mesh in meshes} for law in laws}
     order = {mesh: [fitted_rate([r for r in rates[f"rate_{mesh}"]["rows"] if r["gamma"] == gamma])
                     for gamma in RATE_GAMMAS] for mesh in meshes}
-    print_tables(gammas, deviations, order, hinges, moduli)
     largest = _largest(deviations.get("midedge", {}))
-    if largest is not None:
-        print(f"\nlargest deviation of the default law: {_percent(largest)} % "
-              f"(limit {_percent(MAX_DEVIATION)} %)")
     return Result({
         "length_m": LENGTH, "width_m": WIDTH,
         "cells_along": [cells_for(gamma) for gamma in gammas],
@@ -161,37 +145,10 @@ def run(config: Config) -> Result:
     }, draw(gammas, deviations))
 
 
-def print_tables(
-    gammas: list[float], deviations: dict[str, dict], order: dict[str, list[float]],
-    hinges: list[str], moduli: dict[str, dict]
-) -> None:
-    """Print deviations, orders of convergence of the default law, and equivalent moduli."""
-    meshes = list(order)
-    for law, by_mesh in deviations.items():
-        print(f"\n{law}: deviation of H/W from the elastica, %")
-        print(table(
-            ["gamma", "cells along", "elastica H/W", *meshes],
-            [[gamma, cells_for(gamma), aspect_ratio(elastica(gamma)[-1]),
-              *[_percent(by_mesh[mesh][k]) for mesh in meshes]] for k, gamma in enumerate(gammas)],
-        ))
-    print("\nmidedge: fitted order of convergence")
-    print(table(["gamma", *meshes], [[gamma, *[round(order[mesh][k], 2) for mesh in meshes]]
-                                     for k, gamma in enumerate(RATE_GAMMAS)]))
-    for law in hinges:
-        print(f"\n{law}: equivalent modulus / physical modulus")
-        print(table(["edge, mm", "gamma", *meshes], [
-            [1e3 * edge, gamma, *[moduli[equivalent_case(law, mesh, edge, gamma)]["ratio"] or "-"
-                                  for mesh in meshes]] for edge, gamma in EQUIVALENT_PAIRS]))
-
-
 def _at(rows: list[dict], gamma: float) -> float | None:
     """Deviation on the mesh used in the table for ``gamma``, None if it did not converge."""
     row = next(r for r in rows if r["gamma"] == gamma and r["cells"] == cells_for(gamma))
     return row["deviation"] if row["status"] == Status.CONVERGED.value else None
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:+.2f}"
 
 
 def _largest(by_mesh: dict[str, list]) -> float | None:

@@ -102,6 +102,5 @@ def run(config: Config) -> Result:
             rows.append({"fabric": fabric, "strip": name, "alpha_uN_m": alpha,
                          "modulus_over_alpha": round(float(expected / gamma), 3),
                          "speed_mm_s": round(1e3 * speed, 2)})
-            print(rows[-1], flush=True)
     print(table(list(rows[0]), [list(row.values()) for row in rows]))
     return Result({"newton": newton.__version__, "ratio": material.ratio, "strips": rows})

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from common.errors import InputError
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
 from sim.energies.membrane import Membrane, OrthotropicStVK
@@ -93,22 +93,8 @@ def run(config: Config) -> Result:
     results = run_cases(drape_case, cases, config)
     found = [_compared(rows[label.split("_")[0]], cases[label], result) | {"case": label}
              for label, result in results.items()]
-    print(table(("fabric", "tester", "membrane", "DC measured, %", "simulated", "nodes measured",
-                 "simulated"),
-                [(one["fabric"], one["tester"], one["membrane"], one["measured"],
-                  one["coefficient"], one["nodes_measured"] or "", one["nodes"])
-                 for one in found]))
     summary = {tester: _summary(found, tester, config["testers"][-1])
                for tester in config["testers"]}
-    for tester, one in summary.items():
-        print(f"{tester}: drape coefficient off by {one['rms_hysteresis']:.1f} points rms "
-              f"({one['with_hysteresis']} fabrics with hysteresis), {one['rms']:.1f} (all "
-              f"{one['fabrics']}), rank correlation {one['rank']:.2f}, nodes off by "
-              f"{one['nodes']:.1f}")
-    best = summary[config["testers"][0]]
-    print(f"laboratory: drape coefficient off by {best['rms_hysteresis']:.1f} points rms "
-          f"({best['with_hysteresis']} fabrics with hysteresis), {best['rms']:.1f} (all "
-          f"{best['fabrics']}), nodes off by {best['nodes']:.1f}")
     return Result({"fabrics": found, "summary": summary}, _figure(found, config["testers"][0]))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from experiments.drapes import prior_fabric
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
 from sim.energies.plate_variants import Hysteresis
@@ -80,15 +80,9 @@ def run(config: Config) -> Result:
     rows = [{"variant": name, **{
         key: [float(np.mean(one[key])) for one in list(found.values())[each * k: each * (k + 1)]]
         for key in ("folds", "coefficients")}} for k, name in enumerate(VARIANTS)]
-    print(table(("variant", *(f"{alpha:g} µN·m: folds, DC %" for alpha in config["alphas"])),
-                [(row["variant"], *(f"{folds:.1f}, {dc:.1f}" for folds, dc in zip(
-                    row["folds"], row["coefficients"], strict=True))) for row in rows]))
     cost = {start: {key: float(np.mean([one[key] for name, one in spent.items()
                                         if name.startswith(start)]))
                     for key in ("seconds", "iterations", "folds")} for start in ("ring", "lowered")}
-    print(f"lowered: {cost['lowered']['seconds']:.2f} CPU-seconds, {cost['lowered']['folds']:.1f} "
-          f"folds; ring: {cost['ring']['seconds']:.2f} CPU-seconds, {cost['ring']['folds']:.1f} "
-          f"folds (means of {config['drapes']})")
     return Result({"variants": rows, "cost": cost})
 
 

@@ -22,7 +22,7 @@ from common.errors import InputError
 from data.captures.arrays import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
-from experiments.result import Config, Result, load_arrays, run_cases, table
+from experiments.result import Config, Result, load_arrays, run_cases
 from sim.cloth import Laws
 from sim.drape import DrapeResult, drape
 from sim.energies.plate_variants import Hysteresis
@@ -201,32 +201,13 @@ def run(config: Config) -> Result:
                                                     ("curled", lowered, True),
                                                     *((start, by, False)
                                                       for start, by in others.items()))}
-    report["summary"] = summary = {
+    report["summary"] = {
         reading: {name: {part: summarise([row for row in rows if part == "all"
                                           or (row["fabric"] in CALIBRATION)
                                           == (part == "calibration")])
                          for part in ("all", "calibration", "test")}
                   for name, rows in report[reading].items()} for reading in READINGS}
-    _print(summary)
     return Result(report, _figure(fabrics, up, radii, report, folder))
-
-
-def _print(summary: dict[str, Any]) -> None:
-    head = ("reading", "start", "fabrics", "folds real", "simulated", "deviation real, mm",
-            "simulated", "spectra, deviations")
-    print(table(head, [
-        (reading, name, part, one["folds_real"], one["folds"], one["deviation_real_mm"],
-         one["deviation_mm"], one["spectrum"])
-        for reading, starts in summary.items() for name, parts in starts.items()
-        for part, one in parts.items()]))
-    best = min(READINGS, key=lambda reading: summary[reading]["flat"]["all"]["spectrum"])
-    lowered, ring, varied, fabrics = (summary[best][name]["all"]
-                                      for name in ("flat", "ring", *VARIED))
-    print(f"folds at equal drape coefficient: real {lowered['folds_real']:.2f}, simulated "
-          f"{lowered['folds']:.2f}, ring start {ring['folds']:.2f}; outline spectra differ by "
-          f"{lowered['spectrum']:.2f} standard deviations ({best})\nthe same with specimens' "
-          f"nuisances: {varied['folds']:.2f}, {varied['spectrum']:.2f}; with fabrics of the prior: "
-          f"{fabrics['folds']:.2f}, {fabrics['spectrum']:.2f}")
 
 
 def _figure(

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from experiments.drapes import prior_theta
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.drape import DrapeResult, drape
 from sim.sensitivity import Tangent, follow, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
@@ -160,31 +160,11 @@ def summarise(rows: list[dict]) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Compare the derivatives of all fabrics; print the table."""
-    cases = {
-        f"fabric_{config['seed']}_{k}_{config['edge_mm']:g}": {
-            "index": k, "seed": config["seed"], "edge_mm": config["edge_mm"]
-        }
-        for k in range(config["fabrics"])
-    }
+    """Compare the derivatives of all fabrics."""
+    settings = {key: config[key] for key in ("seed", "edge_mm")}
+    cases = {f"fabric_{k}": {"index": k, **settings} for k in range(config["fabrics"])}
     rows = list(run_cases(one_fabric, cases, config).values())
     summary = summarise(rows)
-    print(table(
-        ["fabric", "α, µN·m", "status", "forward", "adjoint", "drape, s", "backward"],
-        [[k, " ".join(f"{a:.3g}" for a in row["alpha_uN_m"]), row["status"],
-          *([f"{max(row['forward']):.1e}", f"{max(row['adjoint']):.1e}",
-             f"{row['seconds']['drape']:.2f}",
-             f"{100 * row['seconds']['backward'] / row['seconds']['drape']:.1f} %"]
-            if "forward" in row else ["", "", "", ""])]
-         for k, row in enumerate(rows)],
-    ))
-    if summary["with_derivatives"]:
-        worst, cost = summary["worst"], summary["share_of_the_drape"]
-        print(f"largest relative difference: forward {worst['forward']:.1e}, adjoint "
-              f"{worst['adjoint']:.1e}, limit {MAX_ERROR:g}")
-        for name, figures in cost.items():
-            print(f"{name}: {100 * figures['median']:.1f} % of the drape's time (median), "
-                  f"at most {100 * figures['largest']:.1f} %")
     return Result({"limit": MAX_ERROR, "cost_limit": MAX_COST, **summary, "rows": rows},
                   draw([row for row in rows if "forward" in row]))
 

@@ -16,7 +16,7 @@ from common.errors import InputError
 from experiments.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
 from experiments.physics.guides import guided
 from experiments.physics.plates import PLATES, SMALL_GRAVITY, SOFT_MEMBRANE, plate
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.tester import HungStrip, bending_length
@@ -138,57 +138,28 @@ def run_case(*, part: str, **settings) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Compare strips and plates with theory; print the tables."""
+    """Compare strips and plates with theory."""
     if any(n < 4 or n % 2 for n in config["plates"]):
         raise InputError(f"plates={config['plates']} must be even numbers of cells, at least 4")
     cells = config["cells"]
-    cases = {
-        f"gamma{gamma:g}_ratio{ratio:g}":
-            {"part": "nonlinear", "gamma": gamma, "ratio": ratio, "cells": cells}
-        for gamma in GAMMAS for ratio in RATIOS
-    }
-    cases |= {
-        f"{fabric.replace(' ', '_')}_{angle:g}":
-            {"part": "angled", "fabric": fabric, "angle": angle, "cells": cells}
-        for fabric in FABRICS for angle in ANGLES
-    }
-    cases |= {
-        f"{kind.replace(', ', '_')}_{n}": {"part": "plate", "kind": kind, "cells": n}
-        for kind in PLATES for n in config["plates"]
-    }
+    cases = {f"gamma{gamma:g}_ratio{ratio:g}":
+             {"part": "nonlinear", "gamma": gamma, "ratio": ratio, "cells": cells}
+             for gamma in GAMMAS for ratio in RATIOS}
+    cases |= {f"{fabric.replace(' ', '_')}_{angle:g}":
+              {"part": "angled", "fabric": fabric, "angle": angle, "cells": cells}
+              for fabric in FABRICS for angle in ANGLES}
+    cases |= {f"{kind.replace(', ', '_')}_{n}": {"part": "plate", "kind": kind, "cells": n}
+              for kind in PLATES for n in config["plates"]}
     results = run_cases(run_case, cases, config)
-    parts = {
-        part: [r for r, case in zip(results.values(), cases.values(), strict=True)
-               if case["part"] == part]
-        for part in ("nonlinear", "angled", "plate")
-    }
+    parts = {part: [results[name] for name, case in cases.items() if case["part"] == part]
+             for part in ("nonlinear", "angled", "plate")}
     bent = [{**r, "deviation": r["aspect_ratio"] / r["elastica"] - 1}
             for r in parts["nonlinear"] if "aspect_ratio" in r]
-    print(table(
-        ["Γ", "β/α mm", "H/W", "elastica", "linear elastica", "deviation %"],
-        [[r["gamma"], r["ratio_mm"], f"{r['aspect_ratio']:.4f}", f"{r['elastica']:.4f}",
-          f"{r['linear_elastica']:.4f}", f"{100 * r['deviation']:+.2f}"] for r in bent],
-    ), end="\n\n")
     cut = [{**r, "deviation": r["guided"]["modulus"] / r["apparent"] - 1}
            for r in parts["angled"] if "modulus" in r["guided"]]
-    print(table(
-        ["fabric", "φ", "Eq. 8", "k(φ)", "apparent", "guided", "deviation %", "free 30 mm",
-         "compliance", "narrow"],
-        [[r["fabric"], f"{r['angle']:g}°", f"{r['eq8']:.2f}", f"{r['alpha']:.2f}",
-          f"{r['apparent']:.2f}", f"{r['guided']['modulus']:.2f}", f"{100 * r['deviation']:+.2f}",
-          *(f"{v:.2f}" for v in (r["free"].get("modulus", np.nan), r["compliance"],
-                                 r["narrow"].get("modulus", np.nan)))] for r in cut],
-    ), end="\n\n")
-    plates = {
-        kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
-        for kind in PLATES
-    }
+    plates = {kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
+              for kind in PLATES}
     rates = {kind: fitted_rate(pairs) for kind, pairs in plates.items()}
-    print(table(
-        ["plate", *(f"{n} cells: error %" for n in config["plates"]), "rate"],
-        [[kind, *(f"{100 * error:+.3f}" for _, error in pairs), f"{rates[kind]:.2f}"]
-         for kind, pairs in plates.items()],
-    ))
     return Result({"nonlinear": bent, "angled": cut, "plates": plates, "plate_rates": rates},
                   draw(bent, cut, plates))
 

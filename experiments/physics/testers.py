@@ -15,7 +15,7 @@ from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import prior_theta
 from experiments.physics.guides import guided
-from experiments.result import Config, Result, run_cases, table
+from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
@@ -154,7 +154,7 @@ def summarise(errors: np.ndarray) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Estimate all strips; print the errors."""
+    """Estimate all strips."""
     count = config["fabrics"]
     shared = {key: config[key] for key in ("noise", "repeats", "cells", "rounds")}
     cases = {
@@ -171,25 +171,14 @@ def run(config: Config) -> Result:
     summary = {
         kind: summarise(errors) for kind in kinds if len(errors := relative_errors(results, kind))
     }
-    rows = [
-        [kind, *(f"{part[m][key]:.2f}" for m in ("alpha", "beta")
-                 for key in ("median", "rms", "largest"))]
-        for kind, part in summary.items()
-    ]
-    head = ["strips, method", *(f"{m}: {key} %" for m in ("alpha", "beta")
-                                for key in ("median", "rms", "largest"))]
-    print(table(head, rows))
     unstable = [
         f"{name} {direction}" for name, result in zip(cases, results, strict=True)
         for direction, stable in zip(DIRECTIONS, result["stable"], strict=True) if not stable
     ]
-    print(f"\nexcluded, because their cylinders are unstable: {', '.join(unstable) or 'none'}")
     failures = {
         name: result["failure"]
         for name, result in zip(cases, results, strict=True) if "failure" in result
     }
-    for name, message in failures.items():
-        print(f"{name}: {message}")
     return Result({
         "lengths_in_bending_lengths": LENGTHS,
         "errors_percent": summary,

@@ -19,7 +19,7 @@ from data.render.cameras import Camera
 from data.render.raster import rasterise
 from data.render.rays import QUARTERS, VIEWS, DepthRenderer
 from data.render.setups import Setups
-from experiments.result import Config, Result, rms, table
+from experiments.result import Config, Result, rms
 from sim.drape import drape
 from sim.rig import SQUARE_RIG
 
@@ -99,7 +99,7 @@ def view_rates(shots: list[Shot], repeats: int) -> dict[str, float]:
 
 
 def run(config: Config) -> Result:
-    """Time both renderers; print the table."""
+    """Time both renderers."""
     for key in ("drapes", "timed", "repeats"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")
@@ -107,10 +107,4 @@ def run(config: Config) -> Result:
     rates = {f"{w}x{h}": view_rates([shot.resized(w, h) for shot in shots[: config["timed"]]],
                                     config["repeats"]) for w, h in SIZES}
     differences = agreement(shots)
-    print(f"{differences['silhouette_pixels_that_differ']} of {differences['cloth_pixels']} pixels "
-          f"differ, depth within {differences['largest_mm']:.2g} mm")
-    print(f"views per second of {min(config['timed'], len(shots))} drapes")
-    names = next(iter(rates.values()))
-    print(table(["image", *names], [[size, *(round(v) for v in row.values())]
-                                    for size, row in rates.items()]))
     return Result({"agreement": {"rasteriser": differences}, "views_per_second": rates})

@@ -16,7 +16,7 @@ from collections import Counter
 import numpy as np
 
 from experiments.drapes import prior_fabric
-from experiments.result import Config, Result, table
+from experiments.result import Config, Result
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.solver.linear import available_solvers
@@ -68,7 +68,7 @@ def peak_memory() -> float:
 
 
 def run(config: Config) -> Result:
-    """Time all drapes; print the figures."""
+    """Time all drapes."""
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
     drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
     report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1}
@@ -80,18 +80,4 @@ def run(config: Config) -> Result:
                         for edge in config["growth_mm"] if edge]
     report["peak_memory_of_growth_GiB"] = peak_memory()
 
-    print(table(["edges at the rim, mm", "triangles", "CPU-seconds", "Newton steps", "status"],
-                [[r["edge_mm"], r["triangles"], r["cpu_seconds"], r["newton_steps"], r["status"]]
-                 for r in report["growth"]]))
-    for name in ("default", "fine"):
-        if name in report:
-            part = report[name]
-            print(f"\n{name}: {part['converged']} of {len(part['runs'])} converged, "
-                  f"{part['mean_newton_steps']:.0f} Newton steps on average")
-            print("shares of the time: " + ", ".join(
-                f"{k} {100 * v:.0f} %" for k, v in part["share_by_activity"].items()))
-            print(f"median CPU-seconds per drape: {part['median_cpu_seconds']:.2f}")
-            print(f"mean CPU-seconds per drape: {part['mean_cpu_seconds']:.2f}")
-    print(f"peak memory: {report['peak_memory_GiB']:.2f} GiB, with the table's finest mesh "
-          f"{report['peak_memory_of_growth_GiB']:.2f} GiB")
     return Result(report)

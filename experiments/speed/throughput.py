@@ -77,17 +77,11 @@ def largest_distance(a: DrapeResult, b: DrapeResult) -> float:
 
 
 def run(config: Config) -> Result:
-    """Time one core and several processes; print the figures."""
+    """Time one core and several processes."""
     for key in ("drapes", "workers", "repeats"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
     found = throughput(fabrics, edge_mm=config["edge_mm"], workers=config["workers"],
                        repeats=config["repeats"])
-    print(f"{found['drapes']} drapes: {found['drapes_per_second_one_core']:.3f} per second on one "
-          f"core, {found['drapes_per_second_workers']:.3f} in {found['workers']} processes, "
-          f"ratio {found['ratio']:.2f} ({found['median_ratio']:.2f} in the median round; "
-          f"{found['ratio_from_their_start']:.2f} including the start of the processes, "
-          f"{found['start_seconds_of_workers']:.1f} s); "
-          f"largest difference {found['largest_difference_m']:.1e} m")
     return Result({"dtype": "float64", **found})

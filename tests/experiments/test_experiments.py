@@ -182,9 +182,8 @@ def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
     assert {row["edge_mm"] for row in coarse} == {8.0}
     # The coarser the mesh, the more the drape depends on it.
     assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
-    largest = [f"{max(row['mean_mm'] for row in rows):.2f}" for rows in (coarse, fine)]
-    cells = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert ["|", "stiff", "|", largest[0], "|", largest[1], "|"] in cells
+    assert content["summary"]["midedge"]["pairs"] == 3
+    assert "three kinds of meshes" not in capsys.readouterr().out  # without the hinge law
 
 
 def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_listed(draped):
