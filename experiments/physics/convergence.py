@@ -26,7 +26,8 @@ STARTS = ("sine", "fold")
 
 def one_drape(index: int, seed: int, edge_mm: float) -> dict:
     """Simulate drape ``index`` of the plan."""
-    plan = plan_drape(index, config=SamplingConfig(seed=seed, starts=STARTS), prior=load_prior("gaussian"))
+    config = SamplingConfig(seed=seed, starts=STARTS, starts_per_fabric=len(STARTS))
+    plan = plan_drape(index, config=config, prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
     result = drape(fabric, edge=1e-3 * edge_mm or None, start=plan.start, seed=plan.seed,
                    offset=tuple(plan.offset))
