@@ -21,7 +21,8 @@ from typing import Any
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named
-from data.captures.capture import Capture, captures_in, checked_density, read_capture
+from data.captures.capture import Capture, captures_in, read_capture
+from data.captures.description import checked_density
 from drapenet.config import InferConfig
 from drapenet.export.formats import export_all, targets_named
 from drapenet.export.material import read_material

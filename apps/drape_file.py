@@ -11,7 +11,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
-from data.captures.arrays import read_arrays
+from data.captures.frames import read_arrays
 from sim.drape import DrapeResult
 
 

@@ -7,6 +7,7 @@ from pydantic import PlainValidator
 
 from common.documents import Schema
 from common.errors import InputError
+from common.types import Metres
 from sim.rig import RIGS, Rig
 
 SIZES, PLATES, MIN_OVERHANG = (200.0, 400.0), (60.0, 200.0), 20.0  # mm
@@ -14,16 +15,13 @@ _SAME_PLATE = 0.1  # of the diameter, within which a plate in the pictures may b
 TESTERS = tuple(name for name, rig in RIGS.items() if rig.has_plate)
 """Abbreviations of common testers."""
 EXAMPLE = "{specimen: disc, size_mm: 254, plate_mm: 127}"
+_CHOICES = f"{', '.join(TESTERS)}, or numbers such as {EXAMPLE}"
 
 
 class _Numbers(Schema):
     specimen: Literal["square", "disc"]
     size_mm: float
     plate_mm: float
-
-    @property
-    def rig(self) -> Rig:
-        return Rig(self.size_mm / 1e3, self.plate_mm / 1e3, self.specimen)
 
 
 def read_tester(value: object) -> Rig:
@@ -34,24 +32,14 @@ def read_tester(value: object) -> Rig:
             that begins with the value.
     """
     try:
-        rig = _Numbers.of(value, "").rig if isinstance(value, Mapping) else Rig.from_name(
-            value if isinstance(value, str) else "")
+        if isinstance(value, Mapping):
+            numbers = _Numbers.of(value, "")
+            rig = Rig(numbers.size_mm / 1e3, numbers.plate_mm / 1e3, numbers.specimen)
+        else:
+            rig = Rig.from_name(value if isinstance(value, str) else "")
     except InputError as error:
         reason = f" ({error})" if isinstance(value, Mapping) else ""
-        raise InputError(f"is not a tester{reason}; give {_choices()}") from None
-    return checked_tester(rig)
-
-
-def named_tester(name: str) -> Rig:
-    """The tester called ``name``; InputError, a whole sentence, if there is none."""
-    try:
-        return read_tester(name)
-    except InputError as error:
-        raise InputError(f"tester={name} {error}") from None
-
-
-def checked_tester(rig: Rig) -> Rig:
-    """``rig`` itself; InputError, as of :func:`read_tester`, if it is outside the limits."""
+        raise InputError(f"is not a tester{reason}; give {_CHOICES}") from None
     size, plate = (round(1e3 * length, 6) for length in (rig.specimen_size, rig.plate_diameter))
     for what, length, (low, high) in (("specimen", size, SIZES), ("plate", plate, PLATES)):
         if not low <= length <= high:
@@ -68,6 +56,14 @@ Tester = Annotated[Rig, PlainValidator(read_tester)]
 """Type of a schema's field that states a tester."""
 
 
+def named_tester(name: str) -> Rig:
+    """The tester called ``name``; InputError, a whole sentence, if there is none."""
+    try:
+        return read_tester(name)
+    except InputError as error:
+        raise InputError(f"tester={name} {error}") from None
+
+
 def described_tester(rig: Rig) -> str | dict[str, str | float]:
     """The value that :func:`read_tester` reads as ``rig``, in JSON types."""
     if rig.name in TESTERS:
@@ -76,17 +72,14 @@ def described_tester(rig: Rig) -> str | dict[str, str | float]:
             "plate_mm": round(1e3 * rig.plate_diameter, 6)}
 
 
-def tester_choices(plate: float | None = None) -> str:
-    """Remedy for a capture without tester; ``plate``: diameter in its pictures, m, if seen."""
+def tester_choices(plate: Metres | None = None) -> str:
+    """Remedy for a capture without tester; ``plate``: diameter in its pictures, if it is visible.
+    """
     if plate is None:
-        return f"give tester: {_choices()}"
-    seen = 1e3 * plate
+        return f"give tester: {_CHOICES}"
+    visible = 1e3 * plate
     alike = [name for name in TESTERS
-             if abs(1e3 * RIGS[name].plate_diameter - seen) < _SAME_PLATE * seen]
-    numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {seen:.0f}}}"
-    return (f"the pictures show a plate of about {seen:.0f} mm: give tester: "
+             if abs(1e3 * RIGS[name].plate_diameter - visible) < _SAME_PLATE * visible]
+    numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {visible:.0f}}}"
+    return (f"the pictures show a plate of about {visible:.0f} mm: give tester: "
             + " or ".join([*alike, f"numbers such as {numbers}"]))
-
-
-def _choices() -> str:
-    return f"{', '.join(TESTERS)}, or numbers such as {EXAMPLE}"

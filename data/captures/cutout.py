@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from common.errors import InputError
-from data.captures.pictures import neighbours
+from common.types import DepthImage, Mask, Metres, Views
 from data.captures.plate import Plate, find_plate
 from data.render.cameras import Intrinsics
 from sim.rig import Rig
@@ -37,6 +37,7 @@ _COLUMN_MARGIN = 1.5e-3, 4e-3  # m, limits of the tolerance added to the column'
 _MIN_CHANGE = 4e-3  # m at 0.5 m, by which cloth is nearer than the empty scene
 _MAX_SAME_SHARE = 0.5  # of the candidate cloth; above it the background shows cloth
 _MAX_MOVED_SHARE = 0.3  # of the static pixels; above it the camera has moved
+_LOOK = "python -m data.captures.preview"
 
 
 @dataclass(frozen=True)
@@ -44,172 +45,188 @@ class CutOut:
     """The segmented cloth of frames.
 
     Attributes:
-        frames: (K, H, W) m, as given.
+        frames: as given.
         masks: (K, H, W) bool, cloth, including pixels without depth.
-        views: (K, H, W) float32 m, depth of the cloth, 0 elsewhere and where it is unknown.
-        plate: None if it was not found in frames that show only cloth.
-        column: radius of the column under the plate, m; None if it is not visible.
+        views: depth of the cloth, 0 elsewhere and where it is unknown.
+        column: radius of the column under the plate; None if it is not visible.
         warnings: one line each.
     """
 
-    frames: np.ndarray
+    frames: Views
     masks: np.ndarray
-    views: np.ndarray
-    plate: Plate | None
-    column: float | None
-    warnings: tuple[str, ...]
+    views: Views
+    plate: Plate
+    column: Metres | None = None
+    warnings: tuple[str, ...] = ()
 
 
-def is_raw(frame: np.ndarray, intrinsics: Intrinsics, rig: Rig) -> bool:
-    """Whether a frame (H, W), m, shows more than cloth: depth fills the picture or its border, or
-    many points are farther away from the median point than the size of the specimen.
+@dataclass(frozen=True)
+class _Scene:
+    """Points of all pixels of the frames, (K, H, W) each, about the plate of ``rig``.
+
+    Attributes:
+        solid: whether a pixel shows a surface.
+        radius, height: distance from the plate's axis, and height above the plate, m.
+        over: height above the table, m; infinite if no table is visible.
     """
-    seen = frame > 0
+
+    frames: Views
+    rig: Rig
+    solid: np.ndarray
+    radius: np.ndarray
+    height: np.ndarray
+    over: np.ndarray
+
+    @property
+    def within_reach(self) -> np.ndarray:
+        """Whether cloth can reach the points."""
+        beyond = np.maximum(self.radius - self.rig.plate_radius, 0.0)
+        return (self.height < _PLATE_TOLERANCE) & (
+            np.hypot(beyond, self.height) < self.rig.overhang + _REACH_TOLERANCE)
+
+    def on_plate(self, margin: Metres = 0.0) -> np.ndarray:
+        """Whether the points lie on the plate, or up to ``margin`` beyond its rim."""
+        return (self.radius < self.rig.plate_radius + margin) & (
+            np.abs(self.height) < _PLATE_TOLERANCE)
+
+
+def shows_scene(frame: DepthImage, intrinsics: Intrinsics, rig: Rig) -> bool:
+    """Whether a frame shows more than cloth: depth fills the picture or its border, or many points
+    are farther away from the median point than the size of the specimen.
+    """
+    visible = frame > 0
     # Depth in a wrong unit is reported by data.captures.capture.
-    if not seen.any() or not SCENE_DEPTHS[0] < np.median(frame[seen]) < SCENE_DEPTHS[1]:
+    if not visible.any() or not SCENE_DEPTHS[0] < np.median(frame[visible]) < SCENE_DEPTHS[1]:
         return False
-    border = np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]])
-    if seen.mean() > MAX_CLOTH_SHARE or border.mean() > _MAX_BORDER_SHARE:
+    border = np.concatenate([visible[0], visible[-1], visible[:, 0], visible[:, -1]])
+    if visible.mean() > MAX_CLOTH_SHARE or border.mean() > _MAX_BORDER_SHARE:
         return True
-    points = intrinsics.back_project(frame)[seen]
-    size = 2 * rig.reach
+    points = intrinsics.back_project(frame)[visible]
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     # A small distant piece is reported by data.captures.capture.
-    return bool((distance > size).mean() > _MAX_FAR_SHARE)
+    return bool((distance > 2 * rig.reach).mean() > _MAX_FAR_SHARE)
 
 
 def cut_out(
-    frames: np.ndarray, intrinsics: Intrinsics, rig: Rig, background: np.ndarray | None = None
-) -> CutOut:
-    """Segment the cloth in frames (K, H, W), z-depth in m, 0 where depth is missing.
-
-    Frames that show only cloth are returned unchanged.
+    frames: Views, intrinsics: Intrinsics, rig: Rig, background: DepthImage | None = None
+) -> CutOut | None:
+    """Segment the cloth in frames of one static camera; None if they show only cloth.
 
     Args:
-        intrinsics: of the frames, taken by one static camera.
         rig: with a plate.
-        background: (H, W) m, the same scene with the tester but without cloth.
+        background: the same scene with the tester but without cloth.
 
     Raises:
         InputError: no plate of the rig with cloth is found, or only part of the frames show the
             full scene.
     """
-    frames = np.asarray(frames, dtype=np.float32)
-    raw = [is_raw(frame, intrinsics, rig) for frame in frames]
-    if any(raw) and not all(raw):
-        raise InputError(f"view {raw.index(True)} shows the whole scene (has no background) but "
-                         f"view {raw.index(False)} is cut out; give all views of one kind")
+    whole = [shows_scene(frame, intrinsics, rig) for frame in frames]
+    if not any(whole):
+        return None
+    if not all(whole):
+        raise InputError(f"view {whole.index(True)} shows the whole scene (has no background) but "
+                         f"view {whole.index(False)} is cut out; give all views of one kind")
     points = intrinsics.back_project(frames)
-    seen = frames > 0
-    plate = find_plate(points[seen], rig) if seen.any() else None
-    if not all(raw):
-        return CutOut(frames, seen, frames, plate, None, ())
+    plate = find_plate(points[frames > 0], rig)
     if plate is None:
-        median = np.median(frames[seen]) if seen.any() else 0.0
         raise InputError(
             f"no plate of {1e3 * rig.plate_diameter:g} mm diameter with cloth on it was found in "
-            f"the frames (median depth {median:.3g} m); check tester, depth_unit_m and intrinsics, "
-            "or set every pixel that is not cloth to 0")
+            f"the frames (median depth {np.median(frames[frames > 0]):.3g} m); check tester, "
+            "depth_unit_m and intrinsics, or set every pixel that is not cloth to 0")
+    scene = _scene(frames, points, plate, rig)
     warnings = [] if plate.table is not None else [
-        "no table is seen below the plate; look with python -m data.captures.preview whether "
-        "only cloth is cut out"]
-    local = plate.local(points)
-    radius, height = np.hypot(local[..., 0], local[..., 1]), local[..., 2]
-    solid = seen & _on_surface(frames)
-    cloth = solid & _within_reach(radius, height, rig)
-    standing = solid
-    if plate.table is not None:
-        over = points @ plate.table[:3] + plate.table[3]
-        cloth &= over > _TABLE_TOLERANCE
-        standing = solid & (over > 2 * _TABLE_TOLERANCE)
-    column = None
+        f"no table is seen below the plate; look with {_LOOK} whether only cloth is cut out"]
+    cloth, column = scene.solid & scene.within_reach & (scene.over > _TABLE_TOLERANCE), None
     if background is None:
-        column = _column_radius(radius[standing], height[standing], rig)
+        column = _column_radius(scene)
         if column is not None:
-            cloth &= ~_column(cloth, radius, height, column, rig)
+            cloth &= ~_column(cloth, scene, column)
             if column > rig.plate_radius - 2 * _COLUMN_MARGIN[1]:
                 warnings.append("the column is nearly as wide as the plate: where cloth touches it "
-                              "the hem may be wrong; look at it with "
-                              "python -m data.captures.preview")
+                                f"the hem may be wrong; look at it with {_LOOK}")
     else:
-        # On the plate and at its rim, cloth is only its thickness nearer than the background.
-        top = (radius < rig.plate_radius + _REACH_TOLERANCE) & (np.abs(height) < _PLATE_TOLERANCE)
-        unchanged = (background > 0) & (background - frames < _MIN_CHANGE * frames / 0.5)
-        same = cloth & unchanged & ~top
-        still = solid & (background > 0) & ~_within_reach(radius, height, rig)
-        warnings += _background_warnings(frames, background, cloth, same, still)
+        same = _unchanged(cloth, scene, background)
+        warnings += _background_warnings(scene, background, cloth, same)
         cloth &= ~_without_cloth_below(same, cloth)
     masks = np.empty_like(cloth)
-    for k in range(len(frames)):
-        on_plate = cloth[k] & (radius[k] < rig.plate_radius) & (
-            np.abs(height[k]) < _PLATE_TOLERANCE)
-        kept, apart = _one_piece(cloth[k], on_plate)
+    for k, on_plate in enumerate(cloth & scene.on_plate()):
+        cloth[k], apart = _one_piece(cloth[k], on_plate)
+        masks[k] = _completed(cloth[k], scene.solid[k])
         if apart:
             warnings.append(f"view {k}: {apart} pixels within the cloth's reach are apart from it "
-                          "and left out; look at them with python -m data.captures.preview")
-        cloth[k] = kept
-        masks[k] = _completed(kept, solid[k])
+                            f"and left out; look at them with {_LOOK}")
     views = np.where(cloth & masks, frames, np.float32(0.0))
     return CutOut(frames, masks, views, plate, column, tuple(warnings))
 
 
-def _background_warnings(
-    frames: np.ndarray, background: np.ndarray, cloth: np.ndarray, same: np.ndarray,
-    still: np.ndarray,
-) -> list[str]:
-    """Warnings if ``background`` (H, W), m, is inconsistent with frames (K, H, W), m.
+def _scene(frames: Views, points: np.ndarray, plate: Plate, rig: Rig) -> _Scene:
+    """The scene of a plate; ``points`` (K, H, W, 3), m, of the frames, camera axes."""
+    local = plate.local(points)
+    alike = np.abs(neighbours(frames) - frames) < _MAX_STEP * frames / 0.5
+    surface = alike.sum(axis=0) >= _MIN_NEIGHBOURS  # no flying pixel between surfaces
+    over = np.full(frames.shape, np.inf)
+    if plate.table is not None:
+        over = points @ plate.table[:3] + plate.table[3]
+    return _Scene(frames, rig, (frames > 0) & surface, np.hypot(local[..., 0], local[..., 1]),
+                  local[..., 2], over)
 
-    Pixel masks (K, H, W) bool: ``cloth``, candidates; ``same``, candidates with the depth of the
-    background; ``still``, pixels outside the cloth's reach, which should be static.
+
+def neighbours(pictures: np.ndarray) -> np.ndarray:
+    """The eight neighbours (8, ..., H, W) of each pixel of pictures (..., H, W); 0 outside."""
+    height, width = pictures.shape[-2:]
+    padded = np.pad(pictures, [(0, 0)] * (pictures.ndim - 2) + [(1, 1), (1, 1)])
+    return np.stack([padded[..., i : i + height, j : j + width]
+                     for i in range(3) for j in range(3) if (i, j) != (1, 1)])
+
+
+def _unchanged(cloth: np.ndarray, scene: _Scene, background: DepthImage) -> np.ndarray:
+    """(K, H, W) bool, candidates for ``cloth`` that have the depth of the empty scene."""
+    # On the plate and at its rim, cloth is only its thickness nearer than the background.
+    frames = scene.frames
+    unchanged = (background > 0) & (background - frames < _MIN_CHANGE * frames / 0.5)
+    return cloth & unchanged & ~scene.on_plate(_REACH_TOLERANCE)
+
+
+def _background_warnings(
+    scene: _Scene, background: DepthImage, cloth: np.ndarray, same: np.ndarray
+) -> list[str]:
+    """Warnings if the background does not belong to the frames.
+
+    Pixel masks (K, H, W) bool: ``cloth``, candidates; ``same``, those with the background's depth.
     """
     warnings = []
     share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
     if share > _MAX_SAME_SHARE:
         warnings.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
-                      f"reach (limit {_MAX_SAME_SHARE:.0%}): take it without cloth, and every view "
-                      "with it")
-    moved = np.abs(frames - background) > 3 * _MIN_CHANGE * frames / 0.5
-    if still.any() and moved[still].mean() > _MAX_MOVED_SHARE:
+                        f"reach (limit {_MAX_SAME_SHARE:.0%}): take it without cloth, and every "
+                        "view with it")
+    static = scene.solid & (background > 0) & ~scene.within_reach
+    moved = np.abs(scene.frames - background) > 3 * _MIN_CHANGE * scene.frames / 0.5
+    if static.any() and moved[static].mean() > _MAX_MOVED_SHARE:
         warnings.append("background.png does not fit the frames: the camera or the scene has "
-                      "moved between them; take it again")
+                        "moved between them; take it again")
     return warnings
 
 
-def _within_reach(radius: np.ndarray, height: np.ndarray, rig: Rig) -> np.ndarray:
-    """Whether cloth can reach points at ``radius`` from the plate's axis, ``height`` above it, m.
-    """
-    beyond = np.maximum(radius - rig.plate_radius, 0.0)
-    return (height < _PLATE_TOLERANCE) & (
-        np.hypot(beyond, height) < rig.overhang + _REACH_TOLERANCE)
-
-
-def _on_surface(frames: np.ndarray) -> np.ndarray:
-    """(K, H, W) bool, pixels with neighbours at similar depth: not flying pixels between surfaces.
-    """
-    alike = np.abs(neighbours(frames) - frames) < _MAX_STEP * frames / 0.5
-    return alike.sum(axis=0) >= _MIN_NEIGHBOURS
-
-
-def _column_radius(radius: np.ndarray, height: np.ndarray, rig: Rig) -> float | None:
-    """Radius of the column, m, from surface points inside the plate's rim or below the cloth."""
-    low = rig.overhang + _REACH_TOLERANCE
-    inside = (height < -_COLUMN_BELOW) & (radius < rig.plate_radius - _COLUMN_MARGIN[1])
-    below = (height < -low) & (height > -low - 0.1) & (
-        radius < rig.plate_radius + 2 * _COLUMN_MARGIN[1])
-    found = radius[(inside & (height > -low)) | below]
-    if len(found) < _MIN_COLUMN_PIXELS:
+def _column_radius(scene: _Scene) -> Metres | None:
+    """Radius of the column, from surface points inside the plate's rim or below the cloth."""
+    radius, height, rim = scene.radius, scene.height, scene.rig.plate_radius
+    low = scene.rig.overhang + _REACH_TOLERANCE
+    inside = (height < -_COLUMN_BELOW) & (radius < rim - _COLUMN_MARGIN[1]) & (height > -low)
+    below = (height < -low) & (height > -low - 0.1) & (radius < rim + 2 * _COLUMN_MARGIN[1])
+    standing = scene.solid & (scene.over > 2 * _TABLE_TOLERANCE)
+    radii = radius[(inside | below) & standing]
+    if len(radii) < _MIN_COLUMN_PIXELS:
         return None
-    low_quarter, middle, high_quarter = np.quantile(found, [0.25, 0.5, 0.75])
+    low_quarter, middle, high_quarter = np.quantile(radii, [0.25, 0.5, 0.75])
     return float(middle) if high_quarter - low_quarter < 2 * _MAX_COLUMN_SPREAD else None
 
 
-def _column(
-    cloth: np.ndarray, radius: np.ndarray, height: np.ndarray, column: float, rig: Rig
-) -> np.ndarray:
+def _column(cloth: np.ndarray, scene: _Scene, column: Metres) -> np.ndarray:
     """(K, H, W) bool, candidates for ``cloth`` that are column: near it, without cloth below."""
-    near = np.clip((rig.plate_radius - column) / 2, *_COLUMN_MARGIN)
-    return _without_cloth_below(
-        cloth & (radius < column + near) & (height < -_COLUMN_BELOW), cloth)
+    margin = np.clip((scene.rig.plate_radius - column) / 2, *_COLUMN_MARGIN)
+    near = (scene.radius < column + margin) & (scene.height < -_COLUMN_BELOW)
+    return _without_cloth_below(cloth & near, cloth)
 
 
 def _without_cloth_below(like: np.ndarray, cloth: np.ndarray) -> np.ndarray:
@@ -220,9 +237,9 @@ def _without_cloth_below(like: np.ndarray, cloth: np.ndarray) -> np.ndarray:
     return like & ~np.flip(np.maximum.accumulate(other, axis=1), axis=1)
 
 
-def _one_piece(cloth: np.ndarray, on_plate: np.ndarray) -> tuple[np.ndarray, int]:
-    """The part of ``cloth`` (H, W) that is connected to the plate in the picture, and the number of
-    pixels of larger disconnected pieces.
+def _one_piece(cloth: Mask, on_plate: Mask) -> tuple[Mask, int]:
+    """The part of ``cloth`` that is connected to the plate in the picture, and the number of pixels
+    of larger disconnected pieces.
     """
     pieces, count = ndimage.label(ndimage.binary_dilation(cloth))
     if count < 2 or not on_plate.any():
@@ -234,19 +251,17 @@ def _one_piece(cloth: np.ndarray, on_plate: np.ndarray) -> tuple[np.ndarray, int
     return kept, int(sizes[sizes > _MAX_SPECK_SHARE * kept.sum()].sum())
 
 
-def _completed(cloth: np.ndarray, solid: np.ndarray) -> np.ndarray:
-    """The mask (H, W) of ``cloth`` with holes filled, and pixels without depth labelled as the
-    majority of their neighbours.
-
-    ``solid``: pixels with the depth of a surface.
+def _completed(cloth: Mask, solid: Mask) -> Mask:
+    """The mask of ``cloth`` with holes filled, and pixels without depth labelled as the majority of
+    their neighbours; ``solid``: pixels with the depth of a surface.
     """
     votes = [ndimage.gaussian_filter(part.astype(np.float32), _VOTE_SIGMA, truncate=2.0)
              for part in (cloth, solid & ~cloth)]
     mask = cloth | (~solid & (votes[0] > votes[1]))
     holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
     if count:
-        seen = ndimage.sum_labels(solid, holes, np.arange(1, count + 1))
+        surface = ndimage.sum_labels(solid, holes, np.arange(1, count + 1))
         sizes = np.bincount(holes.ravel())[1:]
-        small = (sizes < _MAX_HOLE_SHARE * mask.sum()) & (seen == 0)
+        small = (sizes < _MAX_HOLE_SHARE * mask.sum()) & (surface == 0)
         mask |= np.isin(holes, 1 + np.flatnonzero(small))
     return mask

@@ -1,4 +1,4 @@
-"""Reading depth frames of a capture from files of several formats: m, 0 where depth is missing.
+"""Depth frames of a capture in files of several formats: m, 0 where depth is missing.
 
 ``view_K.png`` (16-bit), ``view_K_0.png``, ``view_K_1.png`` and so on (several frames of one view),
 ``view_K.npy`` and ``view_K.exr`` (metres), ``view_K.ply`` (points in camera axes, metres), or one
@@ -6,34 +6,35 @@ recording (:mod:`data.captures.rosbag`). All views of a capture have the same fo
 """
 
 import io
+import itertools
 import math
 import re
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from common.documents import read_bytes, require_regular, shown
 from common.errors import InputError, one_line
-from data.captures.pictures import (
-    MAX_FILE_BYTES,
+from common.types import DepthImage, Views
+from data.captures.description import (
     MAX_PICTURE,
     MAX_VIEWS,
     MILLIMETRE,
-    dimensions,
-    join_views,
-    median_depth,
-    numbered,
-    read_picture,
+    Description,
     require_size,
 )
-from data.captures.rosbag import SUFFIXES, read_recording
+from data.captures.rosbag import SUFFIXES, median_depth, read_recording
 from data.render.cameras import Intrinsics
 
 BACKGROUND = "background.png"
 RECORDING = "recording"
 SATURATED = 65535  # counts, written by cameras where depth is missing
+MAX_FILE_BYTES = 160 << 20  # bytes, of a picture
+MAX_ARCHIVE_BYTES = 64 << 20  # bytes, of an npz file and of each of its arrays
 MAX_PIXELS = 64_000_000  # of all frames of one view
 MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
@@ -47,6 +48,8 @@ UNSUPPORTED = {
     ".r3d": "export its depth frames as npy in metres",
 }
 """Remedies for files of other formats, by suffix."""
+_MODES = {"L": "8-bit grey", "RGB": "8-bit colour", "RGBA": "8-bit colour", "1": "1-bit"}
+"""Names of Pillow's modes for error messages."""
 
 
 @dataclass(frozen=True)
@@ -54,78 +57,86 @@ class Frames:
     """Content of a folder of depth frames.
 
     Attributes:
-        frames: (K, H, W) float32, m, one per view.
-        background: (H, W) float32, m, the empty scene; None without one.
+        depth: one frame for each view, possibly of the whole scene.
+        background: the empty scene; None without one.
         intrinsics: stored in the files; None if there are none.
         color: (K, H, W) uint8 grey, pictures of a board; None without them.
     """
 
-    frames: np.ndarray
-    background: np.ndarray | None
-    intrinsics: Intrinsics | None = None
-    color: np.ndarray | None = None
+    depth: Views
+    background: DepthImage | None
+    intrinsics: Intrinsics | None
+    color: np.ndarray | None
 
 
-def read_frames(
-    folder: Path, unit: float | None, intrinsics_of: Callable[[int, int], Intrinsics],
-    size: tuple[int, int] | None,
-) -> Frames:
-    """Read the frames of a folder, in any of the supported formats.
-
-    Args:
-        unit: m per count; None: as stated in the files, or millimetres.
-        intrinsics_of: intrinsics as a function of width and height, px.
-        size: width and height of the picture to which point clouds are projected, px.
+def read_frames(folder: Path, description: Description) -> Frames:
+    """Read the frames of a capture, in any of the supported formats.
 
     Raises:
         InputError: no frames, two formats, a file that cannot be read or is too large.
     """
     names = sorted(file.name for file in folder.iterdir())
     kind = _kind(folder, names)
-    counted, intrinsics = unit or MILLIMETRE, None
+    unit, intrinsics = description.depth_unit_m or MILLIMETRE, None
     if kind == RECORDING:
-        frames, intrinsics = read_recording(folder / next(filter(_is_recording, names)), unit)
+        file = folder / next(filter(_is_recording, names))
+        depth, intrinsics = read_recording(file, description.depth_unit_m)
     elif kind == "view_{}_{}.png":
-        frames = join_views({files[0]: _median(files) * counted
-                             for files in _bursts(folder, names)})
+        depth = join_views({files[0]: unit * _median(files) for files in _bursts(folder, names)})
     else:
-        if kind.endswith("ply") and size is None:
-            raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
-                             "capture.yaml, of the picture that the intrinsics are of")
-        reader = {
-            ".png": lambda file: read_counts(file) * counted,
-            ".npy": read_array, ".exr": read_exr,
-            ".ply": lambda file: read_points(file, intrinsics_of(*size))}[Path(kind).suffix]
-        frames = join_views({file: reader(file) for file in numbered(folder, kind)})
-    background = None
-    if BACKGROUND in names:
-        background = np.minimum(read_counts(folder / BACKGROUND) * counted,
-                                MAX_DEPTH).astype(np.float32)
-        if background.shape != frames.shape[1:]:
-            raise InputError(f"{folder / BACKGROUND} has {dimensions(background)} pixels, the "
-                             f"views have {dimensions(frames[0])}; take it with the same camera")
+        read = _reader(folder, kind, unit, description)
+        depth = join_views({file: read(file) for file in numbered(folder, kind)})
+    background = _background(folder / BACKGROUND, unit, depth) if BACKGROUND in names else None
     color = None
     if any(re.fullmatch(r"color_\d+\.png", name) for name in names):
-        color = join_views({
-            file: _grey(read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit"))
-            for file in numbered(folder, "color_{}.png")})
-        if color.shape != frames.shape:
-            raise InputError(f"{folder}: there are {len(color)} color pictures of "
-                             f"{dimensions(color[0])} pixels but {len(frames)} views of "
-                             f"{dimensions(frames[0])}; give one color picture for each view, of "
-                             "the same size (the SDK's color aligned to depth)")
-    return Frames(np.minimum(frames, MAX_DEPTH).astype(np.float32), background, intrinsics, color)
+        color = _color(folder, depth)
+    return Frames(np.minimum(depth, MAX_DEPTH).astype(np.float32), background, intrinsics, color)
+
+
+def _reader(
+    folder: Path, kind: str, unit: float, description: Description
+) -> Callable[[Path], DepthImage]:
+    """Reads one view of a ``kind`` of :data:`KINDS`; ``unit``: m per count."""
+    if kind.endswith("npy"):
+        return read_array
+    if kind.endswith("exr"):
+        return read_exr
+    if kind.endswith("ply"):
+        if description.size_px is None:
+            raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
+                             "capture.yaml, of the picture that the intrinsics are of")
+        camera = description.camera(*description.size_px)
+        return lambda file: read_points(file, camera)
+    return lambda file: read_counts(file) * unit
+
+
+def _background(file: Path, unit: float, depth: Views) -> DepthImage:
+    background = np.minimum(read_counts(file) * unit, MAX_DEPTH).astype(np.float32)
+    if background.shape != depth.shape[1:]:
+        raise InputError(f"{file} has {_size(background)} pixels, the views have "
+                         f"{_size(depth[0])}; take it with the same camera")
+    return background
+
+
+def _color(folder: Path, depth: Views) -> np.ndarray:
+    """(K, H, W) uint8 grey of the colour or infrared pictures."""
+    pictures = {file: read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit")
+                for file in numbered(folder, "color_{}.png")}
+    color = join_views({
+        file: picture if picture.ndim == 2 else picture[..., :3].mean(axis=2).astype(np.uint8)
+        for file, picture in pictures.items()})
+    if color.shape != depth.shape:
+        raise InputError(f"{folder}: there are {len(color)} color pictures of {_size(color[0])} "
+                         f"pixels but {len(depth)} views of {_size(depth[0])}; give one color "
+                         "picture for each view, of the same size (the SDK's color aligned to "
+                         "depth)")
+    return color
 
 
 def read_counts(file: Path) -> np.ndarray:
     """(H, W) counts of a 16-bit PNG, 0 where saturated."""
     counts = read_picture(file, modes={"I;16", "I"}, kind="16-bit grey")
     return np.where(counts >= SATURATED, 0, counts)
-
-
-def _grey(picture: np.ndarray) -> np.ndarray:
-    """A grey or colour picture as grey (H, W) uint8."""
-    return picture if picture.ndim == 2 else picture[..., :3].mean(axis=2).astype(np.uint8)
 
 
 def _is_recording(name: str) -> bool:
@@ -155,7 +166,7 @@ def _match(kind: str, name: str) -> re.Match | None:
 
 def _bursts(folder: Path, names: list[str]) -> list[list[Path]]:
     """Files of each view, view_K_J.png; K and J are numbered from 0."""
-    views = 1 + max(int(found[1]) for name in names if (found := _match(KINDS[1], name)))
+    views = 1 + max(int(match[1]) for name in names if (match := _match(KINDS[1], name)))
     if views > MAX_VIEWS:
         raise InputError(f"{folder} has {views} views; a capture has at most {MAX_VIEWS}")
     return [numbered(folder, f"view_{k}_{{}}.png", most=MAX_PIXELS) for k in range(views)]
@@ -167,13 +178,70 @@ def _median(files: list[Path]) -> np.ndarray:
     for file in files:
         frames.append(read_counts(file))
         if frames[-1].shape != frames[0].shape:
-            raise InputError(f"{file} has {dimensions(frames[-1])} pixels but {files[0].name} has "
-                             f"{dimensions(frames[0])}; all must have one size")
+            raise InputError(f"{file} has {_size(frames[-1])} pixels but {files[0].name} has "
+                             f"{_size(frames[0])}; all must have one size")
         if len(files) * frames[0].size > MAX_PIXELS:
             raise InputError(f"{file.parent}: a view has {len(files)} frames of "
-                             f"{dimensions(frames[0])} pixels; give at most "
+                             f"{_size(frames[0])} pixels; give at most "
                              f"{MAX_PIXELS // frames[0].size}, leave the others out")
     return median_depth(np.stack(frames))
+
+
+def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
+    """Read a PNG (H, W, ...) whose Pillow mode is one of ``modes``, named ``kind`` in messages."""
+    require_regular(file, MAX_FILE_BYTES, "picture")
+    try:
+        with Image.open(file, formats=["PNG"]) as picture:
+            require_size(file, *picture.size)
+            if picture.mode not in modes:
+                mode = _MODES.get(picture.mode, picture.mode)
+                raise InputError(f"{file} is an {mode} picture; it must be {kind}: export it as "
+                                 "such")
+            picture.verify()  # checksums, which are not checked when pixels are read
+        with Image.open(file, formats=["PNG"]) as picture:
+            return np.array(picture)
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{file} is not a PNG picture; export the view again") from None
+    except Exception as error:  # a damaged file may raise any error in the library
+        raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
+                         ) from None
+
+
+def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]:
+    """Files named ``pattern`` with 0 to K - 1 in place of ``{}``, K from 1 to ``most``."""
+    shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
+    found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
+    if not found:
+        others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
+        there = f" (the folder holds {shown(others[0])})" if others else ""
+        raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
+                         f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
+    if len(found) > most:
+        raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
+                         "are read: leave the others out")
+    expected = [pattern.format(k) for k in range(len(found))]
+    for name in expected:
+        if name not in found:
+            raise InputError(f"{folder}: {name} is missing, but {max(found)} exists; number them "
+                             "from 0 on")
+    return [folder / name for name in expected]
+
+
+def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
+    """Stack pictures by file (K, H, W); InputError if their sizes differ or two are identical."""
+    (start, first), *_ = pictures.items()
+    for file, picture in pictures.items():
+        if picture.shape != first.shape:
+            raise InputError(f"{file.parent}: {file.name} has {_size(picture)} pixels but "
+                             f"{start.name} has {_size(first)}; all views must have one size")
+    for (one, a), (other, b) in itertools.combinations(pictures.items(), 2):
+        # Blank pictures are reported by data.captures.capture.
+        if np.array_equal(a, b) and a.min() < a.max():
+            raise InputError(f"{one.parent}: {one.name} and {other.name} are the same picture; "
+                             "each view must be taken after the table has turned on")
+    return np.stack(list(pictures.values()))
 
 
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
@@ -264,3 +332,43 @@ def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
     depth = np.full((intrinsics.height, intrinsics.width), np.inf, np.float32)
     np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), points[inside, 2])
     return np.where(np.isfinite(depth), depth, np.float32(0.0))
+
+
+def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type in the header of an npy file's bytes.
+
+    Raises:
+        Exception: any error of numpy, tokenize and others for a damaged header.
+    """
+    version = np.lib.format.read_magic(stream := io.BytesIO(data))
+    shape, _, kind = {(1, 0): np.lib.format.read_array_header_1_0,
+                      (2, 0): np.lib.format.read_array_header_2_0}[version](stream)
+    return shape, kind
+
+
+def read_arrays(
+    path: Path, names: Sequence[str], *, what: str, expected: str
+) -> dict[str, np.ndarray]:
+    """Read those of the arrays ``names``, of any shape, that an npz file contains.
+
+    Raises:
+        InputError: the file, described as ``what``, cannot be read, or is not as ``expected``.
+    """
+    require_regular(path, MAX_ARCHIVE_BYTES, what.removeprefix("the "))
+    try:
+        with zipfile.ZipFile(path) as archive:
+            found = {name: archive.getinfo(f"{name}.npy") for name in names
+                     if f"{name}.npy" in archive.namelist()}
+            if any(member.file_size > MAX_ARCHIVE_BYTES for member in found.values()):
+                raise ValueError
+            # A header may claim any size: memory is not committed before it is written to.
+            return {name: np.lib.format.read_array(archive.open(member))
+                    for name, member in found.items()}
+    except Exception as error:  # errors of zipfile and zlib for damaged files
+        reason = getattr(error, "strerror", None) or f"not {expected}"
+        raise InputError(f"cannot read {what} {path}: {reason}") from None
+
+
+def _size(picture: np.ndarray) -> str:
+    """Width and height of a picture (H, W), for messages."""
+    return f"{picture.shape[1]}x{picture.shape[0]}"

@@ -1,18 +1,27 @@
-"""Geometric detection of a drape tester's plate in frames of a full scene, and its diameter.
+"""The plate of a drape tester in camera axes, under cloth: its place, and its diameter.
 
-The vertical is the normal of the table or, if no table is visible, a trial pitch of the camera. The
-plate is the horizontal patch that fills a disc of its radius and has cloth hanging around it.
+In views that show only cloth, the plate is the flat top. In frames of a full scene it is the level
+patch that fills a disc of its radius and has cloth hanging around it; the vertical is the normal of
+the table or, if no table is visible, that of a trial pitch of the camera.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from common.types import Metres, Points, Pose, Views
 from data.render.cameras import Intrinsics
 from data.render.rays import import_open3d
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
+DEPTH_STEP = 4e-3  # m, of the coarsest depth format
+INNER_SHARE = 0.7  # of the plate's radius, within which the cloth is flat
+CENTRE_BIAS = 2.0e-3
+"""m, bias of a fitted centre towards the camera: cloth bends down over the rim, and more of it is
+visible on the camera's side."""
+_START_POINTS = 6000  # used to find the initial plane of cut-out cloth
+_START_PITCHES = np.radians([25.0, 32.0, 38.0, 44.0, 50.0])
 _MAX_DEPTH = 2.5  # m, of table and plate
 _MAX_POINTS = 60_000  # of the subsample in which the plate is searched
 _MIN_POINTS = 200
@@ -30,13 +39,7 @@ _HEM_RINGS = (0.1, 0.25), (0.25, 0.4)  # distances from the rim, relative to the
 _SECTORS = 16  # of the half that faces the camera
 _DISTANCE_PENALTY = 1.0  # 1/m
 _MIN_SCORE = 0.7  # of a plate; a bare table reaches 0.2, a jar 0.5, a drape 1.0 to 1.5
-_REFINEMENTS = ((8e-3, 0.8), (4e-3, 0.75), (3e-3, 0.75), (3e-3, 0.75))
-"""Distance from the plane, m, and share of the radius within which points are fitted, by iteration.
-"""
-_LEVEL_TOLERANCE = 2e-3  # m from the plane, of the points whose centroid is the centre
-_CENTRE_OFFSET = 2.9e-3
-"""m, bias of this centroid towards the camera: more of the cloth that bends over the rim is visible
-on the near side."""
+_HEIGHT_ERROR = 8e-3  # m, of the plate of a search
 _DIAMETERS = 0.055, 0.210  # m, of plates that are measured
 _RIM_SECTORS, _MIN_SECTORS = 24, 6  # around the plate; in which the rim must be seen
 _PROFILE_STEP, _PROFILE = 3e-3, 50  # m and number of steps, of the height over the radius
@@ -52,10 +55,10 @@ _MAX_RIM_SPREAD = 0.2  # of the diameter, between the quartiles of the sectors
 
 @dataclass(frozen=True)
 class Plate:
-    """The plate in camera axes.
+    """A plate, fitted to the cloth on it, in camera axes.
 
     Attributes:
-        centre: (3,) m, of its top.
+        centre: (3,) m, of the level cloth; :data:`CENTRE_BIAS` from the plate's axis.
         normal: (3,) unit vector, up.
         table: (4,) plane a, b, c, d with a x + b y + c z + d = height above it, m; None if no table
             was found.
@@ -63,25 +66,86 @@ class Plate:
 
     centre: np.ndarray
     normal: np.ndarray
-    table: np.ndarray | None
+    table: np.ndarray | None = None
 
     @property
-    def pose(self) -> np.ndarray:
-        """(4, 4) transform to the camera's axes from the plate's: x along the picture's rows, z up.
-        """
+    def pose(self) -> Pose:
+        """From the axes of the fitted centre: x along the picture's rows, z up."""
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = _axes(self.normal), self.centre
         return pose
 
-    def local(self, points: np.ndarray) -> np.ndarray:
-        """Transform points (..., 3), m, from camera axes to the plate's axes."""
-        return (points - self.centre) @ _axes(self.normal)
+    @property
+    def axis_centre(self) -> np.ndarray:
+        """(3,) m, centre without bias."""
+        return self.centre + CENTRE_BIAS * _axes(self.normal)[:, 1]
+
+    def local(self, points: Points) -> Points:
+        """Points in the axes of the plate."""
+        return (points - self.axis_centre) @ _axes(self.normal)
 
 
-def find_plate(points: np.ndarray, rig: Rig) -> Plate | None:
-    """Find the plate under the cloth in points (N, 3) of all frames, m, camera axes; None if there
-    is none.
+def plate_of_cloth(views: Views, intrinsics: Intrinsics, rig: Rig) -> Plate:
+    """The plate under cut-out cloth: the plane that holds the largest area of the highest points.
+
+    All views are taken together, so that the centre is unbiased along the picture's rows.
     """
+    points = np.concatenate([intrinsics.back_project(view)[view > 0] for view in views])
+    few = points[:: max(1, len(points) // _START_POINTS)]
+    pitches = [np.array([0.0, -np.cos(pitch), -np.sin(pitch)]) for pitch in _START_PITCHES]
+    starts = [_fitted(few, up, _highest(few, up), rig.plate_radius, rounds=4) for up in pitches]
+    normal = max(starts, key=lambda start: start[2])[0]
+    normal, centre, _ = _fitted(few, normal, _highest(few, normal), rig.plate_radius, rounds=6)
+    top = _highest(points, normal) & (
+        np.linalg.norm(points - centre, axis=1) < INNER_SHARE * rig.plate_radius)
+    normal, centre, _ = _fitted(points, normal, top, rig.plate_radius, rounds=2, centre=centre)
+    return Plate(centre, normal)
+
+
+def _highest(points: Points, normal: np.ndarray) -> np.ndarray:
+    """(N,) bool, the highest points along ``normal`` (3,)."""
+    height = points @ normal
+    return height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
+
+
+def _fitted(
+    points: Points, normal: np.ndarray, inner: np.ndarray, radius: Metres, *, rounds: int,
+    centre: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Normal (3,) and centre (3,) of the level points, and their weight, by alternating fits.
+
+    The plane is fitted to points well within the rim, the centre is the centroid of those in it.
+
+    Args:
+        normal: initial guess, up. centre: initial guess; None: that of the points ``inner``.
+        inner: (N,) bool, points on the plate, initial guess.
+    """
+    weight = 0.0
+    centre = points[inner].mean(axis=0) if centre is None else centre
+    for _ in range(rounds):
+        if inner.sum() < 3:
+            break  # too few points for a plane: not a drape on a plate
+        middle = points[inner].mean(axis=0)
+        offsets = points[inner] - middle
+        normal = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
+        normal *= -np.sign(normal @ middle)  # up is towards the camera
+        above = (points - middle) @ normal
+        level = (np.abs(above) < DEPTH_STEP / 2) & (
+            np.linalg.norm(points - centre, axis=1) < 2 * radius)
+        if not level.any():
+            break
+        # Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
+        weights = points[level, 2] ** 3
+        centre = weights @ points[level] / weights.sum()
+        weight = float(weights.sum())
+        # Near the rim the cloth bends down, and more of it is visible in front: a bias.
+        near = np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius
+        inner = near & (above > -DEPTH_STEP)
+    return normal, centre, weight
+
+
+def find_plate(points: Points, rig: Rig) -> Plate | None:
+    """Find the plate under the cloth in points of all frames of a scene; None if there is none."""
     points = points[points[:, 2] < _MAX_DEPTH]
     sample = points[:: max(1, len(points) // _MAX_POINTS)]
     if len(sample) < _MIN_POINTS:
@@ -94,7 +158,7 @@ def find_plate(points: np.ndarray, rig: Rig) -> Plate | None:
     if _score(best) < _MIN_SCORE:
         return None
     _, centre, normal = best
-    centre, normal = _refined(points, centre, normal, rig)
+    centre, normal = _refined(points, centre, normal, rig.plate_radius)
     # Planes are sorted by size.
     table = next((plane for plane in tables if plane[:3] @ normal > np.cos(_MAX_TABLE_TILT)
                   and TABLE_GAP[0] < plane @ [*centre, 1.0] < TABLE_GAP[1]), None)
@@ -194,28 +258,19 @@ def _hanging(local: np.ndarray, rig: Rig) -> float:
 
 
 def _refined(
-    points: np.ndarray, centre: np.ndarray, normal: np.ndarray, rig: Rig
+    points: Points, centre: np.ndarray, normal: np.ndarray, radius: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Refine centre (3,) and normal (3,) iteratively with all points on the plate."""
-    points = points[np.linalg.norm(points - centre, axis=1) < 2 * rig.plate_radius]
-    for off, share in _REFINEMENTS:
-        offset = points - centre
-        above = offset @ normal
-        across = np.linalg.norm(offset - above[:, None] * normal, axis=1)
-        inner = (np.abs(above) < off) & (across < share * rig.plate_radius)
-        if inner.sum() < 10:
-            break
-        middle = points[inner].mean(axis=0)
-        normal = np.linalg.eigh(np.cov((points[inner] - middle).T))[1][:, 0]
-        normal = normal * -np.sign(normal @ middle)  # up is towards the camera
-        above = (points - middle) @ normal
-        level = np.abs(above) < _LEVEL_TOLERANCE
-        level &= np.linalg.norm(points - centre, axis=1) < 1.5 * rig.plate_radius
-        # Pixels are denser where the plate is nearer; z³ compensates for this on a plane.
-        weights = points[level, 2] ** 3
-        centre = weights @ points[level] / weights.sum()
-        centre = centre - ((centre - middle) @ normal) * normal
-    return centre + _CENTRE_OFFSET * _axes(normal)[:, 1], normal
+    """Centre (3,) and normal (3,) of a plate, from rough ones."""
+    offset = points - centre
+    across, above = np.linalg.norm(offset, axis=1), offset @ normal
+    near = points[(across < 2 * radius) & (above < _HEIGHT_ERROR)]
+    offset = near - centre
+    inner = (np.linalg.norm(offset, axis=1) < INNER_SHARE * radius) & (
+        np.abs(offset @ normal) < _HEIGHT_ERROR)
+    if not inner.any():
+        return centre, normal
+    normal, centre, _ = _fitted(near, normal, inner, radius, rounds=4, centre=centre)
+    return centre, normal
 
 
 def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
@@ -226,7 +281,7 @@ def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
     """
     points = intrinsics.back_project(frames)[frames > 0]
     measured = [_measured(points, rig) for rig in (DISC_RIG, SQUARE_RIG)]
-    spread, diameter = min((one for one in measured if one), default=(np.inf, 0.0))
+    spread, diameter = min(filter(None, measured), default=(np.inf, 0.0))
     if spread > _MAX_RIM_SPREAD * diameter or not _DIAMETERS[0] < diameter < _DIAMETERS[1]:
         return None
     return diameter
@@ -241,13 +296,13 @@ def _measured(points: np.ndarray, rig: Rig) -> tuple[float, float] | None:
         return None
     centre, normal = plate.centre, plate.normal
     for _ in range(_RIM_ROUNDS):
-        rim = _rim(Plate(centre, normal, None).local(points))
+        rim = _rim(Plate(centre, normal).local(points))
         if len(rim) < _MIN_SECTORS:
             return None
         radius, shift = _circle(rim)
         centre = centre + _axes(normal)[:, :2] @ shift
-        trial = replace(rig, plate_diameter=float(np.clip(2 * radius, *_DIAMETERS)))
-        centre, normal = _refined(points, centre, normal, trial)
+        radius = float(np.clip(2 * radius, *_DIAMETERS)) / 2
+        centre, normal = _refined(points, centre, normal, radius)
     low, middle, high = np.quantile(2 * np.linalg.norm(rim, axis=1), [0.25, 0.5, 0.75])
     return float(high - low), float(middle)
 

@@ -24,7 +24,8 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.board import SQUARE, board_picture
 from data.captures.capture import read_capture, write_capture
-from data.captures.cutout import CutOut, cut_out
+from data.captures.cutout import CutOut
+from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
 from sim.rig import Rig
 
@@ -63,7 +64,9 @@ def main(config: CaptureConfig) -> None:
     out = folder_named(config.out)
     require_folder(out)
     capture = read_capture(config.frames)
-    cut = capture.cut or cut_out(capture.views, capture.intrinsics, capture.rig)
+    cut = capture.cut or CutOut(
+        capture.views, capture.views > 0, capture.views,
+        plate_of_cloth(capture.views, capture.intrinsics, capture.rig))
     write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
                   warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
                   face=capture.face, depth_unit=DEPTH_UNIT)

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from common.documents import require_regular
 from common.errors import InputError, one_line
-from data.captures.pictures import MAX_VIEWS, MILLIMETRE, median_depth, require_size
+from data.captures.description import MAX_VIEWS, MILLIMETRE, require_size
 from data.render.cameras import Intrinsics
 
 SUFFIXES = (".bag", ".db3")
@@ -47,7 +47,7 @@ def read_recording(
 
     Raises:
         InputError: not a recording of depth, damaged or too long; lens distortion; no stops, or
-            more than :data:`data.captures.pictures.MAX_VIEWS`.
+            more than :data:`MAX_VIEWS`.
     """
     require_regular(file, MAX_RECORDING_BYTES, "recording")
     # Imported late: few captures are recordings.
@@ -175,6 +175,12 @@ def _median_frames(
         if not found or _moved_share(scale * median, scale * found[-1]) > _MAX_STOP_CHANGE:
             found.append(median)
     return np.stack(found) if found else np.zeros((0, 1, 1), np.float32)
+
+
+def median_depth(frames: np.ndarray) -> np.ndarray:
+    """Median (H, W) float32 of frames (N, H, W) per pixel, without zeros (missing depth)."""
+    seen = np.ma.masked_equal(frames.astype(np.float32), 0.0)
+    return np.ma.filled(np.ma.median(seen, axis=0), 0.0)
 
 
 def _messages(reader: Any, topic: str) -> Iterator[Any]:

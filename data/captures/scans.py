@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
-from data.captures.arrays import read_arrays
+from data.captures.frames import read_arrays
 from sim.mesh import Mesh
 from sim.rig import Rig
 

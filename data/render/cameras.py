@@ -54,6 +54,10 @@ class Intrinsics:
                     f"{self.width}x{self.height} picture; give the intrinsics of this picture size"
                 )
 
+    def posed(self, world_to_camera: np.ndarray) -> "Camera":
+        """The camera with a pose, (4, 4)."""
+        return Camera(self.fx, self.fy, self.cx, self.cy, self.width, self.height, world_to_camera)
+
     def directions(self) -> np.ndarray:
         """Ray through every pixel centre in camera axes, scaled to z = 1: (height, width, 3).
 

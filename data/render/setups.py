@@ -17,7 +17,7 @@ from common.configs import read_option
 from common.documents import Schema
 from common.types import Faces, Points, Radians, Turns, Views
 from common.units import si
-from data.captures.pictures import MAX_VIEWS
+from data.captures.description import MAX_VIEWS
 from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera, size_ratio
 from data.render.raster import rasterise
 from data.render.sensors import Share, load_sensor

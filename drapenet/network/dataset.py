@@ -24,7 +24,7 @@ from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
 from drapenet.network.extrapolated import PARAMETERS, change, moves
 from drapenet.network.model import compressed
-from drapenet.views.located import locate
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from sim.rig import Rig
 
@@ -135,7 +135,7 @@ def maps_of_shard(
                 moved = positions + np.tensordot(step, derivatives, 1)
             capture = setups.capture(moved, faces, rng, rig=rig)
             maps.append(radial_map(
-                locate(capture.views, capture.intrinsics, rig, capture.turns)))
+                LocatedViews.cut_out(capture.views, capture.intrinsics, rig, capture.turns)))
             nuisances = drape["nuisances"].copy()
             nuisances[NAMES.index("membrane")] *= np.exp(step[-1])
             for name, value in zip(rows, (drape["theta"] + step[:-1], nuisances,

@@ -22,9 +22,9 @@ from starlette.exceptions import HTTPException
 
 from common.documents import MAX_TEXT_BYTES, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
-from data.captures.arrays import header_of
-from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS, Description, checked_density
-from data.captures.frames import BACKGROUND
+from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS
+from data.captures.description import Description, checked_density
+from data.captures.frames import BACKGROUND, header_of
 from data.testers import tester_choices
 from drapenet.batch.captures import plain_name
 from drapenet.service.settings import Settings

@@ -12,9 +12,10 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
 from common.errors import InputError
 from common.types import Turns
+from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
-from drapenet.views.located import INNER_SHARE, LocatedViews
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap
 from drapenet.views.specimen_offset import specimen_placement
 from drapenet.views.turns import disagreement, register

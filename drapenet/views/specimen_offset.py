@@ -29,7 +29,7 @@ from data.dataset.shards import Shard
 from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
 from drapenet.views.directions import AZIMUTHS
-from drapenet.views.located import locate
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap, radial_map
 from sim.rig import Rig
 
@@ -124,7 +124,7 @@ def main(config: PlacementConfig) -> None:
             seen = setups.capture(positions, faces, rng, rig=rig)
             for scale in (0.0, *rng.uniform(-_REACH, _REACH, 2)):
                 views = seen.views * np.float32(math.exp(scale))
-                drape = radial_map(locate(views, seen.intrinsics, rig, seen.turns))
+                drape = radial_map(LocatedViews.cut_out(views, seen.intrinsics, rig, seen.turns))
                 scales.append((_scale_features(drape), scale, int(fabric[row])))
                 if scale == 0.0 and len(seen.views) > 1:
                     turned = np.exp(1j * (seen.orientation - drape.zero))

@@ -22,7 +22,7 @@ from data.captures.cutout import CutOut, cut_out
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.network.checkpoint import bundled, read_header
-from drapenet.views.located import locate
+from drapenet.views.located import LocatedViews
 from experiments.drapes import drape_as_planned, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.material import LINEAR, REFERENCE_DENSITY
@@ -58,7 +58,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
              **plate_errors(cut, scene, tester)}
     perfect = np.where(scene.cloth & ~blended(scene, sensor), scene.frames, np.float32(0.0))
     for name, views in (("turn_deg", cut.views), ("turn_perfect_deg", perfect)):
-        measured = locate(views, intrinsics, tester, np.array(QUARTERS)).turns
+        measured = LocatedViews.cut_out(views, intrinsics, tester, np.array(QUARTERS)).turns
         found[name] = float(np.degrees(np.abs(measured - turns)).max())
     if estimated:
         found["shift"] = posterior_shifts(cut.views, perfect, scene, tester)
@@ -85,7 +85,7 @@ def plate_errors(cut: CutOut, scene: RawScene, rig: Rig) -> dict:
     pose, points = scene.camera.world_to_camera, scene.camera.back_project(scene.frames)
     centre, up = pose[:3, 3], pose[:3, 2]
     sight = centre / np.linalg.norm(centre)
-    error = cut.plate.centre - centre
+    error = cut.plate.axis_centre - centre
     along = float(error @ sight)
     # Pixels that show the flat plate according to the noise-free depth.
     true = (scene.camera.back_project(scene.clean) - centre) @ pose[:3, :3]

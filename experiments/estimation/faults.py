@@ -14,13 +14,13 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from common.errors import InputError
-from data.captures.capture import Capture, checked_capture
+from data.captures.capture import Capture, checked_views
 from data.dataset.manifest import finished_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
-from drapenet.views.located import locate
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from experiments.result import Config, Result
 from sim.drape import drape
@@ -141,8 +141,9 @@ MOVED_CLOTH = "cloth moved between the views"
 
 def check_capture(capture: SyntheticCapture) -> Capture:
     """Check the capture as ``infer.py`` does when it reads one."""
-    return checked_capture(Path("capture"), capture.views, capture.intrinsics, capture.turns,
-                           REFERENCE_DENSITY, None, Rig(), ())
+    views, warnings = checked_views(capture.views)
+    return Capture(views, capture.intrinsics, capture.turns, REFERENCE_DENSITY, None, Rig(),
+                   Path("capture"), warnings)
 
 
 def find_warnings(
@@ -162,7 +163,7 @@ def find_warnings(
         differing = (np.abs(checked.views - check_capture(sound).views) > 1e-6).sum()
         if differing < MAX_DIFFERING_PIXELS * len(checked.views):
             return ["corrected"]
-    located = locate(checked.views, checked.intrinsics, rig, checked.turns)
+    located = LocatedViews.cut_out(checked.views, checked.intrinsics, rig, checked.turns)
     try:
         return [*checked.warnings, *view_warnings(located, radial_map(located), setups)]
     except InputError as error:

@@ -19,7 +19,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from common.errors import InputError
-from data.captures.arrays import read_arrays
+from data.captures.frames import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases

@@ -9,10 +9,12 @@ from PIL import Image
 
 from common.errors import InputError
 from data.captures.board import PAPER, board_intrinsics, board_picture, board_turns, shows_board
+from data.captures.description import Description
 from data.captures.frames import read_frames
 from data.render.cameras import Intrinsics, camera_pose
 
 INTRINSICS = Intrinsics(fx=610.0, fy=610.0, cx=319.5, cy=239.5, width=640, height=480)
+DESCRIPTION = Description(density_g_m2=150.0)
 TURNS = np.radians([0.0, 87.0, 181.5, 271.0])
 TABLE = -0.22  # m, below the plate
 
@@ -70,8 +72,8 @@ def test_colour_pictures_come_with_the_frames(pictures, tmp_path):
         Image.fromarray(depth + k * (np.indices(depth.shape)[0] > 9).astype(np.uint16)).save(
             tmp_path / f"view_{k}.png")
         Image.fromarray(np.repeat(picture[..., None], 3, axis=2)).save(tmp_path / f"color_{k}.png")
-    found = read_frames(tmp_path, None, None, None)
+    found = read_frames(tmp_path, DESCRIPTION)
     assert np.array_equal(found.color, pictures)
     (tmp_path / "color_3.png").unlink()
     with pytest.raises(InputError, match="3 color pictures of 640x480 pixels but 4 views"):
-        read_frames(tmp_path, None, None, None)
+        read_frames(tmp_path, DESCRIPTION)

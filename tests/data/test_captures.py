@@ -416,7 +416,7 @@ def test_truncation_anywhere_is_noticed(folder):
 
 
 def test_a_folder_that_is_none(tmp_path, folder):
-    with pytest.raises(InputError, match="nowhere' does not exist"):
+    with pytest.raises(InputError, match="nowhere: the folder does not exist"):
         read_capture(tmp_path / "nowhere")
     with pytest.raises(InputError, match="is not a folder"):
         read_capture(folder / "view_0.png")

@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from common.errors import InputError
-from data.captures.frames import read_array
-from data.captures.pictures import read_picture
+from data.captures.frames import read_array, read_picture
 from data.dataset.folder import DatasetFolder
 from data.dataset.inspect.check import check_dataset
 from data.dataset.manifest import json_digest, read_manifest

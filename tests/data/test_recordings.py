@@ -9,8 +9,7 @@ from turntable import FILE, turntable, write_bag
 
 from common.errors import InputError
 from data.captures.capture import read_capture
-from data.captures.pictures import median_depth
-from data.captures.rosbag import find_rests, read_recording
+from data.captures.rosbag import find_rests, median_depth, read_recording
 
 
 @pytest.fixture(scope="module")

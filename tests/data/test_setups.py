@@ -9,8 +9,8 @@ from cloths import skirt
 
 from common.configs import read_option
 from common.errors import InputError
+from data.captures.plate import plate_of_cloth
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.views.located import locate_camera
 from sim.rig import Rig
 
 REAL = Setups.load()
@@ -40,9 +40,9 @@ def test_cameras_stand_where_they_may_and_see_the_specimen(drape: SimpleNamespac
         cloth = found.views > 0
         cut.append(cloth[:, [0, -1]].any() or cloth[:, :, [0, -1]].any())
         assert cloth.any(axis=(1, 2)).all()
-        camera = locate_camera(found.views, found.intrinsics, Rig())
-        pitches.append(np.arcsin(-camera.world_to_camera[2, 2]))
-        distances.append(np.linalg.norm(camera.world_to_camera[:3, 3]))
+        plate = plate_of_cloth(found.views, found.intrinsics, Rig())
+        pitches.append(np.arcsin(-plate.normal[2]))
+        distances.append(np.linalg.norm(plate.centre))
     for values, (low, high) in ((pitches, REAL.pitch), (distances, REAL.distance)):
         margin = 0.05 * (high - low)
         assert low - margin < min(values) < low + 6 * margin

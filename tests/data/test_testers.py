@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from common.errors import InputError
-from data.captures.capture import read_capture, whole_turns, write_capture
+from data.captures.capture import read_capture, write_capture
+from data.captures.description import whole_turns
 from data.captures.plate import plate_diameter
 from data.render.cameras import nominal_camera
 from data.render.rays import VIEWS, DepthRenderer

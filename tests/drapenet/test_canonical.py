@@ -9,7 +9,7 @@ from data.render.cameras import camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
 from drapenet.views.checks import turn_warnings
 from drapenet.views.directions import AZIMUTHS, elevations
-from drapenet.views.located import LocatedViews, locate
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import drape_coefficient, radial_map, side_direction
 from drapenet.views.turns import CENTRE_BIAS
 from sim.material import Fabric
@@ -38,7 +38,7 @@ def seen_from(pitch, distance, roll=0.0):
 def located(renderer, camera, orientation, *, wrong=WRONG):
     views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
     nominal = replace(nominal_camera().intrinsics, fx=camera.fx, fy=camera.fy)
-    return locate(views, nominal, Rig(), QUARTERS)
+    return LocatedViews.cut_out(views, nominal, Rig(), QUARTERS)
 
 
 @pytest.mark.parametrize(("pitch", "distance", "roll"), [(45, 0.6, 2.0), (32, 0.45, 0.0)])

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.captures.capture import Capture, whole_turns
+from data.captures.capture import Capture
+from data.captures.description import whole_turns
 from data.render.cameras import nominal_camera
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws

@@ -11,8 +11,7 @@ from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures.capture import read_capture
-from data.captures.frames import read_array, read_exr, read_points
-from data.captures.pictures import read_picture
+from data.captures.frames import read_array, read_exr, read_picture, read_points
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset.manifest import read_manifest

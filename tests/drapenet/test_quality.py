@@ -12,7 +12,7 @@ from scipy import ndimage
 from common.errors import InputError
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import Quality, measure, quality_warnings, require_plate
-from drapenet.views.located import locate
+from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from drapenet.views.specimen_offset import FILE, fit, main, specimen_placement
 from sim.drape import drape
@@ -35,7 +35,7 @@ def sound() -> SyntheticCapture:
 
 
 def quality(capture: SyntheticCapture, rig: Rig = RIG) -> Quality:
-    located = locate(capture.views, capture.intrinsics, rig, capture.turns)
+    located = LocatedViews.cut_out(capture.views, capture.intrinsics, rig, capture.turns)
     return measure(located, radial_map(located))
 
 
@@ -51,7 +51,7 @@ def test_coefficients_of_the_placement_are_written_to_out_alone(
     fitted, bundled = json.loads(out.read_text()), json.loads(before)
     assert FILE.read_bytes() == before
     assert fitted.keys() == bundled.keys() and fitted[RIG.name] != bundled[RIG.name]
-    found = radial_map(locate(sound.views, sound.intrinsics, RIG, sound.turns))
+    found = radial_map(LocatedViews.cut_out(sound.views, sound.intrinsics, RIG, sound.turns))
     placement = specimen_placement(found, RIG)
     monkeypatch.setattr("drapenet.views.specimen_offset.FILE", out)  # is read once
     assert specimen_placement(found, RIG) == placement

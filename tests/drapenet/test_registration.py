@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from cloths import varied_camera
 
+from data.captures.plate import plate_of_cloth
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from data.render.setups import Setups
 from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
 from drapenet.views.checks import pose_warnings
-from drapenet.views.located import locate_camera
 from sim.rig import Rig
 
 
@@ -32,7 +32,7 @@ def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
 def test_the_camera_is_found_again(seed: int) -> None:
     camera = varied_camera(np.random.default_rng(seed))
     views = DepthRenderer(*skirt(7)).views(camera, 0.2)
-    found = locate_camera(views, camera.intrinsics, Rig()).world_to_camera
+    found = plate_of_cloth(views, camera.intrinsics, Rig()).pose
     assert np.linalg.norm(found[:3, 3] - camera.world_to_camera[:3, 3]) < 3e-3
     assert np.linalg.norm(found[:3, 2] - camera.world_to_camera[:3, 2]) < 5e-3  # rad
 
@@ -41,8 +41,9 @@ def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
     views = DepthRenderer(*skirt(7)).views(varied_camera(np.random.default_rng(1)), 0.2)
 
     def warnings(pictures: np.ndarray, **changes: float) -> str:
-        nominal = replace(nominal_camera(), **changes)
-        return "; ".join(pose_warnings(locate_camera(pictures, nominal, Rig()), Setups.load()))
+        nominal = replace(nominal_camera().intrinsics, **changes)
+        camera = nominal.posed(plate_of_cloth(pictures, nominal, Rig()).pose)
+        return "; ".join(pose_warnings(camera, Setups.load()))
 
     assert warnings(views) == ""
     assert "upright" in warnings(views[:, ::-1])
@@ -57,7 +58,8 @@ def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
 def test_folds_are_counted(folds: int) -> None:
     camera = nominal_camera()
     views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
-    profile = radius_profile(views, locate_camera(views, camera, Rig()), QUARTERS)
+    located = camera.posed(plate_of_cloth(views, camera, Rig()).pose)
+    profile = radius_profile(views, located, QUARTERS)
     assert count_folds(profile) == folds
     # 40 mm down, 40 % of the skirt: 50 mm + 0.4 (20 ± 20) mm, the valleys partly hidden.
     assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)

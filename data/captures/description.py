@@ -1,0 +1,116 @@
+"""What a capture states of itself, in ``capture.yaml`` or a form of the service."""
+
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from common.documents import Schema, shown
+from common.errors import InputError
+from common.types import Density, Radians, Turns
+from data.render.cameras import Intrinsics
+from data.testers import Tester
+
+DENSITY_RANGE = (10.0, 1000.0)  # g/m2
+MAX_VIEWS = 8
+MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
+MILLIMETRE = 1e-3  # m per count, the default
+MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
+MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
+
+
+class _Density(Schema):
+    density_g_m2: float = Field(
+        ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
+        description="weigh the specimen, give its g/m² and check the unit")
+
+
+_Focal = Annotated[float, Field(ge=10, le=1e5)]
+
+
+class Pixels(Schema):
+    """Intrinsics in pixels."""
+
+    fx: _Focal
+    fy: _Focal
+    cx: float
+    cy: float
+
+
+class Description(_Density):
+    """``capture.yaml``; ``size_px`` is that of the picture to which points are projected, ``face``
+    that of the fabric which is on top.
+    """
+
+    depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
+    intrinsics: Pixels | None = Field(
+        None, description="give fx, fy, cx and cy in pixels, such as {fx: 305.0, fy: 305.0, "
+                          "cx: 119.5, cy: 89.5}")
+    turns_deg: list[float] | None = Field(
+        None, description="one angle for each view, such as [0, 90, 180, 270]")
+    warp_direction_deg: float | None = None
+    tester: Tester | None = None
+    face: Literal["up", "down"] = "up"
+    size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
+        None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
+
+    @property
+    def density(self) -> Density:
+        """Density of the fabric."""
+        return 1e-3 * self.density_g_m2
+
+    @property
+    def warp_direction(self) -> Radians | None:
+        """Direction of the warp in the first view, in [0, pi)."""
+        direction = self.warp_direction_deg
+        return None if direction is None else math.radians(direction) % math.pi
+
+    def camera(self, width: int, height: int) -> Intrinsics:
+        """The stated intrinsics, of pictures of this size."""
+        if self.intrinsics is None:
+            remedy = Description.model_fields["intrinsics"].description
+            raise InputError(f"intrinsics is missing; {remedy}")
+        return Intrinsics(**self.intrinsics.model_dump(), width=width, height=height)
+
+    def turns(self, count: int) -> Turns:
+        """The stated turns of ``count`` views since the first."""
+        degrees = self.turns_deg
+        example = [round(360 * k / max(count, 4)) for k in range(count)]
+        if degrees is None:
+            if 1 < count < MIN_EQUAL_TURNS:
+                raise InputError(f"turns_deg is missing, and {count} views need not be equally "
+                                 "spaced; state the table's angles, such as turns_deg: "
+                                 f"{example}")
+            return whole_turns(count)
+        if len(degrees) != count:
+            raise InputError(f"turns_deg={shown(degrees)}: give one angle for each of the {count} "
+                             f"views, such as {example}")
+        if 0 < (largest := max(map(abs, degrees))) <= MIN_TURN:
+            raise InputError(f"turns_deg={shown(degrees)} reach only {largest:.3g}° (a full turn "
+                             "in radians is 6.28); give degrees, of views from several sides")
+        return np.radians(degrees) - np.radians(degrees[0])
+
+
+def whole_turns(count: int) -> Turns:
+    """Equally spaced turns of the table."""
+    return np.arange(count) * (2 * np.pi / count)
+
+
+def require_size(what: str | Path, width: int, height: int) -> None:
+    """InputError for pictures, named ``what``, of a size out of range, pixels."""
+    (narrow, low), (wide, high) = MIN_PICTURE, MAX_PICTURE
+    if not (narrow <= width <= wide and low <= height <= high):
+        raise InputError(f"{what}: {width}x{height} pixels; views have from {narrow}x{low} to "
+                         f"{wide}x{high}")
+
+
+def checked_density(value: object, what: str = "") -> Density:
+    """Density from g/m², a number or its text; InputError, which begins with ``what``, if it is
+    missing or out of range.
+    """
+    with suppress(TypeError, ValueError):
+        value = float(value) if isinstance(value, str) else value
+    return 1e-3 * _Density.of({} if value is None else {"density_g_m2": value}, what).density_g_m2
