@@ -14,7 +14,6 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +22,40 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures.capture import Capture, captures_in, read_capture
 from data.captures.description import checked_density
-from drapenet.config import InferConfig
+from drapenet.config import EstimateOptions, InferConfig
 from drapenet.export.formats import export_all, targets_named
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import header_for
-from drapenet.result.output import ESTIMATE, keep_estimate, require_output, result_name, show_result
+from drapenet.result.files import (
+    ESTIMATE,
+    SHOWN,
+    remove_report,
+    require_output,
+    result_name,
+    write_estimate,
+)
 from sim.mesh.specimen import check_edge
 
 
 @command("infer", InferConfig)
 def main(config: InferConfig) -> None:
-    """Estimate, print, and write the files."""
-    check(config)
-    exports = targets_named(config.export, "export") if config.export else []
-    drapes = (0 if config.captures else 2) if config.drapes is None else config.drapes
-    membrane = config.membrane_n_per_m
-    options = {"refine": config.refine, "edge": config.edge_mm * 1e-3, "strict": config.strict,
-               "drapes": drapes, "known": {} if membrane is None else {"membrane": membrane}}
+    """Estimate one fabric or many, print the estimates, and write the files."""
+    options = options_of(config)
+    targets = targets_named(config.export, "export") if config.export else []
     if config.captures:
-        from drapenet.batch.batch import estimate_tree
+        from drapenet.batch.batch import estimate_fabrics
 
-        estimates = estimate_tree(Path(config.captures), folder_named(config.out),
-                                  checkpoint=config.checkpoint, workers=config.workers, **options)
-        export_estimates(estimates, exports)
-        return
+        files = estimate_fabrics(Path(config.captures), folder_named(config.out), options,
+                                 checkpoint=config.checkpoint, workers=config.workers)
+    else:
+        files = [estimate_fabric(config, options)]
+    for file in files if targets else ():
+        written = export_all(read_material(file), targets, file.parent)
+        print(f"exports:  {', '.join(str(path) for path in written)}")
+
+
+def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
+    """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
     header = header_for(captures, config.checkpoint)
@@ -58,31 +67,33 @@ def main(config: InferConfig) -> None:
         require_output(folder)
     # Importing torch takes seconds; input errors come first.
     from drapenet.inference import estimate_capture
-    from drapenet.result.joint import joint_result
+    from drapenet.result.joint import joint_estimate
 
-    found = []
-    for (capture, seen), folder in zip(sources, folders, strict=True):
-        # Keep the network's estimate if the refinement, which takes minutes, is killed.
-        first = None if config.refine["by"] == "none" else partial(keep_estimate, folder)
+    results = []
+    for (capture, scan), folder in zip(sources, folders, strict=True):
         if sys.stderr.isatty():
             print(f"{capture.path}: {len(capture.views)} views; the estimate takes about half a "
                   "minute", file=sys.stderr, flush=True)
-        found.append(estimate_capture(capture, header, seen=seen, first=first, **options))
-        show_result(folder, found[-1])
-    if len(found) > 1:
-        show_result(out, joint_result(found))
-    export_estimates([out / ESTIMATE], exports)
+        result = estimate_capture(capture, header, options, out=folder, scan=scan)
+        results.append((result.estimate, result.document))
+        print(f"{result.document.text()}\nestimate: {folder / ESTIMATE}")
+        if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
+            print(f"report:   {', '.join(files)}")
+    if len(results) > 1:
+        estimate, document = joint_estimate(*zip(*results, strict=True))
+        remove_report(out)
+        write_estimate(out, estimate, document)
+        print(f"{document.text()}\nestimate: {out / ESTIMATE}")
+    return out / ESTIMATE
 
 
-def export_estimates(files: list[Path], targets: list[str]) -> None:
-    """Write the exports ``targets`` beside each ``estimate.json`` of ``files``."""
-    for file in files if targets else ():
-        written = export_all(read_material(file), targets, file.parent)
-        print(f"exports:  {', '.join(str(path) for path in written)}")
-
-
-def check(config: InferConfig) -> None:
-    """Raise InputError for values out of range or incompatible keys."""
+def options_of(config: InferConfig) -> EstimateOptions:
+    """The options in SI units; InputError for values out of range or keys that do not fit."""
+    sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
+    if len(sources) > 1:
+        raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
+    if not sources:
+        raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
     if config.refine["by"] not in ways:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
@@ -93,22 +104,20 @@ def check(config: InferConfig) -> None:
             raise InputError(f"refine.{key}={value} must be a positive {'whole ' * integer}number")
         if key.endswith("_mm"):
             check_edge(1e-3 * value)
-    given = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
-    if len(given) > 1:
-        raise InputError(f"give {given[0]}= or {given[1]}=, not both")
-    if not given:
-        raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
     check_edge(1e-3 * config.edge_mm)
+    return EstimateOptions(
+        refine=None if config.refine["by"] == "none" else config.refine,
+        drapes=(0 if config.captures else 2) if config.drapes is None else config.drapes,
+        edge=1e-3 * config.edge_mm, membrane=config.membrane_n_per_m, strict=config.strict)
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
-    """Read the captures given in ``config``, each with its scan or None."""
+    """Read the captures named in ``config``, each with its scan or None."""
     key = "scan" if config.scan else "capture"
     named = getattr(config, key)
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]
     if key == "capture":
-        paths = [one for path in paths for one in captures_in(path)]
-        return [(read_capture(path), None) for path in paths]
+        return [(read_capture(path), None) for place in paths for path in captures_in(place)]
     density = checked_density(config.density_g_m2)
     from drapenet.refine.scans import read_scan_capture
 

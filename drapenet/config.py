@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from common.command import Seed, Threads, Workers
+from common.types import Metres
 
 FromOne = Annotated[int, Field(ge=1)]
 FromZero = Annotated[int, Field(ge=0)]
@@ -79,6 +80,25 @@ class InferConfig:
     strict: bool
 
 
+@dataclass(frozen=True)
+class EstimateOptions:
+    """How a capture is estimated: ``configs/infer.yaml`` in SI units.
+
+    Attributes:
+        refine: content of a file of ``configs/refine``; None: by the network alone.
+        drapes: to simulate with the estimate; 0: no report.
+        edge: of their meshes at the plate's rim.
+        membrane: N/m along the yarns, of the fabric at its own density; None: unknown.
+        strict: refuse a faulty capture instead of giving warnings.
+    """
+
+    refine: dict[str, Any] | None = None
+    drapes: int = 2
+    edge: Metres = 4e-3
+    membrane: float | None = None
+    strict: bool = False
+
+
 @dataclass
 class EvaluateConfig:
     """``configs/evaluate.yaml``."""
@@ -95,7 +115,7 @@ class EvaluateConfig:
 
 @dataclass
 class ExportConfig:
-    """``configs/export.yaml``."""
+    """``configs/export.yaml``; ranges: :class:`drapenet.export.material.ExportSettings`."""
 
     estimate: str
     to: str

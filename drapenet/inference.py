@@ -1,29 +1,45 @@
-"""Inference for one capture: estimate, content of ``estimate.json`` and report files."""
+"""The way of a capture to its estimate and files: network, checks, refinement, drape, report.
+
+Each stage adds to a :class:`CaptureEstimate`. The first two raise errors; an error in a later one
+leaves the estimate of those before, with a warning.
+"""
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
+from common.files import replace_file
+from common.types import Metres
 from data.captures.capture import Capture
 from data.fabrics.nuisances import Nuisances, at_density
+from drapenet.config import EstimateOptions
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
-from drapenet.report.pages import render
-from drapenet.result.content import Result, interval_table, to_json
+from drapenet.result.document import CaptureAbout, EstimateDocument
 from drapenet.result.estimate import Estimate, make_estimate
-from drapenet.result.output import PAGE, REPORT, SHAPES, TORQUES, last_parts
+from drapenet.result.files import (
+    PAGE,
+    REPORT,
+    SHAPES,
+    TORQUES,
+    last_parts,
+    remove_report,
+    write_estimate,
+)
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap, drape_coefficient, radial_map
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
-    from drapenet.refine.refine import Refined
+    from drapenet.refine.search import CapturedScan
     from drapenet.report.drape import Resimulation
 
 Progress = Callable[[int, int, float], None]
@@ -31,157 +47,176 @@ Progress = Callable[[int, int, float], None]
 network_of = lru_cache(maxsize=2)(load_model)  # one network for each tester
 
 
-@dataclass(frozen=True)
-class Inferred:
-    """The network's estimate of one capture.
+@dataclass
+class CaptureEstimate:
+    """The estimate of one capture, as far as its stages have come.
 
     Attributes:
-        estimate: with its warnings.
         located: the views with the estimated pose and turns.
-        drape: the network's input map.
+        map: the network's input.
+        known: properties of the cloth at 300 g/m², by :data:`data.fabrics.nuisances.NAMES`.
+        warnings: of everything but the samples, one line each.
+        refined: outcome of a refinement.
+        drape: a drape of the estimate beside the captured one.
     """
 
-    estimate: Estimate
+    capture: Capture
+    header: Header
     located: LocatedViews
-    drape: RadialMap
+    map: RadialMap
+    known: dict[str, float]
+    estimate: Estimate
+    warnings: list[str] = field(default_factory=list)
+    refined: dict[str, Any] | None = None
+    drape: "Resimulation | None" = None
+
+    @property
+    def document(self) -> EstimateDocument:
+        """The content of ``estimate.json``."""
+        capture, share = self.capture, drape_coefficient(self.map, self.capture.rig)
+        about = CaptureAbout(
+            source=str(capture.path), density_g_m2=round(capture.density * 1e3, 6),
+            rig=capture.rig.name, face=capture.face, views=len(capture.views),
+            views_sha256=capture.digest,
+            turns_deg=(np.degrees(self.located.turns).round(1) + 0.0).tolist(),  # no -0.0
+            drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None)
+        warnings = [*capture.warnings, *self.estimate.warnings, *self.warnings]
+        optional = {"refined": self.refined} if self.refined else {}
+        if self.drape:
+            warnings += self.drape.warnings
+            optional["resimulation"] = self.drape.as_dict()
+        return EstimateDocument.from_estimate(
+            self.estimate, capture=about, checkpoint=self.header.identity, warnings=warnings,
+            **optional)
+
+    def write(self, out: Path) -> None:
+        """Write document and samples."""
+        write_estimate(out, self.estimate, self.document)
 
 
-def infer_capture(
-    capture: Capture, header: Header, *, membrane: float | None = None
-) -> Inferred:
-    """Estimate a capture with the network.
+def estimate_capture(
+    capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
+    scan: "CapturedScan | None" = None, progress: Progress | None = None,
+    entered: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
+) -> CaptureEstimate:
+    """Estimate a capture, refine the estimate and report it as the ``options`` say.
 
     Args:
-        header: of a checkpoint for the capture's rig.
-        membrane: N/m along the yarns, of the fabric at its own density; None if unknown.
+        out: folder of all files; the network's estimate is written before any simulation. None:
+            no files.
+        scan: whose rendered views are those of ``capture``; None for captured views.
+        progress: of the refinement.
+        entered: called when the stages "refining" and "simulating" begin.
+
+    Raises:
+        InputError: the views show no drape on a plate; or ``options.strict``, and something is
+            wrong with the capture.
+    """
+    result = network_estimate(capture, header, membrane=options.membrane)
+    check(result, strict=options.strict)
+    if out:
+        remove_report(out)
+        result.write(out)
+    if options.refine:
+        with _tolerated(result, "the network's estimate is not refined"):
+            entered("refining", result)
+            refine(result, options.refine, scan=scan, progress=progress)
+    if options.drapes:
+        with _tolerated(result, "the report shows no simulated drape"):
+            entered("simulating", result)
+            simulate(result, drapes=options.drapes, edge=options.edge)
+    if options.drapes and out:
+        with _tolerated(result, "there is no report"):
+            report(result, out)
+    if out:
+        result.write(out)
+    return result
+
+
+@contextmanager
+def _tolerated(result: CaptureEstimate, loss: str) -> Iterator[None]:
+    """Turn an error into a warning that names the ``loss``."""
+    try:
+        yield
+    except Exception as error:
+        result.warnings.append(f"{loss}: {type(error).__name__}, {one_line(error)}")
+
+
+def network_estimate(
+    capture: Capture, header: Header, *, membrane: float | None = None
+) -> CaptureEstimate:
+    """Estimate a capture with the network of ``header``.
+
+    ``membrane``: N/m along the yarns, of the fabric at its own density; None if unknown.
     """
     located = LocatedViews.of(capture)
     drape = radial_map(located)
     known = {} if membrane is None else at_density({"membrane": membrane}, capture.density,
                                                    REFERENCE_DENSITY)
     draws, = predict(network_of(header), header, [drape], **known)
-    return Inferred(make_estimate(draws, capture=capture, header=header), located, drape)
+    estimate = make_estimate(draws, capture=capture, header=header)
+    return CaptureEstimate(capture, header, located, drape, known, estimate)
 
 
-def estimate_capture(
-    capture: Capture, header: Header, *, seen: Any = None, refine: Mapping[str, Any] | bool = False,
-    drapes: int = 2, edge: float | None = None, known: dict[str, float] | None = None,
-    strict: bool = False, first: Callable[[dict[str, Any]], None] | None = None,
-    progress: Progress | None = None,
-) -> Result:
-    """Estimate a capture and optionally refine the estimate by simulation.
-
-    Args:
-        seen: a registered scan, :class:`drapenet.refine.search.CapturedScan`, whose rendered views
-            are those of ``capture``; None for captured views.
-        refine: whether to refine with defaults, or the content of a file of ``configs/refine``.
-        drapes: number simulated with the estimate; the report shows the best. 0: no report.
-        edge: m, mesh edge of these simulations at the plate's rim; None: the default.
-        known: ``membrane``, N/m, of the fabric at its own density, if known.
-        strict: raise an error instead of giving warnings.
-        first: called with the content of ``estimate.json`` by the network alone, before any
-            simulation.
-        progress: of the refinement, :func:`drapenet.refine.refine.refined_capture`.
-
-    An error during refinement leaves the network's estimate, with a warning.
-
-    Raises:
-        InputError: strict, and something is wrong with the capture.
+def check(result: CaptureEstimate, *, strict: bool = False) -> None:
+    """Add the warnings of views, camera and table; InputError for them if ``strict``, and for views
+    that show no drape on a plate.
     """
-    known = known or {}
-    inferred = infer_capture(capture, header, **known)
-    estimate, located = inferred.estimate, inferred.located
+    path = result.capture.path
     try:
-        warnings = view_warnings(located, inferred.drape, header.setups)
+        result.warnings += view_warnings(result.located, result.map, result.header.setups)
     except InputError as error:
-        raise InputError(f"{capture.path}: {error}") from None
-    if strict and (wrong := [*warnings, *capture.warnings]):  # pixels left out are the least of it
-        raise InputError(f"{capture.path}: refused because strict=true: {'; '.join(wrong)}; "
-                         "strict=false estimates it with a warning", max_length=MAX_LIST_LENGTH)
-    source: dict[str, Any] = {"checkpoint": header.identity}
-    about = _about(capture, inferred)
-
-    def result(files: dict[str, bytes]) -> Result:
-        """The result with the present estimate and warnings."""
-        known_so_far = replace(estimate, warnings=(*estimate.warnings, *warnings))
-        return Result(known_so_far, to_json(known_so_far, capture=about, source=source), files)
-
-    if first:
-        first(result({}).content)
-    drape, files = None, {}
-    if refine and (refine is True or refine["by"] != "none"):
-        refined = _refined(inferred, capture, warnings, seen=seen, known=known, progress=progress,
-                           settings=None if refine is True else refine)
-        if refined:
-            warnings += refined.warnings
-            before = interval_table(estimate, estimate.density)
-            source["refined"] = refined.content | {"before": before}
-            if refined.draws:  # else the network's estimate is kept, and simulated below
-                estimate = make_estimate(refined.draws, capture=capture, header=header)
-                drape = refined.resimulation
-    try:
-        if drapes and not drape:
-            from drapenet.report.drape import EDGE, resimulate
-
-            stated = Nuisances(**at_density(known, capture.density, REFERENCE_DENSITY))
-            drape = resimulate(estimate.fabric, located, edge=EDGE if edge is None else edge,
-                               drapes=drapes, laws=stated.laws)
-            if not drape:
-                warnings.append("no drape of the estimate converged; the report shows none")
-        if drape:
-            source["resimulation"] = drape.as_dict()
-            warnings += drape.warnings
-        if drapes:
-            files = _shown(result({}), inferred, capture, drape)
-    except InputError:  # a word that is out of range
-        raise
-    except Exception as error:  # the estimate must not be lost for a font or a full memory
-        warnings.append(f"there is no report: {type(error).__name__}, {one_line(error)}")
-    return result(files)
+        raise InputError(f"{path}: {error}") from None
+    if strict and (faults := [*result.warnings, *result.capture.warnings]):
+        raise InputError(f"{path}: refused because strict=true: {'; '.join(faults)}; strict=false "
+                         "estimates it with a warning", max_length=MAX_LIST_LENGTH)
 
 
-def _refined(
-    inferred: Inferred, capture: Capture, warnings: list[str], **options: Any
-) -> "Refined | None":
-    """The refinement of an estimate; None, with a line in ``warnings``, where there is none.
-
-    ``options``: of :func:`drapenet.refine.refine.refined_capture`.
+def refine(
+    result: CaptureEstimate, settings: Mapping[str, Any], *, scan: "CapturedScan | None" = None,
+    progress: Progress | None = None,
+) -> None:
+    """Refine the estimate by simulation, ``settings`` as in ``configs/refine``; the network's
+    estimate is kept where that gives no improvement.
     """
     from drapenet.refine.refine import refined_capture
 
-    try:
-        refined = refined_capture(inferred.estimate, capture, inferred.located, **options)
-    except InputError:  # a word that is out of range
-        raise
-    except Exception as error:  # the network's estimate must not be lost for it
-        warnings.append(f"refinement failed: {type(error).__name__}, {one_line(error)}; the "
-                      "network's estimate is given")
-        return None
-    if refined is None:
-        warnings.append("no drape of the estimate converged; it is not refined")
-    return refined
+    outcome = refined_capture(result.estimate, result.capture, result.located, seen=scan,
+                              known=result.known, settings=settings, progress=progress)
+    if outcome is None:
+        result.warnings.append("no drape of the estimate converged; it is not refined")
+        return
+    result.warnings += outcome.warnings
+    result.refined = outcome.content | {"before": result.document.moduli}
+    if outcome.draws:
+        result.estimate = make_estimate(outcome.draws, capture=result.capture, header=result.header)
+        result.drape = outcome.resimulation
 
 
-def _shown(
-    result: Result, inferred: Inferred, capture: Capture, drape: "Resimulation | None"
-) -> dict[str, bytes]:
-    """Report files of a result, bytes by name."""
+def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> None:
+    """Simulate ``drapes`` drapes of the estimate, unless a refinement has, and keep the one that
+    fits the capture best.
+    """
+    from drapenet.report.drape import resimulate
+
+    if result.drape is None:
+        result.drape = resimulate(result.estimate.fabric, result.located, edge=edge, drapes=drapes,
+                                  laws=Nuisances(**result.known).laws)
+    if result.drape is None:
+        result.warnings.append("no drape of the estimate converged; the report shows none")
+
+
+def report(result: CaptureEstimate, out: Path) -> None:
+    """Write the report's files to ``out``."""
     from drapenet.report.figures import draw_report, draw_torques
+    from drapenet.report.pages import render
     from drapenet.report.shapes import drape_glb
 
+    capture, document = result.capture, result.document
     name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
-    report = draw_report(result.estimate, capture.views, drape,
-                         title=f"{name}: {capture.density * 1e3:g} g/m²")
-    return {REPORT: report, TORQUES: draw_torques(result.estimate),
-            SHAPES: drape_glb(inferred.located, drape),
-            PAGE: render("report.html", name=name, content=result.content, report=report)}
-
-
-def _about(capture: Capture, inferred: Inferred) -> dict[str, Any]:
-    """Description of the capture for ``estimate.json``."""
-    share = drape_coefficient(inferred.drape, capture.rig)
-    return {"source": str(capture.path), "density_g_m2": round(capture.density * 1e3, 6),
-            "rig": capture.rig.name, "face": capture.face, "views": len(capture.views),
-            "views_sha256": capture.digest,
-            "turns_deg": (np.degrees(inferred.located.turns).round(1) + 0.0).tolist(),  # no -0.0
-            "drape_coefficient_percent": round(100 * share, 1) if np.isfinite(share) else None}
+    picture = draw_report(result.estimate, document, result.located.views, result.drape,
+                          title=f"{name}: {document.capture.density_g_m2:g} g/m²")
+    replace_file(out / REPORT, picture)
+    replace_file(out / TORQUES, draw_torques(result.estimate))
+    replace_file(out / SHAPES, drape_glb(result.located, result.drape))
+    replace_file(out / PAGE, render("report.html", name=name, document=document, report=picture))

@@ -24,7 +24,7 @@ from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
-    from drapenet.inference import Inferred
+    from drapenet.inference import CaptureEstimate
     from drapenet.network.checkpoint import Header
     from drapenet.result.estimate import Estimate
 
@@ -127,7 +127,7 @@ class NetworkEstimate:
     """Estimate by the network: posterior ``samples`` (S, 6) of theta along the true warp."""
 
     samples: np.ndarray
-    inferred: "Inferred"
+    inferred: "CaptureEstimate"
     capture: Capture
 
     @property
@@ -142,15 +142,15 @@ class NetworkEstimate:
 
         inferred = self.inferred
         return [*inferred.estimate.warnings,
-                *view_warnings(inferred.located, inferred.drape, header().setups)]
+                *view_warnings(inferred.located, inferred.map, header().setups)]
 
 
 def infer(synthetic: "SyntheticCapture") -> NetworkEstimate:
     """Estimate the moduli from a capture with the network."""
-    from drapenet.inference import infer_capture
+    from drapenet.inference import network_estimate
 
     capture = as_read(synthetic)
-    inferred = infer_capture(capture, header())
+    inferred = network_estimate(capture, header())
     return NetworkEstimate(along_warp(inferred.estimate, synthetic.orientation), inferred, capture)
 
 

@@ -62,7 +62,8 @@ def test_an_installed_wheel_estimates_from_another_folder(wheel, tmp_path):
     capture = ROOT / "examples" / "captures" / "twill"
     done = run("drapenet-infer", f"capture={capture}", "out=out", "drapes=0", "export=jfab")
     assert done.returncode == 0, done.stderr
-    assert {file.name for file in (tmp_path / "out").iterdir()} == {"estimate.json", "fabric.jfab"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "estimate.json", "samples.npz", "fabric.jfab"}
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import itertools
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,47 +42,40 @@ def entries_of(source: Path) -> list[Entry]:
     Raises:
         InputError: neither a tree nor a list, not readable, or without captures.
     """
-    if source.is_dir():
-        if any((source / mark).exists() for mark in CAPTURE_FILES):
-            raise InputError(f"{source} is one capture: give capture={source}, or the folder of "
-                             "the fabrics")
-        named = list(_of_tree(source))
-    elif source.exists():
-        named = list(_of_list(source))
-    else:
+    if any((source / mark).exists() for mark in CAPTURE_FILES):
+        raise InputError(f"{source} is one capture: give capture={source}, or the folder of the "
+                         "fabrics")
+    if not source.exists():
         raise InputError(f"captures={source} does not exist; give the folder of the fabrics, or a "
                          "CSV list")
-    if not named:
+    captures = list(_tree(source) if source.is_dir() else _list(source))
+    if not captures:
         raise InputError(f"{source} holds no captures: folders FABRIC/SAMPLE/CAPTURE with "
                          "capture.yaml and view_0.png in them")
     taken: dict[tuple[str, ...], tuple[str, ...]] = {}
-    return [Entry(*names, path, _place(names, taken)) for names, path in named]
+    return [Entry(*names, path, _place(names, taken)) for names, path in captures]
 
 
-def _of_tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
-    try:
-        for folder, inside, files in os.walk(root, onerror=_stop, followlinks=True):
-            here = Path(folder).resolve()  # links to a parent folder would recurse
-            inside[:] = sorted(name for name in inside if not name.startswith(".")
-                               and not here.is_relative_to(Path(folder, name).resolve()))
-            parts = Path(folder).relative_to(root).parts
-            marked = any(mark in files for mark in CAPTURE_FILES)
-            if marked:
-                inside.clear()
-            elif inside or not any(not name.startswith(".") for name in files):
-                continue
-            if parts:
-                yield (parts[0], "/".join(parts[1:-1]), parts[-1]), Path(folder)
-    except OSError as error:
-        raise InputError(f"{root} cannot be read ({one_line(error)}); check the "
-                         "permissions") from None
+def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
+    """Names and folders of the captures in a tree."""
+    def stop(error: OSError) -> None:
+        raise InputError(f"{root} cannot be read ({one_line(error)}); check the permissions")
+
+    for name, folders, files in os.walk(root, onerror=stop, followlinks=True):
+        folder = Path(name)
+        # Links to a parent folder would recurse.
+        folders[:] = sorted(inner for inner in folders if not inner.startswith(".") and
+                            not folder.resolve().is_relative_to((folder / inner).resolve()))
+        if any(mark in files for mark in CAPTURE_FILES):
+            folders.clear()
+        elif folders or all(file.startswith(".") for file in files):
+            continue
+        if parts := folder.relative_to(root).parts:
+            yield (parts[0], "/".join(parts[1:-1]), parts[-1]), folder
 
 
-def _stop(error: OSError) -> None:
-    raise error
-
-
-def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
+def _list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
+    """Names and folders of the captures in a list."""
     header, rows = read_table(file, "list")
     if missing := {"fabric", "capture"} - set(header):
         raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
@@ -96,21 +89,21 @@ def _of_list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
         yield (fabric, sample, capture), file.parent / capture
 
 
-def _place(names: Sequence[str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
+def _place(names: tuple[str, str, str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
     """Unique folder of results of a capture with these names, inside the output folder."""
     place: tuple[str, ...] = ()
     for depth, name in enumerate(names, start=1):
         if not name:
             continue
         # Number names that differ only in characters or case that file systems do not distinguish.
-        owner, plain = tuple(names[:depth]), plain_name(name)
+        owner, plain = names[:depth], plain_name(name)
         for number in itertools.count(1):
-            here = (*place, plain if number == 1 else f"{plain}-{number}")
-            key = tuple(part.casefold() for part in here)
+            folder = (*place, plain if number == 1 else f"{plain}-{number}")
+            key = tuple(part.casefold() for part in folder)
             # Folders of captures are never shared, those of fabrics and samples are.
             if key not in taken or (taken[key] == owner and depth < len(names)):
                 break
-        taken[key], place = owner, here
+        taken[key], place = owner, folder
     return Path(*place)
 
 

@@ -1,9 +1,4 @@
-"""Export of an estimate to files of other tools.
-
-    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
-    python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
-    python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
-    python -m drapenet.export to=list
+"""Formats of other tools, and the units of each.
 
 ``docs/exports.md`` describes quantities, units, relations and sources for each tool, and what is
 lost. A tool with one modulus per direction gets alpha, or the secant of the torque at a stated
@@ -20,12 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from common.command import command
 from common.errors import InputError
-from common.files import replace_file, require_file, require_folder
-from drapenet.config import ExportConfig
-from drapenet.export.material import Material, read_material
-from drapenet.result.table import csv_number, csv_table, interval_columns
+from common.files import replace_file
+from drapenet.export.material import Material
+from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
@@ -152,43 +145,9 @@ def _newton(material: Material, name: str) -> dict[str, bytes]:
     content = {"density_kg_m2": material.density, "alpha_N_m": modulus.tolist(),
                "edge_aniso_ke": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
                "about": material.about_hinges}
-    text = _NEWTON.replace("{MATERIAL}", pprint.pformat(content, width=96, sort_dicts=False))
+    template = Path(__file__).with_name("newton.txt").read_text(encoding="utf-8")
+    text = template.replace("{MATERIAL}", pprint.pformat(content, width=96, sort_dicts=False))
     return {name: text.encode()}
-
-
-_NEWTON = '''"""A fabric for Newton (1.8), from an estimate of drapenet.
-
-SolverStyle3D: newton.solvers.style3d.add_cloth_mesh(builder, ..., edge_aniso_ke=
-MATERIAL["edge_aniso_ke"]), with the panel's x along the weft and y along the warp.
-
-SolverVBD: add the flat cloth (add_cloth_mesh or add_cloth_grid), then call set_bending(builder)
-before builder.color() and builder.finalize().
-"""
-
-import numpy as np
-
-MATERIAL = {MATERIAL}
-
-
-def set_bending(builder, warp=(1.0, 0.0, 0.0)):
-    """Give every edge of the flat cloth in ``builder`` its stiffness, 2 alpha / (h0 + h1), in N.
-
-    alpha is that across the edge, h are the heights of its triangles; ``warp`` is a unit vector.
-    """
-    points = np.array([tuple(point) for point in builder.particle_q])
-    warp_modulus, bias, weft = MATERIAL["alpha_N_m"]
-    for k, (first, second, start, end) in enumerate(np.array(builder.edge_indices)):
-        if min(first, second) < 0:
-            continue
-        edge = points[end] - points[start]
-        edge /= np.linalg.norm(edge)
-        height = sum(np.linalg.norm(np.cross(edge, points[apex] - points[start]))
-                     for apex in (first, second))
-        c = 1 - 2 * (edge @ np.asarray(warp)) ** 2  # cosine of twice the angle of bending
-        alpha = bias + max(c, 0) * (warp_modulus - bias) + max(-c, 0) * (weft - bias)
-        damping = builder.edge_bending_properties[k][1]
-        builder.edge_bending_properties[k] = (2 * alpha / height, damping)
-'''
 
 
 def _neutral(material: Material, name: str) -> dict[str, bytes]:
@@ -200,10 +159,10 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
-    rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli["alpha_uN_m"]),
-             **interval_columns("beta_nN_m2", moduli["beta_nN_m2"]),
+    rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli.alpha_uN_m),
+             **interval_columns("beta_nN_m2", moduli.beta_nN_m2),
              "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
-            for direction, moduli in zip(DIRECTIONS, material.content["moduli"].values(),
+            for direction, moduli in zip(DIRECTIONS, material.document.moduli.values(),
                                          strict=True)]
     return {name: csv_table(rows).encode()}
 
@@ -281,33 +240,3 @@ def export_all(material: Material, names: Sequence[str], folder: Path) -> list[P
     """Write the targets ``names`` to a folder, under their usual file names."""
     return [path for name in names for path in export(material, name,
                                                       folder / TARGETS[name].file)]
-
-
-@command("export", ExportConfig)
-def main(config: ExportConfig) -> None:
-    """Write the files, and print their names."""
-    if config.to == "list":
-        print(table())
-        return
-    if not config.estimate:
-        raise InputError("estimate= is missing; give an estimate.json: estimate=FILE")
-    if not config.to:
-        raise InputError(f"to= is missing; give one of {', '.join(TARGETS)} or all")
-    names, path = targets_named(config.to), Path(config.estimate)
-    material = read_material(path, curvature=config.curvature_1_m, mesh=config.mesh,
-                             edge=1e-3 * config.edge_mm, name=config.name)
-    if len(names) == 1 and config.out and not Path(config.out).is_dir():
-        require_file(Path(config.out))
-        written = export(material, names[0], Path(config.out))
-    else:
-        folder = Path(config.out or (path if path.is_dir() else path.parent))
-        require_folder(folder)
-        written = export_all(material, names, folder)
-    for file in written:
-        print(file)
-    for warning in material.about["warnings"]:
-        print(f"warning: {warning}")
-
-
-if __name__ == "__main__":
-    main()

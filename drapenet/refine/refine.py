@@ -26,7 +26,7 @@ from drapenet.refine.scans import flat_turn
 from drapenet.refine.search import CapturedScan, CapturedViews, Found, Seen, search
 from drapenet.refine.surface import Fidelity, fidelity
 from drapenet.refine.unknowns import LAWS, OFFSET, UNKNOWNS, Cloth, Knowledge
-from drapenet.report.drape import Resimulation, beside, turned
+from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import fabric_prior
 from drapenet.views.located import LocatedViews
@@ -75,13 +75,11 @@ def refined_capture(
 
     Args:
         seen: the scan of the capture; None for views.
-        known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of the fabric at its own
-        density.
+        known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of cloth of 300 g/m².
         settings: content of a file of ``configs/refine``; None: the default.
         progress: called with the simulated and the expected number of drapes, and the misfit.
     """
     axis = 0.0
-    known = at_density(known, capture.density, REFERENCE_DENSITY)
     settings = settings or read_option("refine", "scan" if seen else "depth")
     if seen is None:
         source: Seen = CapturedViews(
@@ -107,8 +105,8 @@ def refined_capture(
     draws = None
     if theta is not None and found.improved and found.uncertainty.reduced_chi2 < MAX_REDUCED_CHI2:
         draws = Draws.possible(theta, np.full(len(theta), turn))
-    shown = beside(located, simulated.astype(np.float32), drape=drape, positions=positions,
-                   statuses=[drape.status.value])
+    shown = Resimulation(located, simulated.astype(np.float32), drape, positions,
+                         (drape.status.value,))
     near = fidelity(seen.shape, found.released) if seen and found.released else None
     scan = seen is not None
     return Refined(draws, _content(found, near, capture.density, scan=scan), found, shown,

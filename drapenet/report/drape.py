@@ -6,12 +6,12 @@ mirror image of a drape is an equally likely drape of the same fabric, at no cos
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from common.types import Metres, Points, Turns, Views
+from common.types import Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 from data.render.rays import DepthRenderer
 from drapenet.views.located import LocatedViews
@@ -22,7 +22,6 @@ from sim.measures import drape_coefficient, folds_around
 
 TURNS = 48  # orientations tried in the fit
 FIT_WIDTH = 120  # pixels, width of the images compared in it
-EDGE = 4e-3  # m, at the rim of meshes that show the folds of most fabrics
 PROFILE_HEIGHT, PROFILE_BAND = -0.04, 0.016  # m above the plate, of radius profiles, and around it
 BINS = 180  # of a radius profile
 MIN_OVERLAP = 0.7
@@ -33,25 +32,38 @@ STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 @dataclass(frozen=True)
 class Resimulation:
-    """A simulated drape of the estimate, compared with the captured one.
+    """A simulated drape of the estimate beside the captured one.
 
     Attributes:
-        views: (K, H, W) of the simulated drape, z-depth, m.
-        profiles: radius profiles (BINS,), m, captured and simulated.
-        folds: captured and simulated.
-        overlap: mean intersection over union of the silhouettes.
-        statuses: of all simulated drapes, in the order of :data:`STARTS`.
+        located: captured views; views: those of the simulated drape.
         drape: the one shown, possibly before reflection.
-        positions: (V, 3) m, of the one shown, in the orientation of the first view.
+        positions: of its vertices, in the orientation of the first view.
+        statuses: of all simulated drapes, in the order of :data:`STARTS`.
     """
 
-    views: np.ndarray
-    profiles: tuple[np.ndarray, np.ndarray]
-    folds: tuple[int, int]
-    overlap: float
-    statuses: tuple[str, ...]
+    located: LocatedViews
+    views: Views
     drape: DrapeResult
-    positions: np.ndarray
+    positions: Points
+    statuses: tuple[str, ...]
+
+    @cached_property
+    def profiles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Radius profiles (BINS,), m, captured and simulated."""
+        captured, simulated = (radius_profile(views, self.located.camera, self.located.turns)
+                               for views in (self.located.views, self.views))
+        return captured, simulated
+
+    @property
+    def folds(self) -> tuple[int, int]:
+        """Number of folds, captured and simulated."""
+        captured, simulated = map(count_folds, self.profiles)
+        return captured, simulated
+
+    @cached_property
+    def overlap(self) -> float:
+        """Mean intersection over union of the silhouettes."""
+        return silhouette_overlap(self.located.views, self.views)
 
     @property
     def warnings(self) -> list[str]:
@@ -65,8 +77,9 @@ class Resimulation:
     def as_dict(self) -> dict:
         """Drape coefficient, folds, overlap and statuses in JSON's types."""
         coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
+        captured, simulated = self.folds
         return {"drape_coefficient_percent": round(100 * coefficient, 1),
-                "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
+                "folds_captured": captured, "folds_simulated": simulated,
                 "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
 
 
@@ -99,30 +112,14 @@ def resimulate(
     if best is None:
         return None
     _, renderer, orientation, side, result = best
-    return beside(located, renderer.views(camera, orientation, turns), drape=result,
-                  positions=turned(result.positions * [side, 1, 1], orientation),
-                  statuses=statuses)
+    return Resimulation(located, renderer.views(camera, orientation, turns), result,
+                        turned(result.positions * [side, 1, 1], orientation), tuple(statuses))
 
 
-def turned(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points (N, 3), m, turned by ``angle``, rad, about the table's axis, counter-clockwise."""
+def turned(points: Points, angle: Radians) -> Points:
+    """Points turned about the table's axis, counter-clockwise."""
     cos, sin = math.cos(angle), math.sin(angle)
     return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-
-def beside(
-    located: LocatedViews, simulated: Views, *, drape: DrapeResult, positions: Points,
-    statuses: Sequence[str],
-) -> Resimulation:
-    """Compare a drape, whose views are ``simulated``, with the captured views; other arguments as
-    for :class:`Resimulation`.
-    """
-    profiles = tuple(radius_profile(views, located.camera, located.turns)
-                     for views in (located.views, simulated))
-    return Resimulation(
-        views=simulated, profiles=profiles, folds=tuple(count_folds(p) for p in profiles),
-        overlap=silhouette_overlap(located.views, simulated), statuses=tuple(statuses), drape=drape,
-        positions=positions)
 
 
 def radius_profile(views: Views, camera: Camera, turns: Turns) -> np.ndarray:
@@ -151,21 +148,21 @@ def count_folds(profile: np.ndarray) -> int:
     return len(folds_around(filled, len(profile) / 90))
 
 
-def silhouette_overlap(first: np.ndarray, second: np.ndarray) -> float:
-    """Mean intersection over union of the cloth in views (K, H, W) and (K, H, W)."""
+def silhouette_overlap(first: Views, second: Views) -> float:
+    """Mean intersection over union of the cloth in two sets of views."""
     a, b = first > 0, second > 0
     union = (a | b).sum(axis=(1, 2))
     return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))
 
 
 def _fit_orientation(
-    renderer: DepthRenderer, camera: Camera, captured: np.ndarray, turns: Sequence[float]
-) -> tuple[float, float]:
-    """Largest overlap with silhouettes (K, H, W) and the orientation, rad, that gives it."""
+    renderer: DepthRenderer, camera: Camera, captured: np.ndarray, turns: Turns
+) -> tuple[float, Radians]:
+    """Largest overlap with silhouettes (K, H, W) and the orientation that gives it."""
     step = 2 * math.pi / TURNS
     # All views are rotations by whole steps, so each is rendered once.
     views = [renderer.view(camera, turn * step) for turn in range(TURNS)]
-    after = np.rint(np.asarray(turns) / step).astype(int)
+    after = np.rint(turns / step).astype(int)
     overlaps = [silhouette_overlap(captured, np.stack([views[k] for k in (turn + after) % TURNS]))
                 for turn in range(TURNS)]
     turn = int(np.argmax(overlaps))

@@ -13,9 +13,8 @@ from matplotlib.image import AxesImage
 
 from common.types import Views
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
-from drapenet.result.content import interval_table, torque_samples
+from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
-from drapenet.result.table import with_interval
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")
@@ -24,7 +23,8 @@ CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
 def draw_report(
-    estimate: Estimate, views: Views, resimulation: Resimulation | None, *, title: str
+    estimate: Estimate, document: EstimateDocument, views: Views,
+    resimulation: Resimulation | None, *, title: str,
 ) -> bytes:
     """The report as a PNG file; ``resimulation`` is None if no simulated drape converged."""
     figure = Figure(figsize=(13, 12.5), layout="constrained")
@@ -50,11 +50,11 @@ def draw_report(
     upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
     grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
     _torques(lower.add_subplot(grid[0]), estimate)
-    _from_above(lower.add_subplot(grid[1], projection="polar"), estimate, resimulation)
-    _figures(lower.add_subplot(grid[2]), estimate, resimulation)
+    _from_above(lower.add_subplot(grid[1], projection="polar"), document, resimulation)
+    _figures(lower.add_subplot(grid[2]), document, resimulation)
     figure.suptitle(title, fontsize=14, parse_math=False)
-    if estimate.warnings:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in estimate.warnings),
+    if document.warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in document.warnings),
                          x=0.01, ha="left", fontsize=9, parse_math=False)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=100)
@@ -99,7 +99,7 @@ def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> Non
 def _torques(axes: Axes, estimate: Estimate) -> None:
     curvature = np.linspace(0, MAX_CURVATURE, 100)
     for k, (name, colour) in enumerate(zip(estimate.names, COLOURS, strict=True)):
-        curves = torque_samples(estimate, k, curvature) * 1e3
+        curves = estimate.torques(k, curvature) * 1e3
         axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, label=name)
         axes.fill_between(curvature, *np.quantile(curves, [0.16, 0.84], axis=0), color=colour,
                           alpha=0.15, lw=0)
@@ -109,7 +109,9 @@ def _torques(axes: Axes, estimate: Estimate) -> None:
     axes.legend(frameon=False, loc="upper left")
 
 
-def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
+def _from_above(
+    axes: Axes, document: EstimateDocument, resimulation: Resimulation | None
+) -> None:
     """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
     axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
                    fontsize=10)
@@ -124,20 +126,21 @@ def _from_above(axes: Axes, estimate: Estimate, resimulation: Resimulation | Non
             axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
                       label=f"{name}: {folds} folds")
         largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
-    angle, certainty = estimate.axis, estimate.certainty
+    angle, certainty = np.radians(document.axis.direction_deg), document.axis.probability
     axes.plot([angle, angle + math.pi], [largest, largest], color=COLOURS[0], lw=2.5,
               alpha=max(0.15, 2 * certainty - 1),
-              label=f"{estimate.names[0]} yarns (probability {certainty:.2f})")
+              label=f"{document.names[0]} yarns (probability {certainty:.2f})")
     axes.set_ylim(0, largest)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
 
 
-def _figures(axes: Axes, estimate: Estimate, resimulation: Resimulation | None) -> None:
-    lines = [f"at {estimate.density * 1e3:g} g/m², median and 68 % interval"]
-    for name, moduli in interval_table(estimate, estimate.density).items():
-        for quantity, unit in (("alpha_uN_m", "µN·m"), ("beta_nN_m2", "nN·m²")):
-            middle, interval = with_interval(moduli[quantity])
-            lines.append(f"{name:5} {quantity.partition('_')[0]:5} {middle:>7} ({interval}) {unit}")
+def _figures(
+    axes: Axes, document: EstimateDocument, resimulation: Resimulation | None
+) -> None:
+    lines = [f"at {document.capture.density_g_m2:g} g/m², median and 68 % interval"]
+    for name, moduli in document.moduli.items():
+        lines += [f"{name:5} alpha {moduli.alpha_uN_m} µN·m", f"{name:5} beta  "
+                  f"{moduli.beta_nN_m2} nN·m²"]
     lines.append("")
     if resimulation is None:
         lines.append("no simulated drape converged")

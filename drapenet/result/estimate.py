@@ -1,15 +1,14 @@
-"""The estimate of one fabric: posterior samples of its moduli, directions, density and warnings.
+"""The estimate of one fabric: posterior samples of its moduli, directions and density.
 
-Medians, intervals, correlations and the band of the torque-curvature law are computed from the
-samples. Network and refinement both give an :class:`Estimate`.
+Network and refinement both give an :class:`Estimate`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from common.types import Density, Radians, Theta
 from data.captures.capture import Capture
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.prior import GaussianPrior
@@ -23,12 +22,12 @@ from sim.material import (
     SWAPPED,
     Fabric,
     is_admissible,
+    torque,
 )
 
 if TYPE_CHECKING:
     from drapenet.network.predict import Draws
 
-INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MIN_DIRECTION_PROBABILITY = 0.8  # of the stiffer yarns' direction; below, there is a warning
 MARK_TOLERANCE, MAX_MARK_ERROR = np.radians(10.0), np.radians(20.0)
 """Maximum angle from a marked warp to a sample's yarns to keep the sample; maximum median of it."""
@@ -41,31 +40,25 @@ class Estimate:
     """Posterior of a fabric's moduli.
 
     Attributes:
-        samples: (S, 6) theta at 300 g/m² (:mod:`data.fabrics.fabrics`), in the order of ``names``.
+        samples: (S, 6), in the order of ``names``.
         names: of the three directions, warp, bias, weft or stiff, bias, soft.
-        axis: direction of the first yarns in the first view, rad in [0, pi).
+        axis: direction of the first yarns in the first view, in [0, pi).
         certainty: probability of that axis, from 0.5 to 1.
-        density: kg/m², of the fabric.
         spread: (6,) standard deviation of theta over fabrics.
-        warnings: one line each.
+        warnings: of the samples alone, one line each.
     """
 
-    samples: np.ndarray
+    samples: Theta
     names: tuple[str, str, str]
-    axis: float
+    axis: Radians
     certainty: float
-    density: float
-    spread: np.ndarray
+    density: Density
+    spread: Theta
     warnings: tuple[str, ...] = ()
 
     @property
-    def convention(self) -> str:
-        """``warp/weft`` or ``stiff/soft``."""
-        return f"{self.names[0]}/{self.names[2]}"
-
-    @property
-    def theta(self) -> np.ndarray:
-        """(6,) medians; if these are not admissible, the sample nearest to them."""
+    def theta(self) -> Theta:
+        """Medians; if these are not admissible, the sample nearest to them."""
         middle = np.median(self.samples, axis=0)
         if is_admissible(*from_theta(middle)):
             return middle
@@ -83,72 +76,64 @@ class Estimate:
         return GaussianPrior(self.samples.mean(axis=0), np.cov(self.samples.T), fabrics=0)
 
     @property
+    def modulus_names(self) -> list[str]:
+        """Names of theta's entries."""
+        return [f"{what} {name}" for what in ("alpha", "beta/alpha") for name in self.names]
+
+    @property
     def constraint(self) -> np.ndarray:
         """(6,) standard deviation of each entry of theta divided by its spread over fabrics."""
         return self.samples.std(axis=0) / self.spread
 
-    def moduli(self, density: float) -> tuple[np.ndarray, np.ndarray]:
-        """alpha (S, 3) N·m and beta (S, 3) N·m² of a fabric of this ``density``, kg/m²."""
+    def moduli(self, density: Density | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """alpha (S, 3) N·m and beta (S, 3) N·m² of the fabric, at this ``density`` or at its own.
+        """
         alpha, beta = from_theta(self.samples)
-        scale = density / REFERENCE_DENSITY
+        scale = (self.density if density is None else density) / REFERENCE_DENSITY
         return alpha * scale, beta * scale
+
+    def torques(self, direction: int, curvature: np.ndarray) -> np.ndarray:
+        """(S, C) torque per width, N, of each sample at ``curvature`` (C,), 1/m."""
+        return torque(curvature, *(part[:, direction, None] for part in self.moduli()))
 
 
 def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estimate:
-    """Make an estimate of posterior samples: directions in the order of their names, warnings."""
-    theta, axis, certainty, doubts = _ordered(draws, capture.warp_direction)
-    names = STIFF_SOFT if capture.warp_direction is None else DIRECTIONS
-    estimate = Estimate(theta, names, axis % np.pi, certainty, capture.density, header.spread,
-                        (*capture.warnings, *doubts))
-    edges = np.array([header.fabrics.low, header.fabrics.high])
-    low, high = np.stack([edges, edges[:, SWAPPED]], axis=1)
-    outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
-    lines = [f"{name} lies outside the fabrics of the training set: an extrapolation"
-             for name, out in zip(modulus_names(names), outside, strict=True) if out]
-    if draws.impossible > MAX_INADMISSIBLE_SHARE:
-        lines.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
-                     "can have, and were removed: check the specimen and the pictures")
-    return replace(estimate, warnings=(*estimate.warnings, *lines))
-
-
-def _ordered(
-    draws: "Draws", warp: float | None
-) -> tuple[np.ndarray, float, float, list[str]]:
-    """Samples along common first yarns, their direction, rad, its probability, and warnings.
+    """Make an estimate of posterior samples: directions in the order of their names, warnings.
 
     The first yarns are the marked warp, or the stiffer yarns where none is marked.
     """
+    warp = capture.warp_direction
     soft = draws.theta[:, FIRST] < draws.theta[:, SECOND]
     stiff = draws.axis + soft * (np.pi / 2)
     first = np.angle(np.exp(2j * stiff).mean()) / 2 if warp is None else warp
     certainty = float((np.cos(2 * (stiff - first)) >= 0).mean()) if warp is None else 1.0
     along = np.cos(2 * (draws.axis - first)) >= 0
     theta = np.where(along[:, None], draws.theta, draws.theta[:, SWAPPED])
-    doubts = []
+    warnings = []
     if certainty < MIN_DIRECTION_PROBABILITY:
-        doubts.append("the direction of the stiffer yarns is uncertain (probability "
-                      f"{certainty:.2f}): the fabric drapes alike along both yarns")
-    # Angle to the nearer yarns of each sample; for a square it is the same for all samples.
-    gap = np.abs(np.angle(np.exp(4j * (draws.axis - first)))) / 4
+        warnings.append("the direction of the stiffer yarns is uncertain (probability "
+                        f"{certainty:.2f}): the fabric drapes alike along both yarns")
     if warp is not None:
+        # Angle to the nearer yarns of each sample; for a square it is the same for all samples.
+        gap = np.abs(np.angle(np.exp(4j * (draws.axis - first)))) / 4
         if np.median(gap) > MAX_MARK_ERROR:
-            doubts.append(f"the marked warp lies {np.degrees(np.median(gap)):.0f}° from the yarns "
-                          "estimated from the views: check warp_direction_deg")
+            warnings.append(f"the marked warp lies {np.degrees(np.median(gap)):.0f}° from the "
+                            "yarns estimated from the views: check warp_direction_deg")
         theta = theta[gap <= max(MARK_TOLERANCE, np.quantile(gap, MIN_AGREEING_SHARE))]
-    return theta, float(first), certainty, doubts
+    names = STIFF_SOFT if warp is None else DIRECTIONS
+    estimate = Estimate(theta, names, float(first) % np.pi, certainty, capture.density,
+                        header.spread)
+    warnings += _extrapolations(estimate, header)
+    if draws.impossible > MAX_INADMISSIBLE_SHARE:
+        warnings.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
+                        "can have, and were removed: check the specimen and the pictures")
+    return Estimate(**vars(estimate) | {"warnings": tuple(warnings)})
 
 
-def modulus_names(names: Sequence[str]) -> list[str]:
-    """Names of theta's entries along the directions ``names``."""
-    return [f"{what} {name}" for what in ("alpha", "beta/alpha") for name in names]
-
-
-def quantiles(values: np.ndarray, level: float) -> list[float]:
-    """[low, high] of the central interval of ``values`` (S,)."""
-    return np.quantile(values, [(1 - level) / 2, (1 + level) / 2]).tolist()
-
-
-def summary(values: np.ndarray) -> dict[str, Any]:
-    """Median and intervals of ``values`` (S,), as in ``estimate.json``."""
-    return {"median": float(np.median(values)),
-            **{key: quantiles(values, level) for key, level in INTERVALS.items()}}
+def _extrapolations(estimate: Estimate, header: Header) -> list[str]:
+    """One line for each modulus outside the fabrics trained on, in either order of the yarns."""
+    edges = np.array([header.fabrics.low, header.fabrics.high])
+    low, high = np.stack([edges, edges[:, SWAPPED]], axis=1)
+    outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
+    return [f"{name} lies outside the fabrics of the training set: an extrapolation"
+            for name, out in zip(estimate.modulus_names, outside, strict=True) if out]

@@ -7,13 +7,14 @@ properties of the cloth: each of n captures has the weight ``1 / (1 + (n - 1) SH
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from data.fabrics.fabrics import from_theta
 from data.fabrics.prior import GaussianPrior, load_prior
-from drapenet.result.content import Result, to_json
+from drapenet.result.document import CaptureRecord, EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import LINEAR, REFERENCE_DENSITY, STIFF_SOFT, SWAPPED, is_admissible
 
@@ -55,10 +56,9 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
     beforehand = np.linalg.inv(prior.covariance)
     weight = 1 / (1 + (len(estimates) - 1) * SHARED)
     precision, pull = beforehand.copy(), beforehand @ prior.mean
-    for one in estimates:
-        normal = one.normal
-        own = np.linalg.inv(normal.covariance)
-        gained = _positive(own - beforehand)
+    for estimate in estimates:
+        normal = estimate.normal
+        gained = _positive(np.linalg.inv(normal.covariance) - beforehand)
         precision += weight * gained
         # Likelihood of the gained precision whose peak gives the posterior's mean.
         pull += weight * (gained @ normal.mean + beforehand @ (normal.mean - prior.mean))
@@ -71,29 +71,27 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
                    warnings=tuple(contradictions(estimates, labels)))
 
 
-def joint_result(results: Sequence[Result]) -> Result:
-    """Joint result of one fabric from the ``results`` of its captures (:func:`joined`); its content
-    includes the moduli of each.
+def joint_estimate(
+    estimates: Sequence[Estimate], documents: Sequence[EstimateDocument]
+) -> tuple[Estimate, EstimateDocument]:
+    """Joint estimate of one fabric (:func:`joined`) and its document, which includes the moduli of
+    each capture.
     """
-    estimates, contents = ([getattr(one, part) for one in results]
-                           for part in ("estimate", "content"))
-    labels = [content["capture"]["source"] for content in contents]
-    densities = {round(one.density, 6) for one in estimates}
-    estimate = joined(estimates, labels)
-    about = {"sources": labels, "rig": contents[0]["capture"]["rig"],
-             "density_g_m2": round(1e3 * estimates[0].density, 6)}
-    each = [{key: content[key] for key in ("capture", "moduli", "warnings")}
-            for content in contents]
-    content = to_json(estimate, capture=about,
-                      source={"checkpoint": contents[0]["checkpoint"], "captures": each})
-    content["warnings"] += [
-        f"{label} has {len(one['warnings'])} warning{'s' * (len(one['warnings']) > 1)} by itself: "
-        f"{one['warnings'][0]}" for label, one in zip(labels, contents, strict=True)
-        if one["warnings"]]
-    if len(densities) > 1:
-        content["warnings"].append("the captures state different densities: moduli are those at "
-                                   f"{1e3 * estimates[0].density:g} g/m²")
-    return Result(estimate, content)
+    labels = [document.capture.source or "" for document in documents]
+    estimate, first = joined(estimates, labels), documents[0]
+    warnings = [*estimate.warnings, *(
+        f"{label} has {len(document.warnings)} warning{'s' * (len(document.warnings) > 1)} by "
+        f"itself: {document.warnings[0]}"
+        for label, document in zip(labels, documents, strict=True) if document.warnings)]
+    density = first.capture.density_g_m2
+    if any(document.capture.density_g_m2 != density for document in documents):
+        warnings.append("the captures state different densities: moduli are those at "
+                        f"{density:g} g/m²")
+    records = [CaptureRecord(capture=document.capture, moduli=document.moduli,
+                             warnings=document.warnings) for document in documents]
+    return estimate, EstimateDocument.from_estimate(
+        estimate, capture={"sources": labels, "rig": first.capture.rig, "density_g_m2": density},
+        checkpoint=first.checkpoint, captures=records, warnings=warnings)
 
 
 def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list[str]:
@@ -105,29 +103,29 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
     number of captures if that exceeds two (Bonferroni). The worst capture is removed, and the test
     repeated with the remaining ones.
     """
-    means = [one.samples[:, LINEAR].mean(axis=0) for one in estimates]
-    covariances = [(1 - SHARED) * np.cov(one.samples[:, LINEAR].T) + SPECIMEN**2 * np.eye(3)
-                   for one in estimates]
+    logs = [estimate.samples[:, LINEAR] for estimate in estimates]
+    means = [samples.mean(axis=0) for samples in logs]
+    covariances = [(1 - SHARED) * np.cov(samples.T) + SPECIMEN**2 * np.eye(3) for samples in logs]
     directions, unit = estimates[0].names, 1e6 * estimates[0].density / REFERENCE_DENSITY
     left, lines = list(range(len(estimates))), []
     while len(left) > 1:
         tests = len(left) if len(left) > 2 else 1
-        limit = float(chi2.isf(CONTRADICTION_LEVEL / tests, len(directions)))
-        found = []
+        limit = float(chdtri(len(directions), CONTRADICTION_LEVEL / tests))
+        distances = []
         for k in left:
             others = [j for j in left if j != k]
             together = np.mean([means[j] for j in others], axis=0)
             apart = means[k] - together
             covariance = covariances[k] + sum(covariances[j] for j in others) / len(others) ** 2
-            found.append((float(apart @ np.linalg.solve(covariance, apart)), k, together,
-                          int(np.abs(apart / np.sqrt(np.diag(covariance))).argmax())))
-        distance, k, together, worst = max(found, key=lambda one: one[0])
+            distances.append((float(apart @ np.linalg.solve(covariance, apart)), k, together,
+                              int(np.abs(apart / np.sqrt(np.diag(covariance))).argmax())))
+        distance, k, together, worst = max(distances, key=itemgetter(0))
         if distance <= limit:
             break
         left.remove(k)
         other = labels[left[0]] if len(left) == 1 else f"the other {len(left)} captures"
-        own, expected = unit * np.exp([means[k][worst], together[worst]])
-        lines.append(f"{labels[k]} contradicts {other}: alpha {directions[worst]} is {own:.3g} "
+        alpha, expected = unit * np.exp([means[k][worst], together[worst]])
+        lines.append(f"{labels[k]} contradicts {other}: alpha {directions[worst]} is {alpha:.3g} "
                      f"against {expected:.3g} µN·m (chi-square of the three alpha {distance:.1f}, "
                      f"limit {limit:.1f}); check fabric, side, density and specimen, and estimate "
                      "different fabrics apart")

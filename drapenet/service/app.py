@@ -30,10 +30,9 @@ from data.captures.capture import CAPTURE_FILES
 from data.testers import TESTERS
 from drapenet.batch.captures import plain_name
 from drapenet.export.formats import TARGETS
-from drapenet.export.hinges import MESHES
-from drapenet.export.material import read_material
+from drapenet.export.material import MESHES, read_material
 from drapenet.report.pages import render
-from drapenet.result.output import ESTIMATE, SHOWN
+from drapenet.result.files import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
 from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
@@ -216,8 +215,8 @@ def export(identity: str, name: str, request: Request, mesh: str = "unstructured
     if found["state"] != DONE:
         raise RequestError(409, "the estimate is not finished")
     try:
-        material = read_material(folder / ESTIMATE, curvature=curvature_1_m, mesh=mesh,
-                                 edge=1e-3 * edge_mm, name=found["name"])
+        material = read_material(folder / ESTIMATE, curvature_1_m=curvature_1_m, mesh=mesh,
+                                 edge_mm=edge_mm, name=found["name"])
         target = TARGETS[name]
         title = f"{plain_name(found['name'])}-{target.file}"
         files = target.write(material, title)

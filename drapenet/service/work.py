@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from common.configs import read_option
 from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.workers import end_with_parent
-from drapenet.result.output import ESTIMATE, write_result
+from drapenet.config import EstimateOptions
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
@@ -43,7 +44,6 @@ def warm_up() -> None:
     from data.render.rays import import_open3d
     from drapenet.inference import network_of
     from drapenet.network.checkpoint import bundled, read_header
-    from drapenet.report.drape import EDGE
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
     from sim.material import MICRO, Fabric
@@ -51,7 +51,7 @@ def warm_up() -> None:
 
     network_of(read_header(bundled(SQUARE_RIG)))
     import_open3d()
-    drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EDGE)
+    drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 
 def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
@@ -63,33 +63,31 @@ def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
         name: of the capture, for display. density: kg/m², of a scan.
     """
     from data.captures.capture import read_capture
-    from drapenet.inference import estimate_capture
+    from drapenet.inference import CaptureEstimate, estimate_capture
     from drapenet.network.checkpoint import header_for
     from drapenet.refine.scans import read_scan_capture
 
-    uploaded = folder / UPLOADED
+    uploaded, registered = folder / UPLOADED, None
     change_state(folder, state=RUNNING, stage="reading")
+
+    def entered(stage: str, result: CaptureEstimate) -> None:
+        change_state(folder, stage=stage, warnings=result.document.warnings)
+
     try:
-        seen = None
         if scan:
-            capture, seen = read_scan_capture(uploaded / scan, density=density)
+            capture, registered = read_scan_capture(uploaded / scan, density=density)
         else:
             capture = read_capture(uploaded)
         replace_file(folder / PREVIEW, preview(capture))
         # Results must not reveal paths of the server.
         capture = replace(capture, path=Path(name))
         change_state(folder, stage="estimating", warnings=list(capture.warnings))
-
-        def first(content: dict[str, Any]) -> None:
-            replace_json(folder / ESTIMATE, content)
-            change_state(folder, stage="refining" if refine else "simulating",
-                         warnings=content["warnings"])
-
-        result = estimate_capture(capture, header_for([capture]), seen=seen, refine=refine,
-                                  first=first, progress=_throttled(folder))
-        write_result(folder, result)
+        settings = dict(read_option("refine", "scan" if scan else "depth")) if refine else None
+        result = estimate_capture(
+            capture, header_for([capture]), EstimateOptions(refine=settings), out=folder,
+            scan=registered, entered=entered, progress=_throttled(folder))
         change_state(folder, state=DONE, stage=None, progress=None, ended=time.time(),
-                     warnings=result.content["warnings"])
+                     warnings=result.document.warnings)
     except InputError as error:
         sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)
         change_state(folder, state=FAILED, stage=None, progress=None, error=sentence,

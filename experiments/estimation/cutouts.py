@@ -109,13 +109,13 @@ def posterior_shifts(
     views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: Rig
 ) -> list[float]:
     """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
-    from drapenet.inference import infer_capture
+    from drapenet.inference import network_estimate
 
     header, samples = read_header(bundled(rig)), []
     for one in (views, perfect):
         capture = Capture(one, scene.camera.intrinsics, np.array(QUARTERS), REFERENCE_DENSITY,
                           None, rig, Path(), ())
-        samples.append(infer_capture(capture, header).estimate.samples[:, LINEAR])
+        samples.append(network_estimate(capture, header).estimate.samples[:, LINEAR])
     found, ideal = samples
     return (np.abs(found.mean(axis=0) - ideal.mean(axis=0)) / ideal.std(axis=0)).tolist()
 

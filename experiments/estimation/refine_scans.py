@@ -49,7 +49,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 def refine_scan(scan: "Registered") -> dict:
     """Estimate a scan as by ``infer.py scan=FILE refine=scan``."""
-    from drapenet.inference import infer_capture
+    from drapenet.inference import network_estimate
     from drapenet.refine.refine import refined_capture
     from drapenet.refine.scans import scan_capture
     from drapenet.refine.search import CapturedScan
@@ -57,7 +57,7 @@ def refine_scan(scan: "Registered") -> dict:
 
     header, shape = read_header(bundled(DISC_RIG)), scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
-    inferred = infer_capture(capture, header)
+    inferred = network_estimate(capture, header)
     estimate = inferred.estimate
     result = refined_capture(estimate, capture, inferred.located, seen=CapturedScan(shape),
                              known={})

@@ -51,7 +51,7 @@ def case(
     *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
 ) -> dict:
     """Estimate one capture with the network and with the refinement."""
-    from drapenet.inference import infer_capture
+    from drapenet.inference import network_estimate
     from drapenet.refine.refine import refined_capture
     from drapenet.result.estimate import make_estimate
 
@@ -64,7 +64,7 @@ def case(
     synthetic = capture_drape(shape, setups, np.random.default_rng([seed, number]), tester)
     capture = as_read(synthetic, tester)
     known = {"membrane": 200.0} if nuisances == "none" else {}
-    inferred = infer_capture(capture, header(tester), **known)
+    inferred = network_estimate(capture, header(tester), membrane=known.get("membrane"))
     estimate = inferred.estimate
     fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
              if nuisances == "none" else {})

@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from common.configs import read_option
 from common.errors import InputError
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
+from drapenet.config import EstimateOptions
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import joined
 from experiments.drapes import (
@@ -54,8 +56,8 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
         except InputError:  # it does not converge
             continue
         synthetic = capture_drape(shape, setups, np.random.default_rng([seed, index]), tester)
-        estimate = estimate_capture(as_read(synthetic, tester), header(tester), refine=refined,
-                                    drapes=0).estimate
+        options = EstimateOptions(read_option("refine", "depth") if refined else None, drapes=0)
+        estimate = estimate_capture(as_read(synthetic, tester), header(tester), options).estimate
         found = depth_information(shape, nominal_camera(tester), nuisances=plan.nuisances,
                                   orientation=synthetic.orientation)
         arrays[f"samples_{index}"] = along_warp(estimate, synthetic.orientation)

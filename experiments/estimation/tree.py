@@ -21,7 +21,7 @@ from common.errors import InputError
 from data.captures.capture import write_capture
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, raw_scene
-from drapenet.result.output import DONE
+from drapenet.batch.batch import DONE
 from experiments.drapes import drape_as_planned, plan_specimen
 from experiments.result import ROOT, Config, Result
 from sim.material import REFERENCE_DENSITY
@@ -62,13 +62,13 @@ def killed_twice(root: Path, out: Path, count: int) -> list[int]:
     for share in KILLS:
         run = subprocess.Popen(command(root, out), start_new_session=True,
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        while len(list(out.rglob(DONE))) < share * count:
+        while len(list(out.rglob(f"{DONE}.json"))) < share * count:
             if run.poll() is not None:
                 raise InputError(f"the run ended with code {run.returncode} before it was killed")
             time.sleep(0.1)
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
-        finished.append(len(list(out.rglob(DONE))))
+        finished.append(len(list(out.rglob(f"{DONE}.json"))))
     subprocess.run(command(root, out), check=True, stdout=subprocess.DEVNULL,
                    stderr=subprocess.DEVNULL)
     return finished

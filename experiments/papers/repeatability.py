@@ -80,7 +80,7 @@ def _network_inputs(
 ) -> dict[str, np.ndarray]:
     """Fields of :class:`Maps` of the captures, and arguments of :class:`StackedSet`."""
     count, orientation = len(captures), np.array([one.orientation for one in captures])
-    found = [one.inferred.found for one in readings]
+    found = [one.inferred.map for one in readings]
     distance, weight = compressed(found)
     maps = Maps(distance, weight, np.tile(theta, (count, 1)),
                 orientation - [one.zero for one in found], np.zeros((count, 8)),

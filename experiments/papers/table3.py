@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from common.configs import read_option
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
+from drapenet.config import EstimateOptions
 from experiments.comparison import compare
 from experiments.drapes import (
     along_warp,
@@ -78,7 +80,8 @@ def case(
     found = strips | {NETWORK: fabric_from_theta(reading.theta),
                       PRIOR: fabric_from_theta(header().scale.mean[:6])}
     if refined:
-        one = estimate_capture(reading.capture, header(), refine=True, drapes=0).estimate
+        one = estimate_capture(reading.capture, header(), EstimateOptions(
+            refine=read_option("refine", "depth"), drapes=0)).estimate
         found[REFINED] = fabric_from_theta(along_warp(one, captured.orientation).mean(axis=0))
     result: dict[str, Any] = {"ways": {}}
     # Start and folds differ from those of the captured drape.

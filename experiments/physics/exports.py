@@ -6,21 +6,22 @@ drop over reach, relative to that of the fabric. VBD is not tested: it needs mor
 per second for a strip to come to rest, which takes minutes per second. Needs the extra ``newton``.
 """
 
-import json
 import runpy
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from data.fabrics.fabrics import to_theta
 from drapenet.export.formats import export
-from drapenet.export.material import GAMMA, MESHES, read_material
-from drapenet.result.content import SCHEMA, SCHEMA_VERSION
+from drapenet.export.material import GAMMA, MESHES, ExportSettings, Material
+from drapenet.result.document import EstimateDocument
+from drapenet.result.estimate import Estimate
 from experiments.physics import style3d
 from experiments.result import Config, Result, table
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
 from sim.cantilever.tester import free_end
-from sim.material import DIRECTIONS, MICRO
+from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.solver.state import State
@@ -33,20 +34,16 @@ MEMBRANE = 400.0  # N/m
 ITERATIONS = 400  # of the linear solver; fewer damp the motion
 
 
-def estimate_file(folder: Path, alphas: tuple[float, ...]) -> Path:
-    """Write an ``estimate.json`` of the fabric with intervals of zero width."""
-    def exact(value: float) -> dict:
-        return {"median": value, "interval_68": [value] * 2, "interval_90": [value] * 2}
-
-    content = {
-        "schema": SCHEMA, "schema_version": SCHEMA_VERSION, "convention": "warp/weft",
-        "capture": {"source": "experiments.exports", "density_g_m2": DENSITY},
-        "moduli": {name: {"alpha_uN_m": exact(alpha), "beta_nN_m2": exact(0.0)}
-                   for name, alpha in zip(DIRECTIONS, alphas, strict=True)},
-        "warnings": []}
-    path = folder / "estimate.json"
-    path.write_text(json.dumps(content))
-    return path
+def known_material(alphas: tuple[float, ...], **settings: object) -> Material:
+    """The material of a fabric with linear moduli ``alphas``, µN·m, known without error."""
+    density = 1e-3 * DENSITY
+    theta = to_theta(np.array(alphas) * MICRO * REFERENCE_DENSITY / density, np.zeros(3))
+    samples = theta + 1e-9 * np.vstack([np.zeros(6), np.eye(6), -np.eye(6)])
+    estimate = Estimate(samples, DIRECTIONS, 0.0, 1.0, density, np.ones(6))
+    document = EstimateDocument.from_estimate(
+        estimate, capture={"source": "experiments.exports", "rig": "", "density_g_m2": DENSITY},
+        checkpoint={"file": "", "sha256": "", "dataset_sha256": ""})
+    return Material(document, ExportSettings(**settings), "", "")
 
 
 def hang(
@@ -82,12 +79,11 @@ def run(config: Config) -> Result:
     edge, rows = 1e-3 * config["edge_mm"], []
     for fabric, alphas in FABRICS.items():
         with tempfile.TemporaryDirectory() as temporary:
-            folder = Path(temporary)
-            material = read_material(estimate_file(folder, alphas), edge=edge,
-                                     mesh=config["mesh"])
-            export(material, "newton", folder / "fabric.py")
-            module = runpy.run_path(str(folder / "fabric.py"))
-        diagonals, jitter = MESHES[material.mesh]
+            file = Path(temporary) / "fabric.py"
+            material = known_material(alphas, edge_mm=config["edge_mm"], mesh=config["mesh"])
+            export(material, "newton", file)
+            module = runpy.run_path(str(file))
+        diagonals, jitter = MESHES[config["mesh"]]
         for name, alpha, angle in zip(DIRECTIONS, alphas, (0.0, np.pi / 4, np.pi / 2),
                                       strict=True):
             weight = 1e-3 * DENSITY * GRAVITY

@@ -28,10 +28,12 @@ from corruption import (
     damaged_value,
     damaged_zip,
 )
+from estimates import document_of, estimate_of
 from PIL import Image
 from test_scans import RIG as SCAN_RIG
 from test_scans import scan_arrays
 
+import drapenet
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
@@ -58,8 +60,10 @@ from drapenet.network.checkpoint import header_for, load_model, save_checkpoint
 from drapenet.network.model import MapNet
 from drapenet.network.training import load_state, save_state
 from drapenet.refine.scans import read_cloud
+from drapenet.result.files import write_estimate
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, checked_upload, write_upload
+from sim.material import MICRO
 from sim.rig import Rig
 
 ROOT = Path(__file__).parents[2]
@@ -268,20 +272,14 @@ def _read_state(folder: Path) -> None:
 
 
 def _estimate(folder: Path) -> None:
-    def quantity(value: float) -> dict:
-        return {"median": value, "interval_68": [0.9 * value, 1.1 * value],
-                "interval_90": [0.8 * value, 1.2 * value]}
-
-    (folder / "estimate.json").write_text(json.dumps({
-        "schema": "drapenet-estimate", "schema_version": 2, "convention": "warp/weft",
-        "capture": {"source": "twill", "density_g_m2": 210.0}, "warnings": ["holes"],
-        "moduli": {name: {"alpha_uN_m": quantity(a), "beta_nN_m2": quantity(-3 * a),
-                          "beta_over_alpha_mm": quantity(-3.0)}
-                   for name, a in (("warp", 52.0), ("bias", 31.0), ("weft", 22.0))}}))
+    alpha = np.array([52.0, 31.0, 22.0]) * MICRO
+    estimate = estimate_of(alpha, -3e-3 * alpha, deviation=0.1)
+    write_estimate(folder, estimate, document_of(estimate, warnings=["holes"]))
 
 
 def _read_estimate(folder: Path) -> None:
-    material = read_material(folder / "estimate.json", curvature=50.0)
+    drapenet.load(folder)
+    material = read_material(folder / "estimate.json", curvature_1_m=50.0)
     for target in TARGETS.values():
         target.write(material, target.file)
 
@@ -467,7 +465,8 @@ READERS = {
     "checkpoint": Reader(_checkpoint, {"net.safetensors": damaged_safetensors}, _read_checkpoint),
     "state of a training": Reader(_state, {"state.pt": lambda data, rng: damaged_zip(
         data, rng, damaged_bytes)}, _read_state),
-    "estimate": Reader(_estimate, {"estimate.json": damaged_json}, _read_estimate),
+    "estimate": Reader(_estimate, {"estimate.json": damaged_json, "samples.npz": lambda data, rng:
+                                   damaged_zip(data, rng, damaged_bytes)}, _read_estimate),
     "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, _damaged_shard)
                       | {"dataset.json": _damaged_manifest}, _read_dataset, _mend_dataset),
     "set-ups": Reader(_setup, {"setup.json": damaged_json}, _read_setup),

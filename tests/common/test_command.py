@@ -24,14 +24,13 @@ from data.dataset.inspect.__main__ import InspectConfig
 from data.dataset.options import Options
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
-from drapenet.export.hinges import HingesConfig
 from drapenet.service.settings import Settings
 from drapenet.views.specimen_offset import PlacementConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
-           "export": ExportConfig, "generate": Options, "hinges": HingesConfig,
+           "export": ExportConfig, "generate": Options,
            "infer": InferConfig, "inspect": InspectConfig, "placement": PlacementConfig,
            "prior_fit": FitConfig, "serve": Settings, "train": TrainConfig}
 

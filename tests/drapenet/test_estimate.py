@@ -6,16 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from estimates import document_of, estimate_of
 
+import drapenet
+from common.errors import InputError
+from common.files import replace_json
 from data.captures.capture import Capture
 from data.captures.description import whole_turns
 from data.render.cameras import nominal_camera
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
-from drapenet.result.content import to_json
+from drapenet.result.document import Quantity
 from drapenet.result.estimate import make_estimate
-from drapenet.result.table import format_table, with_interval
-from sim.material import MICRO, SWAPPED, is_admissible
+from drapenet.result.files import read_document, write_estimate
+from sim.material import DIRECTIONS, MICRO, SWAPPED, is_admissible
 from sim.rig import SQUARE_RIG
 
 CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), nominal_camera().intrinsics, whole_turns(4),
@@ -97,9 +101,9 @@ def test_the_median_is_a_possible_fabric(header: Header) -> None:
     assert is_admissible(estimate.fabric.alpha, estimate.fabric.beta)
 
 
-def test_json_holds_medians_intervals_correlations_and_the_law(header: Header) -> None:
+def test_a_document_holds_medians_intervals_correlations_and_the_law(header: Header) -> None:
     estimate = make_estimate(drawn([60, 40, 20], deviation=0.2), capture=CAPTURE, header=header)
-    content = to_json(estimate, capture={"density_g_m2": 150}, source={"checkpoint": "none"})
+    content = document_of(estimate).content()
     json.dumps(content, allow_nan=False)
     for part, factor in (("moduli", 0.5), ("moduli_at_300_g_m2", 1.0)):
         alpha = content[part]["stiff"]["alpha_uN_m"]
@@ -115,15 +119,15 @@ def test_json_holds_medians_intervals_correlations_and_the_law(header: Header) -
     expected = 30e-6 * 25 * (1 - 2.5e-3 * 25) * 1e3
     assert law["stiff"]["median"][0] == pytest.approx(expected, rel=0.02)
     assert np.shape(law["stiff"]["interval_90"]) == (2, len(law["curvature_1_m"]))
-    assert content["poorly_constrained"] == []
+    assert content["poorly_constrained"] == [] and "stiff_axis" in content
 
 
 def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header: Header) -> None:
-    estimate = make_estimate(drawn([60, 40, 20], deviation=0.8), capture=CAPTURE, header=header)
-    content = to_json(estimate, capture={"density_g_m2": 150}, source={})
-    assert "alpha bias" in content["poorly_constrained"]
-    assert "beta/alpha bias" not in content["poorly_constrained"]
-    assert "poorly constrained" in format_table(content)
+    document = document_of(make_estimate(drawn([60, 40, 20], deviation=0.8), capture=CAPTURE,
+                                         header=header))
+    assert "alpha bias" in document.poorly_constrained
+    assert "beta/alpha bias" not in document.poorly_constrained
+    assert "poorly constrained" in document.text()
 
 
 @pytest.mark.parametrize(("median", "low", "high", "text"), [
@@ -134,4 +138,30 @@ def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header: Header) -> N
 def test_digits_follow_the_uncertainty(
     median: float, low: float, high: float, text: tuple[str, str]
 ) -> None:
-    assert with_interval({"median": median, "interval_68": [low, high]}) == text
+    quantity = Quantity(median=median, interval_68=[low, high], interval_90=[low, high])
+    assert quantity.texts() == text
+
+
+def test_an_estimate_is_loaded_with_its_samples(tmp_path: Path) -> None:
+    """As docs/use.md shows it."""
+    alpha = np.array([60.0, 40.0, 20.0]) * MICRO
+    estimate = estimate_of(alpha, np.zeros(3), density=0.15, deviation=0.1)
+    write_estimate(tmp_path, estimate, document_of(estimate, warnings=["holes"]))
+    loaded = drapenet.load(tmp_path)
+    np.testing.assert_array_equal(loaded.samples, estimate.samples)
+    assert np.median(loaded.moduli()[0], axis=0) == pytest.approx(alpha)  # N·m
+    assert (loaded.names, loaded.density, loaded.warnings) == (DIRECTIONS, 0.15, ("holes",))
+    assert loaded.axis == pytest.approx(estimate.axis)
+    for samples, spread in ((estimate.samples + 1, estimate.spread), (np.zeros((9, 5)), np.ones(5)),
+                            (np.array([{}]), estimate.spread)):
+        np.savez(tmp_path / "samples.npz", samples=samples, spread=spread)
+        with pytest.raises(InputError, match=r"samples\.npz"):
+            drapenet.load(tmp_path / "estimate.json")
+
+
+def test_document_is_read_as_written(tmp_path: Path) -> None:
+    document = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3)), warnings=["a", "b"])
+    file = tmp_path / "estimate.json"
+    replace_json(file, document.content())
+    assert read_document(file) == document
+    assert read_document(file).content() == document.content()

@@ -8,7 +8,7 @@ import pytest
 
 from data.captures.capture import read_capture
 from data.fabrics.fabrics import from_theta
-from drapenet.inference import infer_capture
+from drapenet.inference import network_estimate
 from drapenet.network.checkpoint import bundled, load_model, read_header
 from drapenet.network.predict import DRAWS, predict
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -66,7 +66,7 @@ def test_what_is_known_of_a_fabric_is_that_of_its_own_density() -> None:
     capture = read_capture(twill)
     header = read_header(bundled(capture.rig))
     heavy, light = (
-        infer_capture(replace(capture, density=share * 0.3), header,
+        network_estimate(replace(capture, density=share * 0.3), header,
                       membrane=share * 600.0).estimate for share in (1.0, 0.5))
     np.testing.assert_allclose(light.samples, heavy.samples, rtol=1e-12)
     assert light.fabric.alpha == pytest.approx(heavy.fabric.alpha / 2)

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
-from drapenet.report.drape import beside, turned
+from drapenet.report.drape import Resimulation, turned
 from drapenet.report.shapes import drape_glb
 from drapenet.views.located import LocatedViews
 from sim.drape import drape
@@ -26,8 +26,7 @@ def test_captured_surface_lies_on_the_drape_that_was_captured():
     renderer = DepthRenderer(result.positions, result.faces)
     views = renderer.views(camera, 0.4, turns)
     located = LocatedViews.registered(views, camera, RIG, turns)
-    shown = beside(located, views, drape=result,
-                   positions=turned(result.positions, 0.4), statuses=["converged"])
+    shown = Resimulation(located, views, result, turned(result.positions, 0.4), ("converged",))
     scene = trimesh.load(io.BytesIO(drape_glb(located, shown)), file_type="glb")
     simulated, captured = (scene.geometry[name] for name in ("simulated", "captured"))
     # glTF's y is up: right, up, towards the camera.

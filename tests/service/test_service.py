@@ -18,7 +18,7 @@ from pebble import ProcessFuture
 from common.command import compose_config
 from data.captures.capture import read_capture
 from drapenet.export.formats import TARGETS
-from drapenet.inference import infer_capture
+from drapenet.inference import network_estimate
 from drapenet.network.checkpoint import header_for
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
@@ -66,7 +66,7 @@ def finished(client) -> dict:
 
 def test_numbers_are_those_of_the_command(finished):
     capture = read_capture(EXAMPLE)
-    expected = infer_capture(capture, header_for([capture])).estimate
+    expected = network_estimate(capture, header_for([capture])).estimate
     assert finished["state"] == "done" and finished["error"] is None
     moduli = finished["estimate"]["moduli"]
     for k, direction in enumerate(("warp", "bias", "weft")):
@@ -90,8 +90,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     assert not (folder / "uploaded").exists()
 
 
-def test_exports_can_be_fetched(client, finished, monkeypatch):
-    monkeypatch.setattr("drapenet.export.hinges.equivalent_modulus", None)  # no strips
+def test_exports_can_be_fetched(client, finished):
     for name, target in TARGETS.items():
         answer = client.get(f"/estimates/{finished['id']}/export/{name}")
         assert answer.status_code == 200, (name, answer.text)

@@ -3,12 +3,9 @@
 from base64 import b64encode
 from functools import cache
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import jinja2
-
-from drapenet.result.table import with_interval
 
 
 def render(template: str, **values: object) -> bytes:
@@ -20,13 +17,6 @@ def render(template: str, **values: object) -> bytes:
 def _environment() -> jinja2.Environment:
     pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "report/pages"),
                                autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    pages.filters |= {"address": lambda path: quote(Path(path).as_posix()), "figure": _figure,
-                      "wide": lambda quantity: with_interval(quantity, "interval_90")[1],
+    pages.filters |= {"address": lambda path: quote(Path(path).as_posix()),
                       "base64": lambda data: b64encode(data).decode()}
     return pages
-
-
-def _figure(quantity: dict[str, Any]) -> str:
-    """Median and 68 % interval."""
-    middle, interval = with_interval(quantity)
-    return f"{middle} ({interval})"

@@ -2,20 +2,20 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from drapenet.result.laboratory import (
+from drapenet.result.testers import (
     GF_CM,
     INCLINE,
     KES_CURVATURES,
     MG_CM,
+    SOFTENING,
     bending_length,
-    flexural_rigidity,
-    kes_bending,
-    kes_hysteresis,
-    outside_law,
+    kes,
+    strip_lengths,
 )
 from sim.cantilever import hang
-from sim.cantilever.elastica import aspect_ratio, heavy_elastica
+from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
 from sim.energies import plate_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
 from sim.rig import GRAVITY
@@ -24,7 +24,7 @@ from sim.rig import GRAVITY
 def test_a_linear_fabric_reads_its_own_rigidity_within_peirce_s_approximation():
     alpha = np.array([5.0, 30.0, 200.0]) * MICRO
     length = bending_length(alpha, 0 * alpha, 0.2)
-    assert flexural_rigidity(length, 0.2) == pytest.approx(alpha, rel=2e-3)
+    assert 0.2 * GRAVITY * length**3 == pytest.approx(alpha, rel=2e-3)
     # Peirce's c = L (cos(theta/2) / (8 tan theta))^(1/3) approximates L/2 at 41.5 degrees.
     peirce = np.cbrt(np.cos(INCLINE / 2) / (8 * np.tan(INCLINE)))
     assert 2 * peirce * length == pytest.approx(np.cbrt(alpha / (0.2 * GRAVITY)), rel=0.02)
@@ -32,10 +32,22 @@ def test_a_linear_fabric_reads_its_own_rigidity_within_peirce_s_approximation():
 
 def test_units_by_hand():
     # 200 g/m² and 20 mm: FAST-2's 9.807e-6 W c³ µN·m (with 9.80665), ASTM's 0.1 W c³ mg·cm.
-    rigidity = flexural_rigidity(np.array(0.02), 0.2)
+    rigidity = 0.2 * GRAVITY * 0.02**3
     assert rigidity / MICRO == pytest.approx(9.807e-6 * 200 * 20**3, rel=1e-3)
     assert rigidity / MG_CM == pytest.approx(0.1 * 200 * 2.0**3, rel=1e-3)
     assert pytest.approx(98.07 * MICRO, rel=1e-4) == GF_CM
+
+
+@pytest.mark.parametrize("k", [0, 60, 120, 180, 239])
+def test_strips_of_the_table_end_on_the_plane(k):
+    """Strips of 100 integration steps, solved for their length, make the table."""
+    def above(length: float) -> float:
+        shape = elastica(length**3, 11, softening=SOFTENING[k] / length, steps=100)
+        return aspect_ratio(shape[-1]) - np.tan(INCLINE)
+
+    solved = brentq(above, 0.2, 0.99 * np.cbrt(MAX_GAMMA), xtol=1e-8)
+    assert strip_lengths()[k] == pytest.approx(solved, abs=1e-7)
+    assert len(strip_lengths()) == len(SOFTENING)
 
 
 @pytest.mark.parametrize("ratio", [-6e-3, -2e-3, 3e-3])  # m
@@ -65,15 +77,15 @@ def test_kes_reads_the_secant_of_the_simulated_cloth():
                     - plate_law.energy(np.array(way) * (kappa - 1e-2), law)) / 2e-2
                    for kappa in KES_CURVATURES]
         expected = (torques[1] - torques[0]) / (KES_CURVATURES[1] - KES_CURVATURES[0])
-        assert kes_bending(fabric.alpha[k], fabric.beta[k]) == pytest.approx(expected, rel=1e-6)
+        assert kes(fabric.alpha[k], fabric.beta[k])[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_kes_is_the_secant_and_knows_where_the_law_ends():
     alpha = np.array([100.0, 100.0, 100.0]) * MICRO
     beta = np.array([0.0, -100.0, -500.0]) * NANO
-    found = kes_bending(alpha, beta)
+    secant, hysteresis, outside = kes(alpha, beta)
     # alpha + 200/m beta by hand: 100, 80 µN·m; at beta/alpha = -5 mm the torque peaks at 100/m.
-    assert found[:2] / MICRO == pytest.approx([100.0, 80.0], rel=1e-9)
-    assert outside_law(alpha, beta).tolist() == [False, False, True]
+    assert secant[:2] / MICRO == pytest.approx([100.0, 80.0], rel=1e-9)
+    assert outside.tolist() == [False, False, True]
     # Secants of the parabola alpha kappa + beta kappa² through 50 and 150 1/m: -beta 50 150 at 0
-    assert kes_hysteresis(alpha, beta)[:2] == pytest.approx([0.0, 2 * 100e-9 * 7500], abs=1e-12)
+    assert hysteresis[:2] == pytest.approx([0.0, 2 * 100e-9 * 7500], abs=1e-12)

@@ -1,0 +1,46 @@
+"""Export of an estimate to files of other tools.
+
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
+    python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
+    python -m drapenet.export to=list
+"""
+
+from pathlib import Path
+
+from common.command import command
+from common.errors import InputError
+from common.files import require_file, require_folder
+from drapenet.config import ExportConfig
+from drapenet.export.formats import TARGETS, export, export_all, table, targets_named
+from drapenet.export.material import read_material
+
+
+@command("export", ExportConfig)
+def main(config: ExportConfig) -> None:
+    """Write the files, and print their names."""
+    if config.to == "list":
+        print(table())
+        return
+    if not config.estimate:
+        raise InputError("estimate= is missing; give an estimate.json: estimate=FILE")
+    if not config.to:
+        raise InputError(f"to= is missing; give one of {', '.join(TARGETS)} or all")
+    names, path = targets_named(config.to), Path(config.estimate)
+    material = read_material(path, curvature_1_m=config.curvature_1_m, mesh=config.mesh,
+                             edge_mm=config.edge_mm, name=config.name)
+    if len(names) == 1 and config.out and not Path(config.out).is_dir():
+        require_file(Path(config.out))
+        written = export(material, names[0], Path(config.out))
+    else:
+        folder = Path(config.out or (path if path.is_dir() else path.parent))
+        require_folder(folder)
+        written = export_all(material, names, folder)
+    for file in written:
+        print(file)
+    for warning in material.about["warnings"]:
+        print(f"warning: {warning}")
+
+
+if __name__ == "__main__":
+    main()

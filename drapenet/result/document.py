@@ -1,0 +1,341 @@
+"""``estimate.json``: one model that is made from an estimate, written, read, printed and tabulated.
+
+Keys state their units.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, PlainValidator, model_validator
+
+from common.documents import Excerpt, shown
+from common.types import Density
+from drapenet.result.estimate import Estimate
+from drapenet.result.testers import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
+from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
+from sim.rig import GRAVITY
+
+SCHEMA = "drapenet-estimate"
+SCHEMA_VERSION = 2
+POORLY_CONSTRAINED = 0.7
+"""Minimum ratio of a modulus's standard deviation to its spread over fabrics for which the modulus
+is reported as poorly constrained."""
+CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
+INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
+MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
+AXIS_MEANING = "in the first view, 0 to the right, 90 away from the camera, modulo 180"
+ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
+"""Directions in tables whose fabrics need not all have a marked warp."""
+_FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise ValueError("is not a text")
+    return value
+
+
+Text = Annotated[str, PlainValidator(_text)]
+"""A text that may hold a path, whose bytes need not be UTF-8."""
+Finite = Annotated[float | None, BeforeValidator(
+    lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]
+"""A number, None where it is not finite, for which JSON has no notation."""
+Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Quantity(Excerpt):
+    """Median and central intervals of a quantity."""
+
+    median: float
+    interval_68: Interval
+    interval_90: Interval
+
+    @classmethod
+    def from_samples(cls, values: np.ndarray) -> "Quantity":
+        """Of samples (S,)."""
+        return cls(median=float(np.median(values)), **{
+            key: np.quantile(values, [(1 - level) / 2, (1 + level) / 2]).tolist()
+            for key, level in INTERVALS.items()})
+
+    def texts(self, key: str = "interval_68") -> tuple[str, str]:
+        """Median and interval as text, with decimals according to the interval's width."""
+        low, high = getattr(self, key)
+        places = 0
+        if (half := (high - low) / 2) > 0:
+            places = min(max(1 - math.floor(math.log10(half)), 0), 6)
+        return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
+
+    def __str__(self) -> str:
+        """Median and 68 % interval."""
+        return "{} ({})".format(*self.texts())
+
+
+class DirectionModuli(Excerpt):
+    """Moduli along one direction."""
+
+    alpha_uN_m: Quantity  # noqa: N815
+    beta_nN_m2: Quantity  # noqa: N815
+    beta_over_alpha_mm: Quantity
+
+
+class Readings(Excerpt):
+    """What testers would measure along one direction."""
+
+    bending_length_mm: Quantity
+    flexural_rigidity_uN_m: Quantity  # noqa: N815
+    flexural_rigidity_mg_cm: Quantity
+    kes_b_gf_cm2_per_cm: Quantity | None
+    kes_2hb_gf_cm_per_cm: Quantity | None
+    kes_b_outside_law_probability: float
+
+
+class CaptureAbout(Excerpt):
+    """The capture of an estimate, or the captures of a joint one, which has ``sources``."""
+
+    source: Text | None = None
+    sources: list[Text] | None = None
+    density_g_m2: float = Field(gt=0)
+    rig: str
+    face: str = "up"
+    views: int | None = None
+    views_sha256: str = ""
+    turns_deg: list[float] | None = None
+    drape_coefficient_percent: float | None = None
+
+
+class Axis(Excerpt):
+    """Direction of the first yarns."""
+
+    direction_deg: float
+    meaning: str
+    probability: float
+
+
+class RefinementRecord(Excerpt):
+    """Outcome of a refinement by simulation, and the moduli before it."""
+
+    by: str
+    misfit_before: Finite
+    misfit: Finite
+    simulations: int
+    failed_simulations: int
+    status: str
+    message: str
+    specimen: dict[str, dict[str, Any]]
+    reduced_chi2: Finite = None
+    fidelity: dict[str, Any] | None = None
+    before: dict[str, DirectionModuli]
+
+
+class CaptureRecord(Excerpt):
+    """The estimate of one capture within a joint one."""
+
+    capture: CaptureAbout
+    moduli: dict[str, DirectionModuli]
+    warnings: list[Text]
+
+
+class EstimateDocument(Excerpt):
+    """The content of ``estimate.json``."""
+
+    remedy = "give the estimate.json that infer.py writes"
+    schema_: Literal[SCHEMA] = Field(alias="schema")
+    schema_version: Literal[SCHEMA_VERSION]
+    convention: Literal["warp/weft", "stiff/soft"]
+    capture: CaptureAbout
+    moduli: dict[str, DirectionModuli]
+    moduli_at_300_g_m2: dict[str, DirectionModuli]
+    laboratory: dict[str, Readings]
+    correlations: dict[str, Any]
+    share_of_spread_over_fabrics: dict[str, float]
+    poorly_constrained: list[str]
+    torque_mN: dict[str, Any]  # noqa: N815
+    warp_axis: Axis | None = None
+    stiff_axis: Axis | None = None
+    checkpoint: dict[str, Text]
+    captures: list[CaptureRecord] | None = None
+    refined: RefinementRecord | None = None
+    resimulation: dict[str, Any] | None = None
+    warnings: list[Text]
+
+    @model_validator(mode="after")
+    def _require_directions(self) -> "EstimateDocument":
+        if tuple(self.moduli) not in (DIRECTIONS, STIFF_SOFT):
+            raise ValueError(f"moduli: the directions {shown(list(self.moduli))} are unknown")
+        if any(moduli.alpha_uN_m.median <= 0 for moduli in self.moduli.values()):
+            raise ValueError("moduli: alpha must be positive")
+        return self
+
+    @classmethod
+    def from_estimate(
+        cls, estimate: Estimate, *, capture: Mapping[str, Any], checkpoint: Mapping[str, str],
+        warnings: Sequence[str] = (), **others: Any,
+    ) -> "EstimateDocument":
+        """The document of an estimate, with all ``warnings`` and optional keys ``others``."""
+        names, first = estimate.names, estimate.names[0]
+        shares = dict(zip(estimate.modulus_names, estimate.constraint.round(3).tolist(),
+                          strict=True))
+        return cls.model_validate({
+            "schema": SCHEMA, "schema_version": SCHEMA_VERSION,
+            "convention": f"{first}/{names[2]}", "capture": capture,
+            "moduli": _moduli(estimate, estimate.density),
+            "moduli_at_300_g_m2": _moduli(estimate, REFERENCE_DENSITY),
+            "laboratory": _readings(estimate),
+            "correlations": {
+                "of": [f"{'log ' if k < 3 else ''}{name}" for k, name in enumerate(shares)],
+                "matrix": np.corrcoef(estimate.samples.T).round(3).tolist()},
+            "share_of_spread_over_fabrics": shares,
+            "poorly_constrained": [
+                name for name, share in zip(shares, estimate.constraint, strict=True)
+                if share > POORLY_CONSTRAINED],
+            "torque_mN": {"curvature_1_m": CURVATURES.tolist(),
+                          **{name: _torques(estimate, k) for k, name in enumerate(names)}},
+            f"{first}_axis": Axis(
+                direction_deg=float(np.degrees(estimate.axis)), meaning=AXIS_MEANING,
+                probability=round(estimate.certainty, 3)),
+            "checkpoint": checkpoint, **others, "warnings": list(warnings)})
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """The three directions."""
+        return tuple(self.moduli)
+
+    @property
+    def axis(self) -> Axis:
+        """Direction of the first yarns."""
+        return self.warp_axis or self.stiff_axis
+
+    @property
+    def density(self) -> Density:
+        """Of the fabric."""
+        return 1e-3 * self.capture.density_g_m2
+
+    def content(self) -> dict[str, Any]:
+        """The document in JSON's types."""
+        return self.model_dump(by_alias=True, exclude_unset=True)
+
+    def text(self) -> str:
+        """The estimate as lines for a terminal."""
+        lines = [f"joint estimate of {len(self.captures)} captures"] if self.captures else []
+        lines += [f"at {self.capture.density_g_m2:g} g/m²:",
+                  f"{'':8}{'alpha [µN·m]':>14}{'68 % interval':>20}{'beta [nN·m²]':>16}"
+                  f"{'68 % interval':>20}"]
+        for name, moduli in self.moduli.items():
+            (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
+            lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
+        if self.poorly_constrained:
+            lines.append("poorly constrained (± share of the spread over fabrics): " + ", ".join(
+                f"{name} {self.share_of_spread_over_fabrics[name]:.0%}"
+                for name in self.poorly_constrained))
+        if refined := self.refined:
+            before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
+                               for name, moduli in refined.before.items())
+            misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
+            lines += [f"alpha before refinement: {before}",
+                      f"misfit {misfit} before, {refined.misfit:.0f} after "
+                      f"{refined.simulations} simulations ({refined.status})"]
+        lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
+        for name, readings in self.laboratory.items():
+            secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
+            lines.append(f"{name:8}{readings.bending_length_mm.texts()[0] + ' mm':>14}"
+                         f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"
+                         + (f"{secant.texts()[0] + ' gf·cm²/cm':>18}"
+                            f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"
+                            if secant and hysteresis else "  outside the law"))
+        lines.append(f"{self.names[0]} axis {self.axis.direction_deg:.0f}° in the first view "
+                     f"(probability {self.axis.probability:.2f})")
+        if coefficient := self.capture.drape_coefficient_percent:
+            simulated = (self.resimulation or {}).get("drape_coefficient_percent")
+            lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
+                         + (f", {simulated:.1f} % simulated" if simulated else ""))
+        return "\n".join(lines + [f"warning: {line}" for line in self.warnings])
+
+    def row(self) -> dict[str, str]:
+        """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², and readings."""
+        row = {"density_g_m2": csv_number(self.capture.density_g_m2)}
+        for suffix, table in (("", self.moduli), ("_at_300_g_m2", self.moduli_at_300_g_m2),
+                              ("", self.laboratory)):
+            for role, quantities in zip(ROLES, table.values(), strict=True):
+                for quantity, value in quantities:
+                    name = f"{role}_{quantity}{suffix}"
+                    row |= ({name: csv_number(value)} if isinstance(value, float)
+                            else interval_columns(name, value))
+        return row
+
+
+def _moduli(estimate: Estimate, density: Density) -> dict[str, DirectionModuli]:
+    alpha, beta = estimate.moduli(density)
+    return {name: DirectionModuli(
+        alpha_uN_m=Quantity.from_samples(alpha[:, k] / MICRO),
+        beta_nN_m2=Quantity.from_samples(beta[:, k] / NANO),
+        beta_over_alpha_mm=Quantity.from_samples((1e3 * beta / alpha)[:, k]),
+    ) for k, name in enumerate(estimate.names)}
+
+
+def _readings(estimate: Estimate) -> dict[str, Readings]:
+    alpha, beta = estimate.moduli()
+    length = bending_length(alpha, beta, estimate.density)
+    rigidity = estimate.density * GRAVITY * length**3
+    secant, hysteresis, outside = kes(alpha, beta)
+    shares = outside.mean(axis=0).tolist()
+
+    def within(reading: np.ndarray, k: int) -> Quantity | None:
+        return None if shares[k] > MAX_OUTSIDE_SHARE else Quantity.from_samples(reading[:, k])
+
+    return {name: Readings(
+        bending_length_mm=Quantity.from_samples(1e3 * length[:, k]),
+        flexural_rigidity_uN_m=Quantity.from_samples(rigidity[:, k] / MICRO),
+        flexural_rigidity_mg_cm=Quantity.from_samples(rigidity[:, k] / MG_CM),
+        kes_b_gf_cm2_per_cm=within(secant / GF_CM, k),
+        kes_2hb_gf_cm_per_cm=within(hysteresis / GF_CM_PER_CM, k),
+        kes_b_outside_law_probability=round(shares[k], 3),
+    ) for k, name in enumerate(estimate.names)}
+
+
+def _torques(estimate: Estimate, direction: int) -> dict[str, list]:
+    values = estimate.torques(direction, CURVATURES) * 1e3
+    return {"median": np.median(values, axis=0).tolist(), **{
+        key: np.quantile(values, [(1 - level) / 2, (1 + level) / 2], axis=0).tolist()
+        for key, level in INTERVALS.items()}}
+
+
+# --- Tables for spreadsheets -----------------------------------------------------------------
+
+
+def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:
+    """Median and intervals as columns of a CSV table; empty for None."""
+    columns = [name, *(f"{name}_{end}{level}" for level in (68, 90) for end in ("low", "high"))]
+    if quantity is None:
+        return dict.fromkeys(columns, "")
+    values = [quantity.median, *quantity.interval_68, *quantity.interval_90]
+    return dict(zip(columns, map(csv_number, values), strict=True))
+
+
+def csv_number(value: float) -> str:
+    """A number for a CSV table."""
+    return f"{value:.6g}"
+
+
+def csv_table(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
+    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
+                            lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: object) -> object:
+    """Escape text that a spreadsheet would evaluate as a formula; numbers are not changed."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return "" if value is None else value
+    try:
+        float(value)
+    except ValueError:
+        return "'" + value
+    return value

@@ -1,0 +1,105 @@
+"""Files of an estimate: ``estimate.json``, its samples beside it, and those of its report."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from common.documents import read_json
+from common.errors import InputError
+from common.files import remove_file, replace_json, replacing, require_file, require_folder
+from data.captures.frames import read_arrays
+from drapenet.result.document import EstimateDocument
+from drapenet.result.estimate import Estimate
+from sim.material import MICRO
+
+ESTIMATE, SAMPLES = "estimate.json", "samples.npz"
+REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
+SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
+NAMED_PARTS = 3  # parts of a path that name its results
+
+
+def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
+    """Write the document of an estimate, and its samples beside it."""
+    with replacing(out / SAMPLES) as stream:
+        np.savez(stream, samples=estimate.samples, spread=estimate.spread)
+    replace_json(out / ESTIMATE, document.content())
+
+
+def remove_report(out: Path) -> None:
+    """Remove the report files of an earlier estimate."""
+    for name in SHOWN:
+        remove_file(out / name)
+
+
+def read_document(path: Path) -> EstimateDocument:
+    """Read an ``estimate.json``."""
+    content = read_json(path, remedy=EstimateDocument.remedy)
+    return EstimateDocument.of(content, path)
+
+
+def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
+    """Read an ``estimate.json``, or that in a folder, with its samples.
+
+    Raises:
+        InputError: files that are missing, damaged, or of different estimates.
+    """
+    path = path / ESTIMATE if path.is_dir() else path
+    document = read_document(path)
+    file = path.with_name(SAMPLES)
+    arrays = read_arrays(file, ("samples", "spread"), what="the samples",
+                         expected="those of an estimate")
+    samples, spread = (arrays.get(name, np.empty(0)) for name in ("samples", "spread"))
+    estimate = Estimate(samples, document.names, np.radians(document.axis.direction_deg),
+                        document.axis.probability, document.density, spread,
+                        tuple(document.warnings))
+    if samples.ndim != 2 or samples.shape[1:] != (6,) or spread.shape != (6,) or not np.allclose(
+            np.median(estimate.moduli()[0], axis=0) / MICRO,
+            [moduli.alpha_uN_m.median for moduli in document.moduli.values()], rtol=1e-6):
+        raise InputError(f"{file} does not hold the samples of {path}; estimate the capture again")
+    return estimate, document
+
+
+def result_name(sources: Sequence[Path]) -> str:
+    """Name of the results of captures: the last parts of their path (FABRIC, SAMPLE, CAPTURE); of
+    several captures, those of their common folder.
+    """
+    places = [Path(os.path.abspath(source)) for source in sources]
+    several = len(places) > 1
+    path = Path(os.path.commonpath([place.parent for place in places])) if several else places[0]
+    if path.is_file():
+        path = path.with_suffix("")
+    if Path.cwd() in path.parents:
+        path = path.relative_to(Path.cwd())
+    return "_".join(last_parts(path) + ["joint"] * several)
+
+
+def last_parts(path: Path) -> list[str]:
+    """The last parts of a path: FABRIC, SAMPLE and CAPTURE."""
+    named = path if path.name and ".." not in path.parts else path.resolve()
+    return [part for part in named.parts if part != named.anchor][-NAMED_PARTS:]
+
+
+def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
+    """Check, before any long computation, that results of ``sources`` can be written to ``out``.
+
+    Raises:
+        InputError: ``out`` is not writable, or contains the estimate of another source.
+    """
+    require_folder(out)
+    for name in (ESTIMATE, SAMPLES, *SHOWN):
+        require_file(out / name)
+    if not sources:
+        return
+    try:
+        capture = read_document(out / ESTIMATE).capture
+    except InputError:  # none, or damaged
+        return
+    others = {os.path.realpath(place): place
+              for place in capture.sources or [capture.source] if place}
+    for source in sources:
+        others.pop(os.path.realpath(source), None)
+    if others:
+        raise InputError(f"{out} holds the estimate of {next(iter(others.values()))}, which would "
+                         f"be overwritten; give another out=, or remove {out / ESTIMATE}")

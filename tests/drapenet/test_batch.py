@@ -1,0 +1,217 @@
+"""Captures of many fabrics: which are found, what survives interruption, what is in the tables."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import pytest
+from cloths import capture_views
+
+import infer
+from common.errors import InputError
+from data.captures.capture import write_capture
+from drapenet.batch.captures import entries_of, plain_name
+from drapenet.result.document import csv_table
+from sim.rig import SQUARE_RIG
+
+TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
+FORMULA, SCRIPT = "=cmd|' /C calc'!A0", "<script>alert(1)</script>"
+LIST = f"""fabric,sample,capture
+"{FORMULA}",1,0
+"{FORMULA}",2,1
+"{SCRIPT}",$x^,2
+gone,,nowhere
+sound,,{TWILL}
+twice,,3
+twice,,4
+"""
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(file.read_text("utf-8-sig").splitlines()))
+
+
+@pytest.fixture(scope="module")
+def words(tmp_path_factory: pytest.TempPathFactory, untrained_checkpoint: Path) -> list[str]:
+    """Command line for five small captures, a missing one and the bundled one."""
+    root = tmp_path_factory.mktemp("root")
+    views, intrinsics = capture_views(orientation=0.4)
+    for k in range(5):
+        if k < 4:  # the last two are the same
+            views[0, 45, 60] += 1e-3
+        write_capture(root / str(k), views=views, intrinsics=intrinsics, density=0.15,
+                      rig=SQUARE_RIG)
+    (root / "list.csv").write_text(LIST, "utf-8")
+    return [f"captures={root / 'list.csv'}", f"out={root / 'out'}", "workers=2",
+            f"checkpoint={untrained_checkpoint}"]
+
+
+@pytest.fixture(scope="module")
+def printed(words: list[str], tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What the first run prints."""
+    with pytest.MonkeyPatch.context() as patch:
+        lines: list[str] = []
+        patch.setattr("builtins.print", lambda *texts, **_: lines.extend(map(str, texts)))
+        infer.main(words)
+    return "\n".join(lines)
+
+
+@pytest.fixture
+def out(words: list[str], printed: str) -> Path:
+    return Path(words[1].removeprefix("out="))
+
+
+def test_the_tables_hold_every_fabric(out: Path, printed: str) -> None:
+    fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
+    assert {name: row["captures"] for name, row in fabrics.items()} == {
+        SCRIPT: "1", "'" + FORMULA: "2", "sound": "1"}
+    joint, single = fabrics["'" + FORMULA], fabrics[SCRIPT]
+    # The fabric's density is half of 300 g/m², and so are its moduli; equal drapes do not vary.
+    assert float(single["bias_alpha_uN_m_at_300_g_m2"]) == pytest.approx(
+        2 * float(single["bias_alpha_uN_m"]), rel=1e-4)
+    assert float(joint["alpha_bias_scatter_factor"]) == pytest.approx(1.0, abs=0.02)
+    summary = {row["fabric"]: row for row in rows(out / "summary.csv")}["'" + FORMULA]
+    low, high = summary["bias_68"].split(" to ")
+    assert len(summary) == 11
+    assert float(low) < float(summary["bias_alpha_uN_m"]) < float(high)
+    assert summary["bias_68"] in printed and "captures: 6 estimated, 1 failed" in printed
+    assert len(rows(out / "captures.csv")) == 4
+
+
+def test_failures_are_listed_with_their_reasons(out: Path) -> None:
+    gone, twice = rows(out / "failures.csv")
+    assert gone["fabric"] == "gone" and "does not exist" in gone["reason"]
+    assert twice["fabric"] == "twice" and "have the same views" in twice["reason"]
+
+
+def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out: Path, printed: str) -> None:
+    fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
+    assert fabrics["sound"]["flags"] == "" and fabrics["sound"]["captures_with_warnings"] == "0"
+    assert "by itself: " in fabrics["'" + FORMULA]["flags"]
+    counts = {row["fabric"]: int(row["warnings"]) for row in rows(out / "summary.csv")}
+    assert counts["sound"] == 0 and counts["'" + FORMULA] >= 2
+    lines = printed.splitlines()
+    assert any(line.startswith("sound") and line.endswith(" -") for line in lines)
+    page = (out / "index.html").read_text("utf-8")
+    assert page.count('<tr class="doubted">') == 2
+
+
+def test_names_are_text_in_the_pages(out: Path) -> None:
+    pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
+    assert len(pages) == 4 and not any("<script>" in page for page in pages)
+    assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
+
+
+def test_only_unfinished_and_changed_captures_are_estimated_again(
+    out: Path, words: list[str], capsys: pytest.CaptureFixture
+) -> None:
+    tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
+    done = sorted(out.rglob("done.json"))
+    times = {file: file.stat().st_mtime_ns for file in done}
+    assert len(done) == 7
+    done[0].unlink()
+    infer.main(words)
+    assert "6 of 7 captures are finished; 1 to go" in capsys.readouterr().out
+    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
+    assert {name: (out / name).read_bytes() for name in tables} == tables
+    file = out.parent / "2" / "capture.yaml"
+    file.write_text(file.read_text().replace("150.0", "300.0"))
+    infer.main(words)
+    assert "6 of 7 captures are finished" in capsys.readouterr().out
+    assert {row["density_g_m2"] for row in rows(out / "fabrics.csv")
+            if row["fabric"] == SCRIPT} == {"300"}
+
+
+def test_damaged_samples_cost_their_fabric_and_no_other(
+    out: Path, words: list[str], capsys: pytest.CaptureFixture
+) -> None:
+    samples = next(file for file in out.rglob("samples.npz") if len(
+        file.relative_to(out).parts) > 2 and "script" in str(file))
+    samples.write_bytes(samples.read_bytes()[:-100])
+    fabric = out / samples.relative_to(out).parts[0]
+    assert (fabric / "estimate.json").exists()
+    infer.main([*words, "export=csv"])
+    assert {row["fabric"] for row in rows(out / "fabrics.csv")} == {"'" + FORMULA, "sound"}
+    assert not (fabric / "estimate.json").exists() and not (fabric / "index.html").exists()
+    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 2
+    assert any(str(samples) in row["reason"] for row in rows(out / "failures.csv"))
+
+
+def test_only_broken_captures_are_an_error(tmp_path: Path, untrained_checkpoint: Path) -> None:
+    (tmp_path / "root" / "a" / "b").mkdir(parents=True)
+    (tmp_path / "root" / "a" / "b" / "view_0.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="none of 1 captures"):
+        infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}",
+                    f"checkpoint={untrained_checkpoint}", "workers=1"])
+    assert "neither capture.yaml" in rows(tmp_path / "out" / "failures.csv")[0]["reason"]
+    assert rows(tmp_path / "out" / "fabrics.csv") == []
+
+
+def test_results_of_other_captures_are_not_replaced(out: Path, words: list[str]) -> None:
+    shutil.copytree(TWILL, out.parent / "other" / "fabric")
+    with pytest.raises(InputError, match="estimates of other captures"):
+        infer.main([f"captures={out.parent / 'other'}", *words[1:]])
+
+
+def test_trees_of_every_depth_are_found(tmp_path):
+    for place in ("denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "capture.yaml").touch()
+    (tmp_path / ".hidden").mkdir()
+    (tmp_path / ".hidden" / "capture.yaml").touch()
+    (tmp_path / "denim" / "notes.txt").touch()
+    (tmp_path / "denim" / "empty").mkdir()
+    (tmp_path / "twill").mkdir()
+    (tmp_path / "twill" / "linked").symlink_to(tmp_path / "wool")
+    (tmp_path / "twill" / "loop").symlink_to(tmp_path)
+    (tmp_path / "twill" / "top").symlink_to("/")
+    entries = {(entry.fabric, entry.sample, entry.capture) for entry in entries_of(tmp_path)}
+    assert entries == {("denim", "1", "first"), ("denim", "1", "second"), ("silk", "", "only"),
+                       ("wool", "", "wool"), ("felt", "2/side", "third"), ("twill", "", "linked")}
+    with pytest.raises(InputError, match=r"is one capture: give capture="):
+        entries_of(tmp_path / "wool")
+    with pytest.raises(InputError, match="holds no captures"):
+        entries_of(tmp_path / "denim" / "empty")
+
+
+def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_path):
+    names = ["Silk", "silk", "a/b", "a:b", "../../up", "..", "con\nsole", "  "]
+    text = "fabric,capture\n" + "".join(f'"{name}",x\n' for name in names[:-2])
+    file = tmp_path / "list.csv"
+    file.write_text(text + "Silk,x\n", "utf-8")
+    places = [one.place for one in entries_of(file)]
+    assert len({str(place).casefold() for place in places}) == len(places)
+    assert places[-1].parent == places[0].parent  # the same fabric
+    assert all(not place.is_absolute() and ".." not in place.parts for place in places)
+    assert all(plain_name(name) not in ("", ".", "..") for name in names)
+
+
+def test_a_list_may_have_semicolons(tmp_path):
+    for name, text in (("a", "fabric,capture\nsilk,one\n"), ("b", "fabric;capture\nsilk;one\n"),
+                       ("c", "fabric;sample;capture\n\"silk, red\";;one\n")):
+        (tmp_path / name).write_text(text)
+    found = [entries_of(tmp_path / name)[0] for name in "abc"]
+    assert [(one.fabric, one.sample, one.capture) for one in found] == [
+        ("silk", "", "one"), ("silk", "", "one"), ("silk, red", "", "one")]
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("name,capture\na,b\n", "no column 'fabric'"),
+    ("fabric,capture\nsilk,one\n\nsilk,\n", "line 4: fabric='silk' and capture='' must"),
+    ("fabric,capture\n", "holds no captures"),
+    ("fabric,capture\n\"a,b\n", "cannot be read"),
+    (b"\xff\xfe\x00", "UTF-8"),
+])
+def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
+    file = tmp_path / "list.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=message) as raised:
+        entries_of(file)
+    assert "\n" not in str(raised.value)
+
+
+def test_cells_are_no_formulas_but_numbers_stay():
+    values = ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain", 'x,"y"\nz')
+    text = csv_table([dict(enumerate(values))])
+    assert list(csv.reader(text.splitlines(keepends=True)))[1] == [
+        "'=1+1", "'@x", "'\tx", "-2.5", "+3", "-2.5", "", "plain", 'x,"y"\nz']
