@@ -9,8 +9,8 @@ from experiments.figures import slug
 from experiments.result import ROOT, Report, table
 
 PAGE = ROOT / "docs" / "studies.md"
-ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "heads", "space", "scaling",
-         "transfer", "recognition", "optimisers", "curves", "hung")
+ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "space", "scaling", "transfer",
+         "recognition", "optimisers", "curves", "hung")
 """Experiments in the order of the page."""
 _HEAD = """# Studies
 

@@ -23,7 +23,7 @@ from experiments.drapes import (
     plan_specimen,
 )
 from experiments.page import Section
-from experiments.papers.stacked_views import StackedSet, downsample
+from experiments.papers.networks import StackedSet, downsample
 from experiments.papers.trainings import Training, load_trained, predict, train_all
 from experiments.result import (
     Config,

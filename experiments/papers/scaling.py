@@ -1,12 +1,11 @@
 """Effect of the numbers of fabrics, drapes and training steps on the error (002, section 5.2)."""
 
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.drapes import posterior_bound
 from experiments.page import Section
-from experiments.papers.trainings import Training, error_cell, train_all
+from experiments.papers.trainings import Training, error_cell, limits, log_alpha, train_all
 from experiments.result import Config, Report, Result
 
 _PER_FABRIC = (1, 2, 4)  # drapes
@@ -25,15 +24,10 @@ def run(config: Config) -> Result:
             for group, members in groups.items()})
 
 
-def _errors(report: Report, group: str) -> dict[int, float]:
-    return {int(size): one["unseen"]["fabrics"]["log_alpha"]["rmse"]
-            for size, one in report[group].items()}
-
-
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     def change(group: str) -> tuple[int, float, int, float]:
-        found = _errors(report, group)
+        found = {int(size): error for size, error in log_alpha(report[group]).items()}
         low, high = min(found), max(found)
         return low, found[low], high, found[high]
 
@@ -66,11 +60,9 @@ def draw(report: Report) -> Figure:
               "steps": "steps"}
     for axes, (group, label) in zip(figure.subplots(1, 3, sharey=True), labels.items(),
                                     strict=True):
-        found = [one["unseen"]["fabrics"]["log_alpha"] for one in report[group].values()]
-        middle = np.array([one["rmse"] for one in found])
-        low, high = np.transpose([one["interval_95"] for one in found])
-        axes.errorbar([int(size) for size in report[group]], middle,
-                      [middle - low, high - middle], fmt="o-")
+        middle, bars = limits([one["unseen"]["fabrics"]["log_alpha"]
+                               for one in report[group].values()])
+        axes.errorbar([int(size) for size in report[group]], middle, bars, fmt="o-")
         axes.axhline(posterior_bound(), color="0.5", ls=":")
         axes.set(xscale="log", xlabel=label, ylim=(0, None))
         axes.set_xticks([int(size) for size in report[group]], list(report[group]))

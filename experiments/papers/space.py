@@ -10,7 +10,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from experiments.comparison import compare
 from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
-from experiments.papers.trainings import Training, error_cell, train_all
+from experiments.papers.trainings import Training, error_cell, limits, log_alpha, train_all
 from experiments.result import Config, Report, Result, label_log_axes, run_cases, table
 from sim.drape import DrapeResult, drape
 from sim.material import Fabric
@@ -97,8 +97,8 @@ def _linear(report: Report) -> dict[str, float]:
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     found = _linear(report)
-    errors = ", ".join(f"{one['unseen']['fabrics']['log_alpha']['rmse']:.2f} ({SPACES[name]})"
-                       for name, one in report["spaces"].items())
+    errors = ", ".join(f"{error:.2f} ({SPACES[name]})"
+                       for name, error in log_alpha(report["spaces"]).items())
     return (f"On unseen fabrics of the autoencoder the error of log α is {errors}. The best linear "
             f"law (β = 0, {found['alpha']:.2f} times α) lies {found['fitted']:.1f} mm (median) "
             "from the drape of a softening fabric to which it is fitted, and "
@@ -140,10 +140,9 @@ def draw(report: Report) -> Figure:
                  if key in one["unseen"]}
         if not found:
             continue
-        middle = np.array([one["rmse"] for one in found.values()])
-        low, high = np.transpose([one["interval_95"] for one in found.values()])
-        left.errorbar(middle, np.arange(len(found)) + 0.2 * (k - 0.5),
-                      xerr=[middle - low, high - middle], fmt="o", label=label)
+        middle, bars = limits(list(found.values()))
+        left.errorbar(middle, np.arange(len(found)) + 0.2 * (k - 0.5), xerr=bars, fmt="o",
+                      label=label)
     left.set_yticks(range(len(SPACES)), [name.replace(" around ", "\naround ").replace(
         " of three ", "\nof three ") for name in SPACES.values()])
     left.set(xlabel="error of log α", xlim=(0, None), ylim=(3.1, -0.5))

@@ -31,13 +31,17 @@ from drapenet.network.targets import MODULI, TargetScale
 from drapenet.network.training import CaptureSet, fit, make_optimizer
 from experiments.estimation.prior import MixturePrior
 from experiments.papers.networks import (
+    CHANNELS,
     COMPONENTS,
+    TARGETS,
     FoldNetwork,
     MapNetwork,
     OutlineNetwork,
+    StackedSet,
     ViewNetwork,
+    capture_views,
+    setups,
 )
-from experiments.papers.stacked_views import CHANNELS, TARGETS, StackedSet, capture_views, setups
 from experiments.result import ESTIMATOR, load_arrays, run_cases
 from sim.material import FIRST, SECOND, SWAPPED
 from sim.rig import SQUARE_RIG
@@ -328,6 +332,18 @@ def stiff_first(theta: np.ndarray) -> np.ndarray:
     return np.where(theta[:, [FIRST]] < theta[:, [SECOND]], theta[:, SWAPPED], theta)
 
 
+def log_alpha(trainings: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Errors of log alpha of trainings on unseen fabrics, by name."""
+    return {name: one["unseen"]["fabrics"]["log_alpha"]["rmse"] for name, one in trainings.items()}
+
+
+def limits(errors: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (N,), and the lengths (2, N) of their bars, from :func:`rms_with_interval`."""
+    middle = np.array([one["rmse"] for one in errors])
+    low, high = np.transpose([one["interval_95"] for one in errors])
+    return middle, np.array([middle - low, high - middle])
+
+
 def error_cell(result: dict[str, Any] | None, name: str, *, interval: bool = False) -> str:
     """Error of a training (:func:`train`) on unseen fabrics, as a table cell."""
     if result is None:
@@ -344,16 +360,13 @@ def error_figure(groups: dict[str, dict[str, dict[str, Any]]]) -> Figure:
     for axes, (key, title) in zip(figure.subplots(1, 2, sharey=True), (
             ("log_alpha", "log α"), ("beta_over_alpha", "β/α")), strict=True):
         for k, (label, group) in enumerate(groups.items()):
-            found = [one["unseen"]["fabrics"][key] for one in group.values()]
-            middle = np.array([one["rmse"] for one in found])
-            low, high = np.transpose([one["interval_95"] for one in found])
+            middle, bars = limits([one["unseen"]["fabrics"][key] for one in group.values()])
             places = np.array([names.index(name) for name in group])
-            axes.errorbar(middle, places + 0.25 * (k - (len(groups) - 1) / 2),
-                          xerr=[middle - low, high - middle], fmt="o", ms=4, label=label or None)
+            axes.errorbar(middle, places + 0.25 * (k - (len(groups) - 1) / 2), xerr=bars, fmt="o",
+                          ms=4, label=label)
         axes.set(title=title, xlabel="error, in deviations over fabrics", xlim=(0, None))
         axes.set_yticks(range(len(names)), names)
         axes.grid(axis="x", color="0.9")
     axes.invert_yaxis()
-    if len(groups) > 1:
-        axes.legend(fontsize=8)
+    axes.legend(fontsize=8)
     return figure

@@ -1,13 +1,19 @@
 """Networks of studies: inputs, outputs and training data."""
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
+from cloths import skirt
 
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
+from drapenet.network.targets import Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS, elevations
 from experiments.__main__ import main
+from experiments.papers import networks
 from experiments.papers.networks import (
     Classes,
     FoldNetwork,
@@ -20,6 +26,7 @@ from experiments.papers.space import linear_fit
 from experiments.papers.trainings import UniformPrior, stiff_first
 from sim.drape import drape
 from sim.material import Fabric
+from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
 
 RIG = Rig()
@@ -108,7 +115,7 @@ def test_a_linear_law_is_fitted_to_a_linear_fabrics_drape():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["heads", "scaling"])
+@pytest.mark.parametrize("name", ["space", "scaling"])
 def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
     words = [name, "drapes=64", "start_drapes=64", "captures=1", "steps=2", "batch=8", "edge_mm=9",
              "workers=1", f"work={tmp_path / 'work'}", f"out={tmp_path / 'report.json'}",
@@ -119,3 +126,30 @@ def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
     main(words)
     assert "to go" not in capsys.readouterr().out
     assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8")) == first
+
+
+def test_symmetries_of_views_are_those_of_the_specimen():
+    specimen = make_specimen(RIG, edge=0.015).mesh
+    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=RIG, edge=0.015, start="", seed=0,
+                  offset=(0.0, 0.0), laws=None)
+    camera = nominal_camera()
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+    def views(positions: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(DepthRenderer(positions, specimen.faces).views(camera, 0.3))
+
+    for quarters, mirror in product(range(4), (False, True)):
+        symmetry = Symmetry(torch.tensor([32 * quarters]), torch.tensor([mirror]))
+        found, = networks.apply_symmetry(views(cloth.positions)[None], symmetry)
+        spun = np.linalg.matrix_power(turn, quarters)
+        first = np.array([[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1]])
+        shown = cloth.positions @ first.T * ([-1, 1, 1] if mirror else 1) @ spun.T @ first
+        assert torch.isclose(found, views(shown), atol=1e-3).float().mean() > 0.99
+
+
+def test_downsampled_views_are_means_over_cloth_pixels():
+    views = np.zeros((1, 6, 6), np.float32)
+    views[0, :3, :3], views[0, 0, 0] = 0.65, 0.0
+    views[0, 3, 3:] = 0.6
+    downsampled = networks.downsample(views)
+    np.testing.assert_allclose(downsampled, [[[1.0, 2.0], [2.0, 2.0]]], atol=1e-3)
