@@ -11,7 +11,7 @@ from common.command import compose_config
 from common.errors import InputError
 from common.types import Theta
 from data.captures.capture import Capture
-from data.dataset.options import Options, config_from_options
+from data.dataset.config import Options, config_from_options
 from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from data.dataset.manifest import SCHEMA_VERSION, json_digest, write_manifest
-from data.dataset.plan import SamplingConfig
-from data.dataset.shards import Shard, shard_name, write_shard
-from data.dataset.simulate import DatasetConfig, make_record
+from common.files import replace_json
+from data.dataset.config import DatasetConfig, SamplingConfig
+from data.dataset.folder import MANIFEST, json_digest
+from data.dataset.shards import SCHEMA_VERSION, Shard, shard_name, write_shard
+from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.cameras import Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
@@ -45,7 +46,7 @@ def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: o
         records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
         write_shard(root / shard_name(shard), records,
                     attributes={"schema_version": SCHEMA_VERSION})
-    write_manifest(root, {
+    replace_json(root / MANIFEST, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
         "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
         "identity": json_digest(config.as_dict()),

@@ -1,42 +1,125 @@
-"""The folder of a dataset: identity, complete shards and their content.
+"""The folder of a dataset: its shards, and ``dataset.json``, the manifest of settings and shards.
 
 There is no lock, as locks are unreliable on the shared file systems of clusters. Any number of
 processes may work in a folder: a file is renamed to its final name when it is complete, and all
 processes write the same bytes of a shard; the manifest reveals different settings.
 """
 
+import hashlib
+import json
+import sys
+import threading
+from bisect import bisect_right
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Any
 
-from common.documents import differences, parse_json
+import numpy as np
+from pydantic import Field
+from tqdm import tqdm
+
+from common.documents import Excerpt, differences, read_json, shown
 from common.errors import InputError
-from common.files import PARTIAL_SUFFIX, remove_partial
+from common.files import PARTIAL_SUFFIX, remove_partial, replace_json
 from common.provenance import environment
-from data.dataset.manifest import (
-    MANIFEST,
-    SCHEMA_VERSION,
-    json_digest,
-    json_text,
-    read_manifest,
-    write_manifest,
-)
-from data.dataset.progress import over_shards
-from data.dataset.shards import SHARDS, Shard, shard_name, write_shard
-from data.dataset.simulate import DatasetConfig, Record
+from data.dataset.config import DatasetConfig
+from data.dataset.shards import SCHEMA_VERSION, SHARDS, Shard, shard_name, write_shard
+from data.dataset.simulate import Record
 from data.fabrics.prior import prior_content
+from sim.rig import Rig
+
+MANIFEST = "dataset.json"
+REMEDY = "remove it and run the command that made the dataset again, which keeps complete shards"
+DELAY = 2.0  # s; shorter tasks show no bar
+
+# One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
+# them is killed while it holds it.
+tqdm.set_lock(threading.RLock())
 
 
-@dataclass(frozen=True)
-class Content:
-    """Content of a shard: SHA-256 of the file, and columns of its drapes."""
+class _Begun(Excerpt):
+    """Required content of a manifest."""
 
-    digest: str
-    statuses: list[str]
-    starts: list[str]
-    fabrics: list[int]
-    rejected: list[int]
+    remedy = REMEDY
+    identity: str
+    drapes: int = Field(ge=1, le=10**9)
+    config: dict[str, Any] = Field(min_length=1)
+    complete: bool
+    provenance: list[Any] = Field(default_factory=list)
+
+
+class _Sampling(Excerpt):
+    testers: list[str]
+    random_testers: float
+
+
+class _Config(Excerpt):
+    sampling: _Sampling
+    prior: dict[str, Any]
+
+
+class _Finished(_Begun):
+    """Required content of the manifest of a complete dataset."""
+
+    config: _Config
+    hash: str
+    shards: dict[Annotated[str, Field(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Field(
+        min_length=1)
+
+
+def read_manifest(root: Path) -> dict | None:
+    """Read ``dataset.json``; None if it does not exist.
+
+    Raises:
+        InputError: it cannot be read, is damaged, or belongs to another schema version.
+    """
+    path = root / MANIFEST
+    if not path.exists():
+        return None
+    content = read_json(path, remedy=REMEDY)
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is damaged; {REMEDY}")
+    if content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(f"{path} has the schema version {shown(content.get('schema_version'))}; "
+                         f"this program reads version {SCHEMA_VERSION}: generate the dataset "
+                         "again, in another folder")
+    (_Finished if content.get("complete") else _Begun).of(content, f"{path} is damaged")
+    return content
+
+
+def finished_manifest(root: Path) -> dict:
+    """The manifest of a complete dataset; InputError if there is none."""
+    manifest = read_manifest(root)
+    if manifest is None:
+        raise InputError(f"{root} is not a dataset: dataset.json is missing; check the path")
+    if not manifest["complete"]:
+        raise InputError(f"{root} is unfinished; complete it with python -m data.dataset.generate "
+                         f"out={root} and its original settings")
+    if json_digest(manifest["config"]) != manifest["identity"]:
+        raise InputError(f"{root / MANIFEST}: its digests do not match its content; {REMEDY}")
+    return manifest
+
+
+def only_tester(root: Path, manifest: dict) -> Rig:
+    """The tester of all drapes of a dataset; InputError if it has several."""
+    sampling = manifest["config"]["sampling"]
+    if sampling["random_testers"] or len(sampling["testers"]) != 1:
+        raise InputError(f"{root} has drapes of several testers; a network is trained on those of "
+                         "a single tester: generate them with dataset.testers=[NAME]")
+    return Rig.from_name(sampling["testers"][0])
+
+
+def json_text(content: object) -> str:
+    """The canonical text of a JSON value."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def json_digest(content: object) -> str:
+    """SHA-256 of a JSON value, hexadecimal."""
+    return hashlib.sha256(json_text(content).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -51,16 +134,6 @@ class DatasetFolder:
         """SHA-256 of the configuration."""
         return json_digest(self.config.as_dict())
 
-    @property
-    def _described(self) -> dict:
-        return {
-            "schema_version": SCHEMA_VERSION,
-            "identity": self.identity,
-            "drapes": self.config.drapes,
-            "config": self.config.as_dict(),
-            "prior": self._prior,
-        }
-
     @cached_property
     def _prior(self) -> dict:
         prior = self.config.prior
@@ -72,8 +145,9 @@ class DatasetFolder:
         """
         return self.config.as_dict() | {"prior": self._prior}
 
-    def claim(self) -> None:
-        """Create the folder, or check that it holds this dataset or part of it.
+    def claim(self) -> dict:
+        """Create the folder, or check that it holds this dataset or part of it; return its
+        manifest, empty if there is none.
 
         Raises:
             InputError: the folder cannot be created, or holds another dataset, more drapes, or
@@ -84,57 +158,44 @@ class DatasetFolder:
         except OSError as error:
             raise InputError(f"cannot create the folder {self.root}: {error.strerror}") from None
         manifest = read_manifest(self.root)
-        if manifest is not None:
-            settings = manifest["config"] | {"prior": manifest.get("prior")}
-            self._require_same(manifest["identity"], settings)
-            if manifest["drapes"] > self.config.drapes:
-                raise InputError(f"{self.root} contains {manifest['drapes']} drapes; drapes="
-                                 f"{self.config.drapes} must be {manifest['drapes']} or more")
-        else:
-            shards = set(self.root.glob(SHARDS))
-            for path in sorted(shards):
-                self._adopt(path)
+        if manifest is None:
             for path in sorted(self.root.iterdir()):
                 # Hidden files belong to the system, partial files to another job.
-                if path not in shards and path.suffix != PARTIAL_SUFFIX and path.name[0] != ".":
-                    raise InputError(f"{self.root} holds {path.name} and no {MANIFEST}: it is not "
-                                     "a dataset's; choose a new or empty folder")
-
-    def _adopt(self, path: Path) -> None:
-        """InputError unless a shard, found without a manifest, belongs to this dataset."""
-        try:
-            attributes = Shard(path).attributes
-        except InputError:
-            raise InputError(f"{self.root} has no {MANIFEST}, and {path.name} in it is damaged or "
-                             "not a shard; remove it, or choose another folder") from None
-        self._require_same(attributes.get("identity"),
-                           parse_json(attributes.get("config", ""), path))
-
-    def _require_same(self, identity: object, settings: dict) -> None:
-        if identity != self.identity:
+                if not (path.suffix == PARTIAL_SUFFIX or path.name[0] == "." or self._owns(path)):
+                    raise InputError(f"{self.root} holds {path.name} and no {MANIFEST} of this "
+                                     "dataset; choose a new or empty folder")
+            return {}
+        if manifest["identity"] != self.identity:
+            settings = manifest["config"] | {"prior": manifest.get("prior")}
             changed = ", ".join(differences(settings, self._settings)) or "unknown settings"
             raise InputError(f"{self.root} holds a dataset with other settings ({changed}); choose "
                              "another folder, or remove it")
+        if manifest["drapes"] > self.config.drapes:
+            raise InputError(f"{self.root} contains {manifest['drapes']} drapes; drapes="
+                             f"{self.config.drapes} must be {manifest['drapes']} or more")
+        return manifest
 
-    def content(self, shard: int) -> Content | None:
-        """Content of a shard; None if it is missing, damaged or has other drapes than required.
+    def _owns(self, path: Path) -> bool:
+        """Whether a file is a shard of this dataset."""
+        try:
+            return Shard(path).attributes.get("identity") == self.identity
+        except InputError:
+            return False
+
+    def shard(self, number: int) -> Shard | None:
+        """A complete shard; None if it is missing, damaged or has other drapes than required.
 
         The last shard grows when a dataset is extended.
         """
-        path = self.root / shard_name(shard)
-        if not path.exists():
-            return None
         try:
-            found = Shard(path)
+            shard = Shard(self.root / shard_name(number))
         except InputError:
             return None
-        if (found.attributes.get("identity") != self.identity
-                or found.column("index").tolist() != list(self.config.rows(shard))):
-            return None
-        return Content(found.digest, *(found.column(name).tolist() for name in
-                                       ("status", "start", "fabric", "rejected")))
+        complete = (shard.attributes.get("identity") == self.identity
+                    and shard.column("index").tolist() == list(self.config.rows(number)))
+        return shard if complete else None
 
-    def write(self, shard: int, records: list[Record]) -> None:
+    def write(self, number: int, records: list[Record]) -> None:
         """Write a shard.
 
         Raises:
@@ -142,7 +203,7 @@ class DatasetFolder:
                 by now.
         """
         self.claim()
-        name = shard_name(shard)
+        name = shard_name(number)
         try:
             remove_partial(self.root, name)
             write_shard(self.root / name, records, attributes={
@@ -155,33 +216,71 @@ class DatasetFolder:
                              "command again: finished shards are kept") from None
 
     def begin(self) -> None:
-        """Mark the dataset as incomplete in the manifest."""
-        found = read_manifest(self.root) or {}
-        begun = self._described | {"complete": False, "provenance": _provenance(found, made=True)}
-        if found != begun:
-            write_manifest(self.root, begun)
+        """Mark the dataset as incomplete in the manifest, made in the present environment."""
+        manifest = self.claim()
+        provenance, here = manifest.get("provenance", []), environment()
+        if here not in provenance:
+            provenance = [*provenance, here]
+        self._update(manifest, {"complete": False}, provenance)
 
-    def finish(self, *, made: bool = True) -> dict:
-        """Write the manifest if all shards are complete; return it, complete or not.
-
-        ``made``: whether this process has made shards.
-        """
-        self.claim()  # another process may have extended the dataset meanwhile
-        names = [shard_name(shard) for shard in range(self.config.shards)]
-        contents: dict[str, Content | None] = {}
+    def finish(self) -> dict:
+        """Write the manifest if all shards are complete; return it, complete or not."""
+        manifest = self.claim()  # another process may have extended the dataset meanwhile
+        names = [shard_name(number) for number in range(self.config.shards)]
         # Existence first: reading is wasted while other parts are unfinished.
-        if all((self.root / name).exists() for name in names):
-            contents = {name: self.content(shard)
-                        for shard, name in enumerate(over_shards(names, "checking"))}
-        if not contents or None in contents.values():
-            return self._described | {"complete": False}
-        found = read_manifest(self.root) or {}
-        manifest = (self._described | {"complete": True} | _summary(contents)
-                    | {"provenance": _provenance(found, made=made)})
-        if found != manifest:
-            write_manifest(self.root, manifest)
+        summary = ({"complete": False} if not all((self.root / name).exists() for name in names)
+                   else self._summary(names))
+        if not summary["complete"]:
+            return self._described | summary
+        manifest = self._update(manifest, summary, manifest.get("provenance", []))
         self.remove_partial()
         return manifest
+
+    @property
+    def _described(self) -> dict:
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "identity": self.identity,
+            "drapes": self.config.drapes,
+            "config": self.config.as_dict(),
+            "prior": self._prior,
+        }
+
+    def _update(self, old: dict, summary: dict, provenance: list[dict]) -> dict:
+        """Write the manifest unless it is the same as the ``old`` one; return it.
+
+        Environments are stored only in the manifest, outside its digests.
+        """
+        manifest = self._described | summary | {"provenance": provenance}
+        if manifest != old:
+            replace_json(self.root / MANIFEST, manifest)
+        return manifest
+
+    def _summary(self, names: list[str]) -> dict:
+        """Counts over all shards, and the digest that identifies the dataset's content."""
+        outcomes: Counter[str] = Counter()
+        starts: Counter[str] = Counter()
+        rejected: dict[int, int] = {}
+        digests = {}
+        for number, name in enumerate(over_shards(names, "checking")):
+            shard = self.shard(number)
+            if shard is None:
+                return {"complete": False}
+            outcomes.update(shard.column("status").tolist())
+            starts.update(shard.column("start").tolist())
+            rejected.update(zip(shard.column("fabric").tolist(), shard.column("rejected").tolist(),
+                                strict=True))
+            digests[name] = shard.digest
+        samples = len(rejected) + sum(rejected.values())
+        return {
+            "complete": True,
+            "fabrics": len(rejected),
+            "outcomes": dict(sorted(outcomes.items())),
+            "starts": dict(sorted(starts.items())),
+            "rejection_rate": sum(rejected.values()) / samples,
+            "hash": json_digest(digests),
+            "shards": digests,
+        }
 
     def remove_partial(self) -> None:
         """Remove temporary files of interrupted writers (:func:`remove_partial`)."""
@@ -189,34 +288,29 @@ class DatasetFolder:
             remove_partial(self.root, pattern)
 
 
-def _provenance(found: dict, *, made: bool) -> list[dict]:
-    """Environments in which shards were made: those in the manifest, and the present one if new.
+def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
+    """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
+    pause = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
 
-    Stored only in the manifest, outside its digests.
+
+def over_shards(shards: Iterable, doing: str) -> tqdm:
+    """Iterate over ``shards`` with a bar labelled ``doing``, which is cleared at the end."""
+    return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY)
+
+
+def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> np.ndarray:
+    """Name of the split of each drape, from the ids ``fabrics`` (N,) of their fabrics.
+
+    A fabric's split depends only on its id: all drapes of a fabric are in the same split, also when
+    the dataset is extended. ``fractions`` add up to 1.
     """
-    earlier = found.get("provenance", [])
-    if not made:
-        return earlier
-    here = environment()
-    return earlier if here in earlier else [*earlier, here]
+    bounds, names = np.cumsum(list(fractions.values()))[:-1].tolist(), list(fractions)
+    ids, position = np.unique(np.asarray(fabrics), return_inverse=True)
+    return np.array([names[bisect_right(bounds, _uniform(f"0:{fabric}"))]
+                     for fabric in ids])[position]
 
 
-def _summary(contents: dict[str, Content]) -> dict:
-    """Counts over all shards, and the digest that identifies the dataset's content."""
-    outcomes: Counter[str] = Counter()
-    starts: Counter[str] = Counter()
-    rejected: dict[int, int] = {}
-    for content in contents.values():
-        outcomes.update(content.statuses)
-        starts.update(content.starts)
-        rejected.update(zip(content.fabrics, content.rejected, strict=True))
-    samples = len(rejected) + sum(rejected.values())
-    digests = {name: content.digest for name, content in contents.items()}
-    return {
-        "fabrics": len(rejected),
-        "outcomes": dict(sorted(outcomes.items())),
-        "starts": dict(sorted(starts.items())),
-        "rejection_rate": sum(rejected.values()) / samples,
-        "hash": json_digest(digests),
-        "shards": digests,
-    }
+def _uniform(key: str) -> float:
+    """A number in [0, 1) that depends only on ``key``."""
+    return int.from_bytes(hashlib.sha256(key.encode()).digest()[:6], "big") / 2**48

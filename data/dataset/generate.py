@@ -1,4 +1,4 @@
-"""Generate datasets of simulated drapes of random fabrics.
+"""Generate datasets of simulated drapes.
 
     python -m data.dataset.generate out=outputs/dataset drapes=1500 workers=2
     python -m data.dataset.generate out=outputs/small drapes=16 edge_mm=5
@@ -23,26 +23,30 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import FIRST_COMPLETED, wait
 from pathlib import Path
 
-from common.cases import progress_bar
+import numpy as np
+from tqdm import tqdm
+
 from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
-from data.dataset.folder import DatasetFolder
-from data.dataset.options import Options, config_from_options
-from data.dataset.progress import over_shards
-from data.dataset.simulate import DatasetConfig, Solver
-from data.dataset.workers import make_shards
+from common.workers import worker_pool
+from data.dataset.config import DatasetConfig, Options, config_from_options
+from data.dataset.folder import DatasetFolder, over_shards, progress_bar
+from data.dataset.simulate import Solver, load_solver, make_record
+from data.fabrics.prior import SOFT
+from sim.material import MICRO
+
+POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
 
 def generate_dataset(
-    config: DatasetConfig,
-    out: str | Path,
-    *,
-    workers: int = 1,
-    part: int = 0,
-    parts: int = 1,
+    config: DatasetConfig, out: Path, *, workers: int = 1, part: int = 0, parts: int = 1,
     solver: Solver | None = None,
 ) -> dict:
     """Generate, complete or extend the dataset in the folder ``out``.
@@ -70,26 +74,24 @@ def generate_dataset(
         raise InputError(f"workers={workers} must be at least 1")
     if not 0 <= part < parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
+    if config.sampling.soft_share and not config.prior.soft_share:
+        raise InputError(f"soft_share={config.sampling.soft_share:g}: no sample of the prior is "
+                         f"soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     folder = DatasetFolder(Path(out), config)
     try:
         folder.claim()
-        mine = range(part, config.shards, parts)
-        missing = [shard for shard in over_shards(mine, "checking")
-                   if folder.content(shard) is None]
+        shards = range(part, config.shards, parts)
+        missing = [shard for shard in over_shards(shards, "checking")
+                   if folder.shard(shard) is None]
         if missing:
             folder.begin()
-        total, missing_drapes = (sum(len(config.rows(shard)) for shard in shards)
-                                 for shards in (mine, missing))
-        present = total - missing_drapes
-        with progress_bar(total=total, initial=present, unit="drape", smoothing=0.05) as bar:
-            def report(made: int, failed: int) -> None:
-                bar.set_postfix_str(f"{failed} failed", refresh=False)
-                bar.update(present + made - bar.n)
-
-            spent = make_shards(folder, missing, workers=workers, solver=solver, report=report)
-        if missing:
-            print(spent, file=sys.stderr)
-        manifest = folder.finish(made=bool(missing))
+            total, left = (sum(len(config.rows(shard)) for shard in group)
+                           for group in (shards, missing))
+            with progress_bar(total=total, initial=total - left, unit="drape",
+                              smoothing=0.05) as bar:
+                time_spent = make_shards(folder, missing, workers=workers, solver=solver, bar=bar)
+            print(time_spent, file=sys.stderr)
+        manifest = folder.finish()
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
     if parts == 1 and not manifest["complete"]:
@@ -98,19 +100,94 @@ def generate_dataset(
     return manifest
 
 
+def make_shards(
+    folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
+) -> str:
+    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text.
+
+    Raises:
+        InputError: a shard cannot be written; a worker was killed from outside.
+    """
+    workers, began, seconds = min(workers, len(shards)), time.time(), Counter()
+    present = bar.n
+    try:
+        with tempfile.NamedTemporaryFile() as file, worker_pool(workers) as pool:
+            counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
+            running = {pool.submit(_make_shard, folder, file.name, solver, place, shard)
+                       for place, shard in enumerate(shards)}
+            while running:
+                done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
+                drapes, failed = counts.sum(axis=0).tolist()
+                bar.set_postfix_str(f"{failed} failed", refresh=False)
+                bar.update(present + drapes - bar.n)
+                for future in done:
+                    seconds.update(future.result())
+    except BaseException:
+        folder.remove_partial()  # processes may have been killed while writing
+        raise
+    return _time_spent(workers, time.time() - began, seconds)
+
+
+def _make_shard(
+    folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
+) -> Counter[str]:
+    """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
+
+    ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
+    at each index (``place``). There is no lock, as it would remain locked if its holder was killed.
+    """
+    cpu, wall, seconds = time.process_time(), time.perf_counter(), Counter(solver=0.0)
+    solver = solver or load_solver()
+
+    def timed(*arguments: object, **settings: object) -> object:
+        before = time.process_time()
+        try:
+            return solver(*arguments, **settings)
+        finally:
+            seconds["solver"] += time.process_time() - before
+
+    done = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
+    rows = folder.config.rows(shard)
+    if folder.shard(shard) is None:
+        records: list[dict] = []
+        for index in rows:
+            records.append(make_record(index, folder.config, earlier=records, solver=timed))
+            done[place] += 1, records[-1]["status"] != b"converged"
+        folder.write(shard, records)
+    done[place, 0] = len(rows)
+    seconds["rest"] = time.process_time() - cpu - seconds["solver"]
+    seconds["wall"] = time.perf_counter() - wall
+    return seconds
+
+
+def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
+    """Breakdown of the CPU and idle time of ``workers`` processes in ``wall`` seconds.
+
+    ``seconds`` are sums over the workers: CPU time of ``solver`` and ``rest``; ``wall``, elapsed
+    time of their tasks.
+    """
+    spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
+             "start and idle": max(workers * wall - seconds["wall"], 0.0)}
+    total = max(sum(spent.values()), 1e-9)
+    shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
+    return (f"time of {workers} worker processes: {shares}; waiting for a core or the disk: "
+            f"{max(workers * wall - total, 0.0):.0f} of {workers * wall:.0f} s")
+
+
 @command("generate", Options)
 def main(options: Options) -> None:
     """Generate the dataset, or part of it, of ``options`` and print a summary."""
-    manifest = generate_dataset(config_from_options(options), folder_named(options.out),
-                                workers=options.workers, part=options.part, parts=options.parts)
+    out = folder_named(options.out)
+    manifest = generate_dataset(config_from_options(options), out, workers=options.workers,
+                                part=options.part, parts=options.parts)
     if not manifest["complete"]:
-        print(f"part {options.part} of {options.parts} of {options.out} is done, other parts are "
-              "not; the last one writes dataset.json")
+        print(f"part {options.part} of {options.parts} of {out} is done, other parts are not; the "
+              "last one writes dataset.json")
         return
-    size = sum((Path(options.out) / name).stat().st_size for name in manifest["shards"])
-    outcomes = ", ".join(f"{count} {name}" for name, count in manifest["outcomes"].items())
-    starts = ", ".join(f"{count} {name}" for name, count in manifest["starts"].items())
-    print(f"{manifest['drapes']} drapes of {manifest['fabrics']} fabrics in {options.out} "
+    size = sum((out / name).stat().st_size for name in manifest["shards"])
+    outcomes, starts = (", ".join(f"{count} {name}" for name, count in manifest[key].items())
+                        for key in ("outcomes", "starts"))
+    print(f"{manifest['drapes']} drapes of {manifest['fabrics']} fabrics in {out} "
           f"({size / 1e6:.1f} MB, {size / 1e3 / manifest['drapes']:.1f} kB a drape): {outcomes}")
     print(f"starts: {starts}; impossible fabrics drawn and rejected: "
           f"{manifest['rejection_rate']:.2%}")

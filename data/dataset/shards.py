@@ -17,17 +17,16 @@ import numpy as np
 from common.documents import read_bytes
 from common.errors import InputError, one_line
 from common.files import replace_file
-from data.dataset.manifest import SCHEMA_VERSION
+from common.types import Faces, Points, RestPoints
 from data.fabrics.nuisances import NAMES
 from sim.rig import Rig
 
+SCHEMA_VERSION = 7  # of manifests and shards
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
 COMPRESSION = 4  # gzip level
-MAX_SHARD_BYTES = 4 << 30  # bytes, of a file and of each of its arrays
-MAX_EXTENT = 1 << 20  # of an array along an axis
-MAX_FOLDS = 1000
+MAX_SHARD_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,7 @@ FACES = "faces"
 def fields(vertices: int, triangles: int) -> dict[str, Field]:
     """The arrays of a shard with one row per drape.
 
-    Args:
-        vertices, triangles: V and F, of the drape's mesh or, for a shard, the largest ones.
+    ``vertices`` and ``triangles``: numbers of the drape's mesh or, for a shard, the largest ones.
     """
     return {
         "index": Field("i8", (), "", "index of the drape in the dataset"),
@@ -174,28 +172,14 @@ def _seal(digest: str) -> bytes:
     return text.encode().ljust(SEAL_SIZE, b"\0")
 
 
-def _wrong_array(file: h5py.File) -> str:
-    """Name of the first array that is missing, has another type or shape, is too large or is stored
-    in another file; empty if there is none.
-    """
-    found = {name: file[name] for name in file
-             if isinstance(file.get(name, getlink=True), h5py.HardLink)
-             and isinstance(file[name], h5py.Dataset)}
-    sizes = [found[name].shape for name in ("index", "positions", FACES) if name in found]
-    if [len(size) for size in sizes] != [1, 3, 3] or any(
-            extent > MAX_EXTENT for size in sizes for extent in size):
-        return "index, positions or faces"
-    (rows,), (_, vertices, _), (meshes, triangles, _) = sizes
-    expected = {name: (field.dtype, (rows, *field.shape))
-                for name, field in fields(vertices, triangles).items()}
-    for name, layout in (expected | {FACES: ("i4", (meshes, triangles, 3))}).items():
-        array = found.get(name)
-        if (array is None or (array.dtype, array.shape) != (np.dtype(layout[0]), layout[1])
-                or array.external or array.is_virtual
-                or array.nbytes > MAX_SHARD_BYTES
-                or np.prod(array.chunks or 0, dtype=float) > MAX_EXTENT * 3):
-            return name
-    return ""
+def _require_layout(file: h5py.File) -> None:
+    """ValueError unless all arrays have the types and shapes of :func:`fields`."""
+    (rows, vertices, _), (meshes, triangles, _) = file["positions"].shape, file[FACES].shape
+    layout = {name: (field.dtype, (rows, *field.shape))
+              for name, field in fields(vertices, triangles).items()}
+    for name, expected in (layout | {FACES: ("i4", (meshes, triangles, 3))}).items():
+        if (file[name].dtype, file[name].shape) != (np.dtype(expected[0]), expected[1]):
+            raise ValueError(f"{name} does not have the type or shape of docs/data_format.md")
 
 
 class Shard:
@@ -221,46 +205,14 @@ class Shard:
         self.digest = hashlib.sha256(data).hexdigest()
         try:
             with h5py.File(io.BytesIO(data), "r") as file:
-                wrong = _wrong_array(file)
-                if not wrong:
-                    self.attributes = {name: value.decode() if isinstance(value, bytes) else value
-                                       for name, value in file.attrs.items()}
-                    self._arrays = {name: file[name][:] for name in (*fields(0, 0), FACES)}
-                    self.storage = {name: rows.id.get_storage_size()
-                                    for name, rows in file.items()}
-        except (RuntimeError, OSError, KeyError, ValueError, TypeError, IndexError) as error:
-            # h5py's errors for an invalid structure.
+                _require_layout(file)
+                self.attributes = {name: value.decode() if isinstance(value, bytes) else value
+                                   for name, value in file.attrs.items()}
+                self._arrays = {name: rows[:] for name, rows in file.items()}
+                self.storage = {name: rows.id.get_storage_size() for name, rows in file.items()}
+        except (RuntimeError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{self.path} is damaged ({one_line(error)}); generate it again"
                              ) from None
-        if wrong:
-            raise InputError(f"{self.path}: {wrong} does not have the type or shape given in "
-                             "docs/data_format.md; generate the shard again")
-
-    def require_valid(self) -> None:
-        """InputError for values out of range."""
-        column = {name: self.column(name) for name, field in fields(0, 0).items()
-                  if name not in (*COORDINATES, ORIGIN)}
-        done = column["status"] == "converged"
-        vertices, faces = column["vertices"], self._arrays[FACES]
-        valid = {
-            "theta": np.isfinite(column["theta"]).all(),
-            "specimen_size": (column["specimen_size"] > 0).all(),
-            "plate_diameter": (column["plate_diameter"] > 0).all(),
-            "nuisances": np.isfinite(column["nuisances"]).all(),
-            "drape_coefficient": np.isfinite(column["drape_coefficient"][done]).all(),
-            "folds": ((column["folds"] >= done - 1) & (column["folds"] <= MAX_FOLDS)).all(),
-            "rejected": column["rejected"].min(initial=0) >= 0,
-            "vertices": ((vertices >= 3 * done)
-                         & (vertices <= self._arrays["positions"].shape[1])).all(),
-            "mesh": ((column["mesh"] >= 0) & (column["mesh"] < len(faces))).all(),
-            "faces": faces.min(initial=0) >= 0,
-        }
-        if valid["mesh"]:
-            largest = faces.max(axis=(1, 2), initial=0)
-            valid["faces"] &= (largest[column["mesh"]][done] < vertices[done]).all()
-        if wrong := [name for name, right in valid.items() if not right]:
-            raise InputError(f"{self.path}: {wrong[0]} has values that no drape has; generate the "
-                             "shard again")
 
     def __len__(self) -> int:
         return len(self._arrays["index"])
@@ -270,8 +222,8 @@ class Shard:
         rows = self._arrays[name]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
-    def mesh(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (V, 3) m, rest (V, 2) m and faces (F, 3) int64 of a drape."""
+    def mesh(self, row: int) -> tuple[Points, RestPoints, Faces]:
+        """Positions, rest points and faces of a drape."""
         vertices = slice(int(self._arrays["vertices"][row]))
         positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
         faces = self._arrays[FACES][self._arrays["mesh"][row]]

@@ -116,12 +116,10 @@ class NuisanceConfig:
 
     def __post_init__(self) -> None:
         for name in ("membrane", "shear"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
             limits = getattr(self, name)
             if len(limits) != 2 or not 0 < limits[0] <= limits[1] < math.inf:
                 raise InputError(f"nuisances.{name}: give two numbers above 0, the smaller one "
                                  "first")
-        object.__setattr__(self, "hysteresis", tuple(self.hysteresis))
         least, most = self.hysteresis
         if not (0 < least <= most <= KES_CURVATURE or (least, most) == (0.0, 0.0)):
             raise InputError(f"nuisances.hysteresis={list(self.hysteresis)}: give two numbers "

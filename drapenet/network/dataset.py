@@ -18,7 +18,7 @@ from tqdm import tqdm
 from common.files import remove_partial, replace_file
 from common.types import Theta
 from common.workers import worker_pool
-from data.dataset.manifest import json_digest, only_tester
+from data.dataset.folder import json_digest, only_tester
 from data.dataset.shards import Shard
 from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups

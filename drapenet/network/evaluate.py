@@ -24,9 +24,8 @@ from tqdm import tqdm
 from common.command import command, compose_config
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
+from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.generate import generate_dataset
-from data.dataset.options import Options, config_from_options
-from data.dataset.simulate import DatasetConfig
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import TablePrior, is_soft

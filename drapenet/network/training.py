@@ -18,8 +18,7 @@ from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
 from common.provenance import release
-from data.dataset.manifest import finished_manifest, only_tester
-from data.dataset.splits import split_by_fabric
+from data.dataset.folder import finished_manifest, only_tester, split_by_fabric
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES

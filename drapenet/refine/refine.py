@@ -16,7 +16,7 @@ from tqdm import tqdm
 from common.command import compose_config
 from common.configs import read_option
 from data.captures.capture import Capture
-from data.dataset.options import Options, config_from_options
+from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.render.rays import DepthRenderer

@@ -24,7 +24,7 @@ import numpy as np
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
-from data.dataset.manifest import finished_manifest
+from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from common.errors import InputError
 from data.captures.capture import Capture, checked_views
-from data.dataset.manifest import finished_manifest
+from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups, SyntheticCapture

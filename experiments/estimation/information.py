@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from common.command import compose_config
-from data.dataset.options import Options, config_from_options
-from data.dataset.plan import SamplingConfig, Stream, plan_drape, stream
+from data.dataset.config import Options, SamplingConfig, config_from_options
+from data.dataset.plan import Stream, plan_drape, stream
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES, Nuisances
 from data.fabrics.prior import load_prior

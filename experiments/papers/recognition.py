@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.dataset.plan import STARTS
+from data.dataset.config import STARTS
 from experiments.comparison import mean_curvature
 from experiments.drapes import (
     RIG,

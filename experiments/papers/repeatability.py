@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.dataset.plan import STARTS
+from data.dataset.config import STARTS
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.network.dataset import Maps

@@ -17,10 +17,9 @@ import torch
 from matplotlib.figure import Figure
 
 from common.command import compose_config
+from data.dataset.config import Options, config_from_options
+from data.dataset.folder import finished_manifest, json_digest, split_by_fabric
 from data.dataset.generate import generate_dataset
-from data.dataset.manifest import finished_manifest, json_digest
-from data.dataset.options import Options, config_from_options
-from data.dataset.splits import split_by_fabric
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import Prior, TablePrior, load_prior
 from drapenet.config import ModelConfig, TrainConfig

@@ -9,7 +9,8 @@ from collections import Counter
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.dataset.plan import SamplingConfig, plan_drape
+from data.dataset.config import SamplingConfig
+from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
 from experiments.result import Config, Result, label_log_axes, run_cases

@@ -20,7 +20,7 @@ import torch
 from readers import small_config
 
 import data.dataset.folder
-import data.dataset.workers
+import data.dataset.generate
 import train
 from common.command import compose_config
 from common.errors import InputError
@@ -55,7 +55,7 @@ def _here(workers: int) -> Iterator[Executor]:
 def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) -> dict:
     """A small dataset of drapes that cost little; ``workers`` 0 for none but this process."""
     if not workers:
-        data.dataset.workers.worker_pool = _here
+        data.dataset.generate.worker_pool = _here
     return generate_dataset(small_config(DRAPES, PER_SHARD), out, part=part, parts=parts,
                             workers=workers or 1, solver=fake_drapes.cone)
 
@@ -135,7 +135,7 @@ def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
 
 
 def _require_complete(out: Path) -> None:
-    from data.dataset.manifest import finished_manifest
+    from data.dataset.folder import finished_manifest
 
     finished_manifest(out)
 

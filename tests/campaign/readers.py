@@ -2,7 +2,6 @@
 
 import csv
 import hashlib
-import io
 import json
 import os
 import random
@@ -13,7 +12,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import fake_drapes
-import h5py
 import numpy as np
 import torch
 import trimesh
@@ -42,14 +40,10 @@ from common.errors import InputError
 from data.captures.capture import read_capture
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
-from data.dataset.folder import DatasetFolder
-from data.dataset.inspect import figures
-from data.dataset.inspect.check import check_dataset
-from data.dataset.inspect.pictures import histograms
-from data.dataset.manifest import json_digest
-from data.dataset.plan import SamplingConfig
-from data.dataset.shards import SEAL_SIZE, _seal
-from data.dataset.simulate import DatasetConfig, make_record
+from data.dataset import inspect
+from data.dataset.config import DatasetConfig, SamplingConfig
+from data.dataset.folder import DatasetFolder, json_digest
+from data.dataset.simulate import make_record
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
@@ -300,36 +294,6 @@ def _dataset(folder: Path) -> None:
     made.finish()
 
 
-def _damaged_shard(data: bytes, rng: random.Random) -> bytes:
-    """Arrays and attributes of a shard, or bytes of it."""
-    if rng.random() < 0.4:
-        return data[:SEAL_SIZE] + damaged_bytes(data[SEAL_SIZE:], rng)
-    memory = io.BytesIO(data)
-    with h5py.File(memory, "r+") as file:
-        for _ in range(rng.choice((1, 1, 3))):
-            name = rng.choice(sorted(file))
-            array, way = file[name], rng.randrange(6)
-            if way <= 2 and 0 < array.size < 1 << 20:
-                values = array[()]
-                flat = values.reshape(-1)
-                for _ in range(rng.choice((1, 3))):
-                    flat[rng.randrange(flat.size)] = (
-                        rng.choice((b"", b"\xff\xfe", b"x" * 400)) if values.dtype.kind == "S" else
-                        rng.choice((0, -1, 5, 127, np.iinfo(values.dtype).max))
-                        if values.dtype.kind == "i" else rng.choice((0, np.nan, np.inf, 1e300)))
-                array[...] = values
-            elif way == 3:
-                del file[name]
-            elif way == 4:
-                del file[name]
-                shape = rng.choice(((), (2,), (2**31,), (4, 2**20, 3), (4, 3)))
-                file.create_dataset(name, shape, rng.choice(("f8", "i4", "S8", "i8")), chunks=(
-                    None if not shape or rng.random() < 0.5 else (1,) * len(shape)))
-            else:
-                file.attrs[rng.choice(sorted(file.attrs))] = rng.choice((-1, 6, b"x", b"[" * 9999))
-    return memory.getvalue()
-
-
 def _damaged_manifest(data: bytes, rng: random.Random) -> bytes:
     content = json.loads(data)
     if rng.random() < 0.5:
@@ -340,22 +304,10 @@ def _damaged_manifest(data: bytes, rng: random.Random) -> bytes:
 
 
 def _mend_dataset(folder: Path) -> None:
-    """Seals and digests that fit what is there."""
+    """Digests that fit what is there; damage of shards shows by their seals."""
     try:
-        for path in folder.glob("shard_*.h5"):
-            if path.is_file() and path.stat().st_size < 1 << 30:
-                content = path.read_bytes()[SEAL_SIZE:]
-                path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
         manifest = json.loads((folder / "dataset.json").read_text())
         manifest["identity"] = json_digest(manifest["config"])
-        manifest["shards"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
-                              for name in manifest["shards"]}
-        manifest["hash"] = json_digest(manifest["shards"])
-        for path in folder.glob("shard_*.h5"):
-            with h5py.File(path, "r+") as file:
-                file.attrs["identity"] = np.bytes_(manifest["identity"].encode())
-            content = path.read_bytes()[SEAL_SIZE:]
-            path.write_bytes(_seal(hashlib.sha256(content).hexdigest()) + content)
         manifest["shards"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
                               for name in manifest["shards"]}
         manifest["hash"] = json_digest(manifest["shards"])
@@ -365,13 +317,13 @@ def _mend_dataset(folder: Path) -> None:
 
 
 def _read_dataset(folder: Path) -> None:
-    figures.PRIOR_SAMPLES = 50
-    manifest = check_dataset(folder)
-    drapes = figures.read_drapes(folder, manifest, intersections=1)
-    prior = figures.prior_samples(manifest)
-    figures.report(manifest, drapes, prior)
+    inspect.PRIOR_SAMPLES = 50
+    manifest = inspect.check_dataset(folder)
+    drapes = inspect.read_drapes(folder, manifest, intersections=1)
+    prior = inspect.prior_samples(manifest)
+    inspect.report(manifest, drapes, prior)
     if manifest["identity"][0] in "01":
-        histograms(drapes, prior[0])
+        inspect.histograms(drapes, prior[0])
     DatasetFolder(folder, small_config()).finish()
 
 
@@ -467,7 +419,7 @@ READERS = {
         data, rng, damaged_bytes)}, _read_state),
     "estimate": Reader(_estimate, {"estimate.json": damaged_json, "samples.npz": lambda data, rng:
                                    damaged_zip(data, rng, damaged_bytes)}, _read_estimate),
-    "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, _damaged_shard)
+    "dataset": Reader(_dataset, _each("shard_0000{}.h5", 2, damaged_bytes)
                       | {"dataset.json": _damaged_manifest}, _read_dataset, _mend_dataset),
     "set-ups": Reader(_setup, {"setup.json": damaged_json}, _read_setup),
     "upload": Reader(_upload, {"capture.zip": lambda data, rng: damaged_zip(

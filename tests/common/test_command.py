@@ -20,8 +20,8 @@ from common.configs import group_options, read_config, read_option
 from common.errors import InputError
 from data.captures.preview import CaptureConfig
 from data.dataset import generate
-from data.dataset.inspect.__main__ import InspectConfig
-from data.dataset.options import Options
+from data.dataset.config import Options
+from data.dataset.inspect import InspectConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
 from drapenet.service.settings import Settings

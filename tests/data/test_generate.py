@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
+from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import DatasetFolder
 from data.dataset.generate import generate_dataset, main
-from data.dataset.plan import SamplingConfig, plan_drape
+from data.dataset.plan import plan_drape
 from data.dataset.shards import LENGTH_UNIT, Shard
-from data.dataset.simulate import DatasetConfig, make_record
+from data.dataset.simulate import make_record
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
 from sim.solver import linear
@@ -191,7 +192,7 @@ def test_another_configuration_is_refused(tmp_path):
 
 def test_a_folder_of_other_things_is_not_a_datasets(tmp_path):
     (tmp_path / "notes.md").touch()
-    with pytest.raises(InputError, match=r"holds notes.md and no dataset.json"):
+    with pytest.raises(InputError, match=r"holds notes\.md and no dataset"):
         generate(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.md"]
     (tmp_path / "notes.md").rename(tmp_path / ".hidden")
@@ -200,7 +201,7 @@ def test_a_folder_of_other_things_is_not_a_datasets(tmp_path):
 
 def test_shards_of_unknown_origin_are_not_touched(tmp_path):
     (tmp_path / "shard_00000.h5").write_text("mine")
-    with pytest.raises(InputError, match=r"no dataset\.json, and shard_00000\.h5"):
+    with pytest.raises(InputError, match=r"holds shard_00000\.h5 and no dataset"):
         generate(tmp_path)
     assert (tmp_path / "shard_00000.h5").read_text() == "mine"
 
@@ -209,7 +210,7 @@ def test_shards_without_a_manifest_are_taken_up_if_they_are_the_datasets(finishe
     folder = tmp_path / "set"
     shutil.copytree(finished[0], folder)
     (folder / "dataset.json").unlink()
-    with pytest.raises(InputError, match=r"other settings \(sampling\.seed\)"):
+    with pytest.raises(InputError, match=r"holds shard_00000\.h5 and no dataset"):
         generate(folder, small_config(seed=5))
     # Where they were made is not known any more.
     assert generate(folder, solver=fake_drapes.killed) == finished[1] | {"provenance": []}

@@ -17,7 +17,8 @@ import pytest
 from test_generate import ROOT, files, generate, small_config
 
 from common.errors import InputError
-from data.dataset.plan import BORROWED, choose_lender
+from data.dataset.config import BORROWED
+from data.dataset.plan import choose_lender
 from data.dataset.shards import LENGTH_UNIT, Shard
 from data.dataset.simulate import make_record
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.dataset.options import Options, config_from_options
-from data.dataset.plan import SamplingConfig, draw_fabric, plan_drape
+from data.dataset.config import Options, SamplingConfig, config_from_options
+from data.dataset.plan import draw_fabric, plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, is_soft, load_prior
 from sim.cloth import Laws

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.dataset.plan import SamplingConfig, choose_lender, plan_drape
+from data.dataset.config import SamplingConfig
+from data.dataset.plan import choose_lender, plan_drape
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import load_prior
 from sim.rig import DISC_RIG, SQUARE_RIG

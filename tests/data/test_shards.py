@@ -1,5 +1,4 @@
 import hashlib
-import json
 import re
 import time
 from pathlib import Path
@@ -9,8 +8,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.dataset.manifest import SCHEMA_VERSION, read_manifest, write_manifest
-from data.dataset.shards import SEAL_SIZE, Shard, fields, to_counts, write_shard
+from data.dataset.shards import SCHEMA_VERSION, SEAL_SIZE, Shard, fields, to_counts, write_shard
 from sim.rig import Rig
 
 VERTICES = 81
@@ -161,32 +159,6 @@ def test_other_files_are_no_shard(tmp_path):
                             ("old.h5", "not a shard of schema version 7")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
-
-
-def test_manifest(tmp_path):
-    assert read_manifest(tmp_path) is None
-    begun = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
-             "config": {"sampling": {}}}
-    finished = begun | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"},
-                        "config": {"sampling": {"testers": ["disc300_support180"],
-                                                "random_testers": 0.0}, "prior": {}}}
-    for content in (begun, finished):
-        write_manifest(tmp_path, content)
-        assert read_manifest(tmp_path) == content
-    damaged = [begun | {name: value} for name, value in (
-        ("drapes", "10"), ("config", []), ("identity", None), ("complete", 0))]
-    damaged += [{"schema_version": SCHEMA_VERSION}, begun | {"complete": True},
-                finished | {"shards": {}}, finished | {"shards": ["shard_00000.h5"]},
-                finished | {"config": {"sampling": {"testers": "disc"}, "prior": {}}},
-                finished | {"config": {"sampling": finished["config"]["sampling"]}}]
-    texts = ["", "{", "[]", "[" * 100_000, *map(json.dumps, damaged)]
-    complaints = {text: "is damaged.* remove it" for text in texts}
-    complaints |= {f'{{"schema_version": {k}}}': f"schema version {k};" for k in (6, 8)}
-    for text, complaint in complaints.items():
-        (tmp_path / "dataset.json").write_text(text)
-        with pytest.raises(InputError, match=complaint) as refusal:
-            read_manifest(tmp_path)
-        assert "\n" not in str(refusal.value)
 
 
 def test_the_documentation_lists_every_field():

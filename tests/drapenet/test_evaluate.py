@@ -11,7 +11,7 @@ from checkpoints import change_description, description
 
 import drapenet.network.evaluate
 from common.errors import InputError
-from data.dataset.manifest import finished_manifest
+from data.dataset.folder import finished_manifest
 from data.fabrics.prior import load_prior, prior_content
 from data.render.setups import Setups
 from drapenet.network.checkpoint import load_model, read_header

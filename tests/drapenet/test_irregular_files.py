@@ -14,7 +14,7 @@ from data.captures.capture import read_capture
 from data.captures.frames import read_array, read_exr, read_picture, read_points
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
-from data.dataset.manifest import read_manifest
+from data.dataset.folder import read_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import load_prior

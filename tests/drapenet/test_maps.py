@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.dataset.manifest import finished_manifest
+from data.dataset.folder import finished_manifest
 from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups

@@ -1,0 +1,204 @@
+"""Settings that determine the bytes of a dataset, and the keys of ``configs/generate.yaml``."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Annotated
+
+from pydantic import Field
+
+from common.command import Seed, Workers
+from common.errors import InputError
+from common.provenance import release
+from common.types import Metres
+from common.units import si
+from data.fabrics.nuisances import NuisanceConfig
+from data.fabrics.prior import Prior, load_prior, prior_content
+from data.testers import named_tester
+from sim.mesh.specimen import EDGE_RANGE
+from sim.rig import SQUARE_RIG, Rig
+from sim.start import LOWERED
+from sim.start import STARTS as SHAPES
+
+STARTS = (LOWERED, *SHAPES)
+"""Initial states that need no other drape."""
+BORROWED = "borrowed"
+"""The initial state is an earlier drape of another fabric in the same shard."""
+_MAX_SOFT_SHARE = 0.5
+Count = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Settings that determine the drapes of a dataset, besides prior and solver.
+
+    Attributes:
+        seed: seed of the dataset.
+        starts_per_fabric: drapes of each fabric.
+        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1), from
+            :data:`STARTS` and :data:`BORROWED`.
+        testers: names of testers, drawn with equal probability.
+        random_testers: share of testers that are drawn from the ranges of :mod:`data.testers`.
+        testers_per_fabric: number of testers drawn for each fabric; its drapes use each in turn.
+        both_faces: whether the fabric's face up is drawn for each drape, both faces at least once;
+            else its marked face is up.
+        drift: standard deviation of the specimen's offset from the plate's axis along warp and
+            weft each.
+        soft_share: share of fabrics that are drawn from the soft ones of the prior, see
+            :func:`data.fabrics.prior.is_soft`; the others are drawn from the full prior.
+        nuisances: their distributions.
+    """
+
+    seed: int = 0
+    starts_per_fabric: int = 2
+    starts: tuple[str, ...] = (LOWERED,)
+    testers: tuple[str, ...] = (SQUARE_RIG.name,)
+    random_testers: float = 0.0
+    testers_per_fabric: int = 1
+    both_faces: bool = False
+    drift: Metres = 0.003
+    soft_share: float = 0.0
+    nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
+
+    def __post_init__(self) -> None:
+        for name in self.testers:
+            named_tester(name)
+        starts, drift, soft = list(self.starts), 1e3 * self.drift, self.soft_share
+        for allowed, complaint in (
+            (0 <= self.random_testers <= 1 and (self.testers or self.random_testers == 1),
+             f"random_testers={self.random_testers:g} must lie between 0 and 1, and be 1 without "
+             "testers"),
+            (1 <= self.testers_per_fabric <= self.starts_per_fabric,
+             f"testers_per_fabric={self.testers_per_fabric} must lie between 1 and "
+             f"starts_per_fabric={self.starts_per_fabric}"),
+            (set(starts) <= {*STARTS, BORROWED},
+             f"starts={starts} must contain only {', '.join(STARTS)}, {BORROWED}"),
+            (set(starts) & set(STARTS), f"starts={starts} must contain {' or '.join(STARTS)}: the "
+             "first drapes have nothing to borrow"),
+            (BORROWED not in starts or self.only_tester,
+             f"starts={starts}: drapes of one tester only can be {BORROWED}; give a single name in "
+             "testers"),
+            (0 <= drift <= 20, f"drift_mm={drift:g} must lie between 0 and 20"),
+            (0 <= soft <= _MAX_SOFT_SHARE,
+             f"soft_share={soft:g} must lie between 0 and {_MAX_SOFT_SHARE:g}"),
+        ):
+            if not allowed:
+                raise InputError(complaint)
+
+    @property
+    def only_tester(self) -> Rig | None:
+        """The tester of all drapes; None if there are several."""
+        if self.random_testers or len(self.testers) != 1:
+            return None
+        return named_tester(self.testers[0])
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """All settings that determine a dataset's bytes.
+
+    Attributes:
+        drapes: number of drapes.
+        sampling: fabrics, testers, specimens, starts, seed.
+        prior: distribution of the fabrics.
+        edge: edge length of the meshes at the plate's rim; 0: chosen for each fabric, see
+            :func:`sim.mesh.specimen.default_edge`.
+        drapes_per_shard: drapes per file.
+    """
+
+    drapes: int
+    sampling: SamplingConfig
+    prior: Prior
+    edge: Metres = 0.0
+    drapes_per_shard: int = 64
+
+    def __post_init__(self) -> None:
+        if self.edge and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
+            raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
+                             f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
+
+    def as_dict(self) -> dict:
+        """Settings that determine each drape and its record, in JSON types; without their number.
+        """
+        settings = {
+            "sampling": asdict(self.sampling),
+            "prior": prior_content(self.prior),
+            "solver": {"edge_mm": round(1e3 * self.edge, 6)},
+            "storage": {"drapes_per_shard": self.drapes_per_shard},
+            "code_version": release(),
+        }
+        return json.loads(json.dumps(settings))  # tuples are lists in JSON
+
+    def rows(self, shard: int) -> range:
+        """Indices of the drapes in a shard."""
+        first = shard * self.drapes_per_shard
+        return range(first, min(first + self.drapes_per_shard, self.drapes))
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.drapes // self.drapes_per_shard)
+
+
+@dataclass
+class DatasetOptions:
+    """The group ``dataset``; see ``configs/dataset``."""
+
+    starts_per_fabric: Count
+    starts: list[str]
+    testers: list[str]
+    random_testers: float
+    testers_per_fabric: int
+    both_faces: bool
+    drift_mm: float
+    soft_share: float
+    drapes_per_shard: Count
+
+
+@dataclass
+class PriorOptions:
+    """The group ``prior``; see ``configs/prior``."""
+
+    file: str
+
+
+@dataclass
+class NuisanceOptions:
+    """The group ``nuisances``; see ``configs/nuisances``."""
+
+    membrane_n_per_m: list[float]
+    shear: list[float]
+    hysteresis_per_m: list[float]
+    curl_per_m: float
+    curl_specimen_per_m: float
+    size_mm: float
+    plate_mm: float
+    cut_deg: float
+
+
+@dataclass
+class Options:
+    """Types of the keys of ``configs/generate.yaml``."""
+
+    out: str
+    drapes: Count
+    workers: Workers
+    part: Annotated[int, Field(ge=0)]
+    parts: Count
+    seed: Seed
+    edge_mm: float
+    dataset: DatasetOptions
+    prior: PriorOptions
+    nuisances: NuisanceOptions
+
+
+def config_from_options(options: Options) -> DatasetConfig:
+    """Dataset configuration of the composed options; InputError for invalid values."""
+    dataset = si(asdict(options.dataset))
+    return DatasetConfig(
+        drapes=options.drapes,
+        drapes_per_shard=dataset.pop("drapes_per_shard"),
+        sampling=SamplingConfig(seed=options.seed, **dataset,
+                                nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
+        prior=load_prior(options.prior.file),
+        edge=options.edge_mm * 1e-3,
+    )

@@ -1,0 +1,492 @@
+"""Verify a dataset of drapes and report its statistics.
+
+    python -m data.dataset.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
+
+Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
+outcomes, parameters compared with the prior, drapes and disk use. Writes report.json,
+histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
+"""
+
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from common.command import command
+from common.errors import InputError
+from common.files import replace_file, replace_json, require_folder
+from common.types import DepthImage, Theta
+from data.dataset.folder import MANIFEST, REMEDY, finished_manifest, json_digest, over_shards
+from data.dataset.shards import COORDINATES, FACES, SHARDS, Shard
+from data.fabrics.fabrics import THETA_NAMES
+from data.fabrics.prior import prior_from_content, sample_admissible
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
+from sim.energies.self_contact import self_intersections
+from sim.material import MICRO
+from sim.measures import maximum_stretch
+
+COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message", "iterations",
+           "drape_coefficient", "folds")
+QUANTILES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
+RANGE = (0.01, 0.99)  # quantiles of the prior; fabrics beyond them are counted as outside
+PRIOR_SAMPLES = 2000
+PARAMETERS = tuple(name.removeprefix("log_") for name in THETA_NAMES)
+UNITS = ("µN·m",) * 3 + ("mm",) * 3
+"""Names and units of :func:`in_display_units`; at 300 g/m²."""
+ACROSS = 8  # drapes in a row of the contact sheet
+WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
+DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
+STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
+LABEL = 22  # characters, width of a table's first column
+
+
+@dataclass
+class InspectConfig:
+    """``configs/inspect.yaml``."""
+
+    data: str
+    out: str
+    intersections: Annotated[int, Field(ge=0)]
+    sheet: Annotated[int, Field(ge=1)]
+
+
+@command("inspect", InspectConfig, first="data")
+def main(config: InspectConfig) -> None:
+    """Verify the dataset; print and write the report."""
+    if not config.data:
+        raise InputError("the folder of a dataset is missing: "
+                         "python -m data.dataset.inspect FOLDER")
+    root = Path(config.data)
+    out = Path(config.out or Path("outputs/inspect") / root.resolve().name)
+    require_folder(out)
+    manifest = check_dataset(root)
+    drapes = read_drapes(root, manifest, intersections=config.intersections)
+    prior = prior_samples(manifest)
+    shots = take_shots(root, drapes, count=config.sheet)
+    content = report(manifest, drapes, prior)
+    print("\n".join(describe(content)))
+    replace_json(out / "report.json", content)
+    replace_file(out / "histograms.png", histograms(drapes, prior[0]))
+    if shots:
+        replace_file(out / "contact_sheet.png", contact_sheet(shots))
+    print(f"\nwritten to {out}: report.json, histograms.png"
+          + (", contact_sheet.png" if shots else ""))
+
+
+def check_dataset(root: Path) -> dict:
+    """Verify all shards of the complete dataset in ``root``; return its manifest.
+
+    Raises:
+        InputError: no dataset, an incomplete dataset, an inconsistent manifest; a shard that is
+            missing, unlisted, damaged or changed; missing or repeated drapes; other outcomes.
+    """
+    manifest = finished_manifest(root)
+    digests, names = manifest["shards"], {path.name for path in root.glob(SHARDS)}
+    if json_digest(digests) != manifest["hash"]:
+        raise InputError(f"{root / MANIFEST}: its digests do not match its content; {REMEDY}")
+    if missing := sorted(digests.keys() - names):
+        raise InputError(f"{root} lacks {_listed(missing)}; generate the missing shards with "
+                         f"python -m data.dataset.generate out={root} and the dataset's settings")
+    if extra := sorted(names - digests.keys()):
+        raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
+                         "move them elsewhere")
+    changed: list[str] = []
+    indices: list[int] = []
+    outcomes: Counter[str] = Counter()
+    for name, digest in over_shards(digests.items(), "checking"):
+        shard = Shard(root / name)
+        if shard.digest != digest or shard.attributes.get("identity") != manifest["identity"]:
+            changed.append(name)
+        indices.extend(shard.column("index").tolist())
+        outcomes.update(shard.column("status").tolist())
+    if changed:
+        raise InputError(f"{root}: {_listed(changed)} differ from {MANIFEST}; remove these files "
+                         "and generate them again")
+    if indices != list(range(manifest["drapes"])) or dict(outcomes) != manifest.get("outcomes"):
+        raise InputError(f"{root / MANIFEST}: drapes and outcomes differ from those in the shards; "
+                         "generate the dataset again, in another folder")
+    return manifest
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first three names, and the number of others."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+@dataclass(frozen=True)
+class Drapes:
+    """All drapes of a dataset, one row each, in order.
+
+    Attributes:
+        columns: arrays of :data:`COLUMNS`, see :meth:`data.dataset.shards.Shard.column`.
+        places: shard and row of each drape.
+        stretch: (N,) largest strain of a triangle, NaN unless converged. Vertices are rounded to
+            5 µm, which causes an uncertainty of about 0.1 %.
+        crossings: (N,) number of edges that intersect a face; -1 if not checked.
+        bytes: size on disk of each array of the shards, and ``other`` for the rest of the files.
+    """
+
+    columns: dict[str, np.ndarray]
+    places: list[tuple[str, int]]
+    stretch: np.ndarray
+    crossings: np.ndarray
+    bytes: dict[str, int]
+
+    @property
+    def converged(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.columns["status"] == "converged"
+
+
+def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
+    """Read and measure a dataset's drapes; count the self-intersections of ``intersections`` of
+    the converged ones, evenly spread."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    places, used, converged = [], Counter(), 0
+    checked = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
+    stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
+    for name in over_shards(manifest["shards"], "measuring"):
+        shard = Shard(root / name)
+        for column, arrays in parts.items():
+            arrays.append(shard.column(column))
+        for row in np.flatnonzero(parts["status"][-1] == "converged"):
+            drape = len(places) + row
+            positions, rest, faces = shard.mesh(row)
+            # Triangles held by the plate are not stretched and need not be excluded.
+            stretch[drape] = maximum_stretch(positions, rest, faces,
+                                             np.zeros(len(rest), dtype=bool))
+            if converged in checked:
+                crossings[drape] = len(self_intersections(positions, faces))
+            converged += 1
+        places += [(name, row) for row in range(len(shard))]
+        used.update(shard.storage)
+        used["other"] += (root / name).stat().st_size - sum(shard.storage.values())
+    columns = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    return Drapes(columns, places, stretch, crossings, dict(used))
+
+
+def spread(items: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` of ``items`` (N, ...), evenly spread, with the first and the last."""
+    chosen = np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)
+    return items[chosen]
+
+
+def prior_samples(manifest: dict) -> tuple[Theta, float]:
+    """Draw :data:`PRIOR_SAMPLES` fabrics from the dataset's prior; return also the share of
+    rejected samples."""
+    prior = prior_from_content(manifest["config"]["prior"], origin="the dataset's prior")
+    rng = np.random.default_rng(0)
+    theta, rejected = zip(*(sample_admissible(prior, rng) for _ in range(PRIOR_SAMPLES)),
+                          strict=True)
+    return np.array(theta), sum(rejected) / (sum(rejected) + PRIOR_SAMPLES)
+
+
+def in_display_units(theta: Theta) -> np.ndarray:
+    """Convert theta to (..., 6) alpha in µN·m and beta/alpha in mm."""
+    return np.concatenate([np.exp(theta[..., :3]) / MICRO, theta[..., 3:] * 1e3], axis=-1)
+
+
+def draped_fabrics(drapes: Drapes) -> Theta:
+    """The fabrics with a converged drape, which are used in training."""
+    kept = drapes.converged
+    _, first = np.unique(drapes.columns["fabric"][kept], return_index=True)
+    return drapes.columns["theta"][kept][first]
+
+
+def report(manifest: dict, drapes: Drapes, prior: tuple[Theta, float]) -> dict:
+    """Statistics of the dataset in JSON types, independent of folder and machine; ``prior``: from
+    :func:`prior_samples`.
+    """
+    columns, converged = drapes.columns, drapes.converged
+    rejected = columns["rejected"][np.unique(columns["fabric"], return_index=True)[1]]
+    looked_at = drapes.crossings >= 0
+    crossing = np.flatnonzero(drapes.crossings > 0)
+    return {
+        "dataset": {name: manifest[name] for name in ("identity", "hash")},
+        "drapes": len(converged),
+        "converged": int(converged.sum()),
+        "fabrics": len(rejected),
+        "fabrics_with_a_drape": len(draped_fabrics(drapes)),
+        "rejection_rate": {
+            "dataset": float(rejected.sum() / (rejected.sum() + len(rejected))),
+            "prior": prior[1],
+        },
+        "starts": _starts(columns, converged),
+        "failures": _failures(columns, converged),
+        "parameters": _parameters(drapes, prior[0]),
+        "drape_coefficient": _quantiles(columns["drape_coefficient"][converged]),
+        "folds": {str(n): count for n, count
+                  in sorted(Counter(columns["folds"][converged].tolist()).items())},
+        "stretch": _quantiles(drapes.stretch[converged]),
+        "iterations": _quantiles(columns["iterations"][converged]),
+        "self_intersections": {
+            "looked_at": int(looked_at.sum()),
+            "intersecting": len(crossing),
+            "drapes": columns["index"][crossing].tolist(),
+        },
+        "disk": _disk(drapes),
+    }
+
+
+def _quantiles(values: np.ndarray) -> dict[str, float] | None:
+    """:data:`QUANTILES` by name; None if there are no values."""
+    if not len(values):
+        return None
+    return {f"{q:g}": float(v) for q, v in zip(QUANTILES, np.quantile(values, QUANTILES),
+                                               strict=True)}
+
+
+def _starts(columns: dict[str, np.ndarray], converged: np.ndarray) -> dict[str, dict]:
+    """By initial state: number of drapes, number of converged ones, their mean number of folds."""
+    result = {}
+    for start in np.unique(columns["start"]).tolist():
+        these = columns["start"] == start
+        folds = columns["folds"][these & converged]
+        result[start] = {
+            "drapes": int(these.sum()),
+            "converged": len(folds),
+            "mean_folds": float(folds.mean()) if len(folds) else None,
+        }
+    return result
+
+
+def _failures(columns: dict[str, np.ndarray], converged: np.ndarray) -> list[dict]:
+    """Failures by status, the most frequent first: count, and index and message of the first."""
+    reasons = Counter(columns["status"][~converged].tolist())
+    result = []
+    for status, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0])):
+        first = int(np.flatnonzero(columns["status"] == status)[0])
+        result.append({
+            "status": status,
+            "drapes": count,
+            "first": int(columns["index"][first]),
+            "message": str(columns["message"][first]),
+        })
+    return result
+
+
+def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
+    """By parameter: quantiles of dataset and prior, share of fabrics outside the prior's range."""
+    fabrics = draped_fabrics(drapes)
+    low, high = np.quantile(prior, RANGE, axis=0)
+    result = {}
+    for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
+        outside = (fabrics[:, k] < low[k]) | (fabrics[:, k] > high[k])
+        result[name] = {
+            "unit": unit,
+            "dataset": _quantiles(in_display_units(fabrics)[:, k]),
+            "prior": _quantiles(in_display_units(prior)[:, k]),
+            "outside": float(outside.mean()) if len(fabrics) else None,
+        }
+    return result
+
+
+def _disk(drapes: Drapes) -> dict[str, int]:
+    """Bytes of the shards by part."""
+    used = dict(drapes.bytes)
+    parts = {"meshes": sum(used.pop(name) for name in (*COORDINATES, FACES)),
+             "file structure": used.pop("other")}
+    return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}
+
+
+def describe(content: dict) -> list[str]:
+    """Format the result of :func:`report` as lines of text."""
+    n, disk = content["drapes"], content["disk"]
+    rate = content["rejection_rate"]
+    lines = [
+        f"{n} drapes of {content['fabrics']} fabrics, {content['converged']} converged "
+        f"({content['converged'] / n:.1%}); {content['fabrics_with_a_drape']} fabrics have one",
+        f"content {content['dataset']['hash'][:16]}, settings "
+        f"{content['dataset']['identity'][:16]}; shards agree with dataset.json",
+        f"impossible fabrics rejected: {rate['dataset']:.2%}, by the prior itself "
+        f"{rate['prior']:.2%}",
+        "",
+        f"{'initial state':<{LABEL}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
+        *(f"{name:<{LABEL}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
+          for name, row in content["starts"].items()),
+        "",
+    ]
+    if content["failures"]:
+        lines += [f"{'failure':<{LABEL}}{'drapes':>8}  first", *(
+            f"{row['status']:<{LABEL}}{row['drapes']:>8}  {row['first']}: {row['message']}"
+            for row in content["failures"]), ""]
+    low, high = RANGE
+    lines.append(f"{'at 300 g/m²':<{LABEL}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
+                 f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
+    for name, row in content["parameters"].items():
+        label = f"{name.replace('_over_', '/').replace('_', ' ')} [{row['unit']}]"
+        outside = "" if row["outside"] is None else f"   {row['outside']:.1%}"
+        lines += [_range(label, row["dataset"]) + outside, _range("  prior", row["prior"])]
+    lines += [
+        "",
+        _range("drape coefficient", content["drape_coefficient"]),
+        _range("largest strain", content["stretch"]),
+        _range("iterations", content["iterations"]),
+        "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
+        _self_intersections(content["self_intersections"], content["converged"]),
+        "",
+        f"{'disk':<{LABEL}}{'MB':>8}{'kB a drape':>12}",
+        *(f"{part:<{LABEL}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
+          for part, size in disk.items()),
+    ]
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _range(label: str, quantiles: dict[str, float] | None) -> str:
+    columns = ("0.01", "0.1", "0.5", "0.9", "0.99")
+    values = [_number(None if quantiles is None else quantiles[q]) for q in columns]
+    return f"{label:<{LABEL}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
+
+
+def _self_intersections(figures: dict, converged: int) -> str:
+    of = "all" if figures["looked_at"] == converged else f"{figures['looked_at']} of"
+    line = f"self-intersections: {figures['intersecting']} of {of} {converged} converged drapes"
+    if figures["drapes"]:
+        line += f" (first: {', '.join(map(str, figures['drapes'][:8]))})"
+    return line
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A drape on the contact sheet, with the text above it."""
+
+    caption: str
+    failed: bool
+    view: DepthImage
+
+
+def take_shots(root: Path, drapes: Drapes, *, count: int) -> list[Shot]:
+    """Render ``count`` converged drapes, sorted by drape coefficient, and up to a row of failed
+    ones, with the nominal cameras of their testers and the warp to the right.
+    """
+    converged = np.flatnonzero(drapes.converged)
+    by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
+                                          kind="stable")]
+    failed = np.flatnonzero(~drapes.converged)
+    shots = [_shoot(root, drapes, int(drape)) for drape
+             in [*spread(by_coefficient, count), *spread(failed, ACROSS)]]
+    return [shot for shot in shots if shot is not None]
+
+
+def _shoot(root: Path, drapes: Drapes, drape: int) -> Shot | None:
+    """Render one drape; None for a failed drape without stored coordinates."""
+    name, row = drapes.places[drape]
+    shard = Shard(root / name)
+    positions, rest, faces = shard.mesh(row)
+    if not rest.any():
+        return None
+    columns = {key: values[drape] for key, values in drapes.columns.items()}
+    failed = columns["status"] != "converged"
+    caption = columns["status"] if failed else (
+        f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
+    return Shot(f"{columns['index']}: {caption}", failed,
+                DepthRenderer(positions, faces).view(nominal_camera(shard.rig(row))))
+
+
+def contact_sheet(shots: list[Shot]) -> bytes:
+    """PNG of all shots, cropped to the cloth of all of them; nearer is brighter."""
+    views = np.stack([shot.view for shot in shots])
+    rows, columns = np.nonzero((views > 0).any(axis=0))
+    if len(rows):
+        views = views[:, rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    views = np.where(views > 0, views, np.nan)
+    low, high = np.nanquantile(views, (0.01, 0.99)) if len(rows) else (0, 1)
+    height, width = views.shape[1:]
+    across = min(ACROSS, len(shots))
+    down = -(-len(shots) // across)
+    figure = Figure(figsize=(across * WIDTH, down * (WIDTH * height / width + CAPTION)), dpi=110,
+                    layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, shot, view in zip(panels, shots, views, strict=False):
+        axes.imshow(view, cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest")
+        axes.set_title(shot.caption, fontsize=7, color=MARK if shot.failed else "black")
+    return _png(figure)
+
+
+def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
+    """PNG of histograms: parameters of the dataset and of samples (n, 6) of the prior, and measures
+    of the drapes by initial state."""
+    figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
+    panels = figure.subplots(3, 4)
+    fabrics = in_display_units(draped_fabrics(drapes))
+    for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
+        _parameter(panels[k // 3, k % 3], fabrics[:, k], in_display_units(prior)[:, k],
+                   f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
+    columns, converged = drapes.columns, drapes.converged
+    groups = {start: converged & (columns["start"] == start)
+              for start in np.unique(columns["start"]).tolist()}
+    folds = columns["folds"][converged]
+    integers = np.arange(*((folds.min(), folds.max() + 2) if len(folds) else (0, 2))) - 0.5
+    _by_start(panels[2, 0], groups, 100 * columns["drape_coefficient"], "drape coefficient [%]", 20)
+    _by_start(panels[2, 1], groups, columns["folds"], "folds", integers)
+    _by_start(panels[2, 2], groups, 100 * drapes.stretch, "largest strain [%]", 20)
+    _by_start(panels[2, 3], groups, columns["iterations"], "Newton iterations", 20)
+    for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
+        panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
+        panel.legend(frameon=False, loc="upper left", title=title)
+    _plane(panels[0, 3], fabrics, in_display_units(prior))
+    _outcomes(panels[1, 3], columns["status"])
+    return _png(figure)
+
+
+def _parameter(axes: Axes, dataset: np.ndarray, prior: np.ndarray, label: str, *,
+               logarithmic: bool) -> None:
+    low, high = np.quantile(prior, (0.002, 0.998))
+    if logarithmic:
+        axes.set_xscale("log")
+        edges = np.geomspace(low, high, 25)
+    else:
+        edges = np.linspace(low, high, 25)
+    # Values beyond the range are counted in the outermost bars.
+    for values, style in ((dataset, {"color": DATASET, "alpha": 0.75, "label": "dataset"}),
+                          (prior, {"histtype": "step", "color": PRIOR, "lw": 1.5,
+                                   "label": "prior"})):
+        share = np.full(len(values), 1 / max(1, len(values)))
+        axes.hist(np.clip(values, edges[0], edges[-1]), edges, weights=share, **style)
+    axes.set(xlabel=label, ylabel="share of fabrics")
+
+
+def _by_start(axes: Axes, groups: dict[str, np.ndarray], values: np.ndarray, label: str,
+              bins: int | np.ndarray) -> None:
+    axes.hist([values[group] for group in groups.values()], bins, stacked=True,
+              color=[STARTS[k % len(STARTS)] for k in range(len(groups))], label=list(groups))
+    axes.set(xlabel=label, ylabel="drapes")
+
+
+def _plane(axes: Axes, fabrics: np.ndarray, prior: np.ndarray) -> None:
+    axes.loglog(prior[:, 0], prior[:, 2], ".", color=PRIOR, ms=2, alpha=0.3)
+    axes.loglog(fabrics[:, 0], fabrics[:, 2], ".", color=DATASET, ms=4)
+    axes.set(xlabel="alpha warp [µN·m]", ylabel="alpha weft [µN·m]")
+
+
+def _outcomes(axes: Axes, statuses: np.ndarray) -> None:
+    names, counts = np.unique(statuses, return_counts=True)
+    colours = [DATASET if name == "converged" else MARK for name in names]
+    bars = axes.barh(names, counts, 0.5, color=colours)
+    axes.bar_label(bars, padding=2)
+    axes.margins(x=0.2, y=0.3)
+    axes.set(xlabel="drapes")
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", metadata={"Software": None})
+    return picture.getvalue()
+
+
+if __name__ == "__main__":
+    main()

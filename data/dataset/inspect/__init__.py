@@ -1,1 +1,0 @@
-"""Verification and statistics of datasets of drapes."""

@@ -1,0 +1,116 @@
+"""The manifest of a dataset: what it requires, where the dataset comes from, and its splits."""
+
+import json
+
+import numpy as np
+import pytest
+from test_generate import generate, shards, small_config
+
+import data.dataset.folder
+from common.errors import InputError
+from common.files import replace_json
+from common.provenance import environment, release
+from data.dataset.folder import (
+    MANIFEST,
+    finished_manifest,
+    json_digest,
+    read_manifest,
+    split_by_fabric,
+)
+from data.dataset.shards import SCHEMA_VERSION
+
+FRACTIONS = {"train": 0.8, "validation": 0.1, "test": 0.1}
+BEGUN = {"schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": False,
+         "config": {"sampling": {}}}
+FINISHED = BEGUN | {"complete": True, "hash": "def", "shards": {"shard_00000.h5": "123"},
+                    "config": {"sampling": {"testers": ["disc300_support180"],
+                                            "random_testers": 0.0}, "prior": {}}}
+
+
+def elsewhere():
+    """Another machine with other versions."""
+    return environment() | {"processor": "Z80", "packages": {"numpy": "9.9.9"}}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset") / "set"
+    return folder, generate(folder, small_config(drapes=6))
+
+
+def test_manifests_are_read_begun_and_finished(tmp_path):
+    assert read_manifest(tmp_path) is None
+    for content in (BEGUN, FINISHED):
+        replace_json(tmp_path / MANIFEST, content)
+        assert read_manifest(tmp_path) == content
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "[" * 100_000, *map(json.dumps, [
+    BEGUN | {"drapes": "10"}, BEGUN | {"config": []}, BEGUN | {"identity": None},
+    BEGUN | {"complete": 0}, {"schema_version": SCHEMA_VERSION}, BEGUN | {"complete": True},
+    FINISHED | {"shards": {}}, FINISHED | {"shards": ["shard_00000.h5"]},
+    FINISHED | {"config": {"sampling": {"testers": "disc"}, "prior": {}}},
+    FINISHED | {"config": {"sampling": FINISHED["config"]["sampling"]}}])])
+def test_a_damaged_manifest_is_refused_with_a_remedy(tmp_path, text):
+    (tmp_path / MANIFEST).write_text(text)
+    with pytest.raises(InputError, match=r"is damaged.* remove it") as refusal:
+        read_manifest(tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("version", [6, 8])
+def test_another_schema_version_is_refused(tmp_path, version):
+    (tmp_path / MANIFEST).write_text(f'{{"schema_version": {version}}}')
+    with pytest.raises(InputError, match=f"schema version {version};"):
+        read_manifest(tmp_path)
+
+
+def test_an_unfinished_or_changed_dataset_is_not_used(dataset, tmp_path):
+    root, manifest = dataset
+    assert finished_manifest(root) == manifest
+    with pytest.raises(InputError, match="not a dataset"):
+        finished_manifest(tmp_path)
+    changed = read_manifest(root)
+    changed["config"]["sampling"]["drift"] = 0.004
+    for content, complaint in ((manifest | {"complete": False}, "unfinished"),
+                               (changed, "do not match its content")):
+        replace_json(tmp_path / MANIFEST, content)
+        with pytest.raises(InputError, match=complaint):
+            finished_manifest(tmp_path)
+
+
+def test_the_manifest_says_where_the_dataset_comes_from(dataset):
+    folder, manifest = dataset
+    assert manifest == read_manifest(folder)
+    assert manifest["provenance"] == [environment()]
+    assert manifest["provenance"][0]["code"]["release"] == release()
+    assert manifest["config"]["sampling"]["seed"] == 0
+    assert manifest["prior"] == {"kind": small_config().prior.kind,
+                                 "sha256": json_digest(manifest["config"]["prior"])}
+
+
+def test_no_digest_depends_on_the_environment(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
+    manifest = generate(tmp_path, small_config(drapes=6))
+    assert manifest["provenance"] == [elsewhere()]
+    assert manifest | {"provenance": dataset[1]["provenance"]} == dataset[1]
+    for there, path in zip(shards(tmp_path), shards(dataset[0]), strict=True):
+        assert there.read_bytes() == path.read_bytes()
+
+
+def test_every_environment_that_made_shards_is_named_once(tmp_path, monkeypatch):
+    generate(tmp_path, small_config(drapes=4))
+    monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
+    assert generate(tmp_path, small_config(drapes=4))["provenance"] == [environment()]
+    for drapes in (6, 8):
+        manifest = generate(tmp_path, small_config(drapes=drapes))
+        assert manifest["provenance"] == [environment(), elsewhere()]
+    assert json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8")) == manifest
+
+
+def test_splits_are_stable_and_have_their_fractions():
+    names = split_by_fabric(np.arange(5000), fractions=FRACTIONS)
+    for name, fraction in FRACTIONS.items():
+        assert abs((names == name).mean() - fraction) < 0.02
+    some = split_by_fabric(np.array([7, 3, 7]), fractions=FRACTIONS)
+    np.testing.assert_array_equal(some, names[[7, 3, 7]])
