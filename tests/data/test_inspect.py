@@ -308,8 +308,6 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
         (["out=somewhere"], "folder of a dataset is missing"),
         (["nowhere"], "nowhere is not a dataset"),
         (["set", "size=3"], "size=3"),
-        (["set", "data=other"], "data= is given 2 times"),
-        (["size=3"], "size=3 is not a dataset"),
         (["set", "out=/proc/report"], "cannot write to the folder /proc/report"),
         (["set", "sheet=0"], "sheet=0"),
         (["set", "intersections=-1"], "intersections=-1"),
