@@ -2,11 +2,14 @@
 drape on another mesh with the same folds."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from common.cases import load_arrays
 from common.errors import InputError
+from common.types import Faces, Metres, Points, RestPoints
 from sim.cloth import Laws
 from sim.drape import FINE_OPTIONS, scene_on
 from sim.equilibrium import Equilibrium, find_equilibrium
@@ -24,32 +27,49 @@ _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse 
 
 
 class Draped(Protocol):
-    """Shape of a specimen, for example a :class:`sim.drape.DrapeResult`.
+    """Shape of a specimen, for example a :class:`sim.drape.DrapeResult`."""
 
-    ``positions`` (V, 3), m, ``rest`` (V, 2), m, and ``faces`` (F, 3).
-    """
+    rest: RestPoints
+    positions: Points
+    faces: Faces
 
-    positions: np.ndarray
-    rest: np.ndarray
-    faces: np.ndarray
+
+@dataclass(frozen=True)
+class Shape:
+    """A specimen at other positions than those of a drape."""
+
+    rest: RestPoints
+    positions: Points
+    faces: Faces
+
+    @classmethod
+    def of(cls, specimen: Specimen, positions: Points) -> "Shape":
+        """A specimen at ``positions``."""
+        return cls(specimen.mesh.rest, positions, specimen.mesh.faces)
+
+    @classmethod
+    def load(cls, folder: Path, name: str) -> "Shape":
+        """Arrays of a finished case."""
+        return cls(**load_arrays(folder, name))
 
 
 @dataclass(frozen=True)
 class Difference:
     """Difference of two drapes: both metrics of the paper's Table 3, and the largest displacement.
 
-    Attributes:
-        displacement: mean distance between the two positions of a material point, m.
-        largest: the largest such distance, m.
-        curvature: relative difference of the mean curvature, 0.05 for 5 %: the area average of
-            |H_other - H_reference| divided by that of |H_reference|. The paper does not state
-            the reference of its percentages. A quotient at each point would be large wherever
-            the cloth is flat. Infinite if the reference is flat.
+    ``curvature`` is the area average of |H_other - H_reference| divided by that of |H_reference|;
+    infinite if the reference is flat. The paper does not state the reference of its percentages; a
+    quotient at each point would be large wherever the cloth is flat.
     """
 
-    displacement: float
-    largest: float
+    displacement: Metres
+    largest: Metres
     curvature: float
+
+    @property
+    def row(self) -> list[float]:
+        """Displacement in mm and curvature in percent."""
+        return [1e3 * self.displacement, 100 * self.curvature]
 
 
 def compare(reference: Draped, other: Draped, *, align: str = "none") -> Difference:
@@ -63,9 +83,6 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     Args:
         align: "none"; "turn" for the best rotation about the vertical axis; "rigid" for the best
             rotation and translation.
-
-    Raises:
-        InputError: unknown alignment, or specimens of different sizes.
     """
     coarse, fine = sorted((reference, other), key=lambda drape: len(drape.rest))
     mesh = Mesh(rest=coarse.rest, faces=coarse.faces)
@@ -87,8 +104,8 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     )
 
 
-def _interpolated(drape: Draped, rest: np.ndarray) -> np.ndarray:
-    """Positions (V, 3) of the drape at the material points ``rest`` (V, 2)."""
+def _interpolated(drape: Draped, rest: RestPoints) -> Points:
+    """Positions of the drape at the material points ``rest``."""
     if np.array_equal(drape.rest, rest):
         return drape.positions
     # The origin of rest coordinates is the plate's axis, not the centre of the specimen.
@@ -97,9 +114,9 @@ def _interpolated(drape: Draped, rest: np.ndarray) -> np.ndarray:
 
 
 def align_positions(
-    positions: np.ndarray, target: np.ndarray, weight: np.ndarray, *, align: str
-) -> np.ndarray:
-    """Align positions (V, 3) with ``target`` (V, 3), see :func:`compare` for ``align``.
+    positions: Points, target: Points, weight: np.ndarray, *, align: str
+) -> Points:
+    """Align positions with ``target``, see :func:`compare` for ``align``.
 
     Minimises the sum of squared distances with the weights ``weight`` (V,).
     """
@@ -120,8 +137,8 @@ def align_positions(
     raise InputError(f"unknown alignment '{align}'; choose from {', '.join(ALIGNMENTS)}")
 
 
-def mean_curvature(positions: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """Mean curvature (V,), 1/m, of the surface through positions (V, 3), m.
+def mean_curvature(positions: Points, mesh: Mesh) -> np.ndarray:
+    """Mean curvature (V,), 1/m, of the surface through ``positions``.
 
     Half the sum of the principal curvatures, positive where the surface is convex on the side
     from which its faces are counter-clockwise: 1/R on a sphere seen from outside. Cotangent
@@ -173,17 +190,13 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
 
 
 def equilibrium_near(
-    rest: np.ndarray, positions: np.ndarray, specimen: Specimen, rig: Rig, fabric: Fabric,
-    laws: Laws | None = None, *, self_contact: bool = False,
+    near: Draped, specimen: Specimen, rig: Rig, fabric: Fabric, laws: Laws | None = None, *,
+    self_contact: bool = False,
 ) -> Equilibrium:
-    """Equilibrium of a fabric on the mesh of ``specimen``, started from a drape on another mesh.
-
-    Args:
-        rest, positions: (W, 2) and (W, 3), m, of the drape to start from.
-    """
+    """Equilibrium of a fabric on the mesh of ``specimen``, started from a drape on another mesh."""
     scene = scene_on(specimen, rig)
     flat, held = scene.mesh.rest, scene.held
-    start = interpolate_positions(rest, positions, flat)
+    start = interpolate_positions(near.rest, near.positions, flat)
     start[held] = rig.place(flat[held])
     return find_equilibrium(scene, fabric, scene.state(start), laws=laws, options=FINE_OPTIONS,
                             self_contact=self_contact)

@@ -94,13 +94,13 @@ def case(
                 found, reached = fit
                 bent = np.linspace(0, reached, 26)[1:]
                 other = follow(shape, fabric, laws=Laws(bending=law(found)))
-                apart = compare(shape, other) if shape.converged and other.converged else None
+                apart = compare(shape, other).row if shape.converged and other.converged else None
                 gap = np.linalg.norm(strip(found, _LONG_STRIP) - strip(true, _LONG_STRIP), axis=1)
                 result[kind][f"{name}, {noise:g} mm"] = {
                     "curvature": bent.tolist(), "ratio": (found(bent) / true(bent)).tolist(),
                     "torque": _relative_error(found(bent), true(bent)),
                     "strip_mm": 1e3 * rms(gap),
-                    "drape": apart and [1e3 * apart.displacement, 100 * apart.curvature]}
+                    "drape": apart}
     return result
 
 

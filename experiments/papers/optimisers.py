@@ -1,17 +1,19 @@
 """Estimation of moduli from drapes of other simulators by several methods (001, sec. 6; 000)."""
 
+import math
 import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.optimize import minimize as scipy_minimise
 
 from common.errors import InputError
 from data.dataset.plan import DrapePlan
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
 from data.fabrics.prior import load_prior
-from drapenet.refine.minimise import Limits, minimise
+from drapenet.refine.minimise import Limits, Method, Run, Status, levenberg_marquardt, minimise
 from drapenet.refine.problem import Problem
 from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import RobustPositions
@@ -19,7 +21,6 @@ from drapenet.refine.unknowns import Cloth, Knowledge
 from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum
-from experiments.papers.minimisers import METHODS
 from experiments.papers.transfer import ratio
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
@@ -31,6 +32,50 @@ from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
 from sim.sensitivity import follow
 from sim.start import interpolate_positions
 
+SIGMA = 0.3  # initial standard deviation of CMA-ES, in units of the problem
+SEED = 0  # of CMA-ES
+_INFEASIBLE_VALUE = 1e30  # replaces an infinite value where a method requires a finite one
+
+
+def lbfgs(run: Run) -> tuple[Status, str]:
+    """SciPy's L-BFGS-B on the value and its gradient."""
+    problem, limits = run.problem, run.limits
+    first = run.best
+
+    def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
+        value = first.value if np.array_equal(x, first.x) else run.value(x)
+        linearised = problem.linearised(x) if math.isfinite(value) else None
+        if linearised is None:
+            # Larger than any feasible value and without slope, so that the line search backtracks.
+            return 10.0, np.zeros_like(x)
+        residuals, jacobian = linearised
+        return value / first.value, jacobian.T @ residuals / first.value
+
+    result = scipy_minimise(
+        value_and_gradient, first.x, jac=True, method="L-BFGS-B",
+        bounds=list(zip(problem.low, problem.high, strict=True)),
+        options={"ftol": limits.decrease, "gtol": 1e-9, "maxfun": 10**6, "maxiter": 10**6})
+    return (Status.CONVERGED if result.success else Status.STALLED), str(result.message)
+
+
+def cma_es(run: Run) -> tuple[Status, str]:
+    """CMA-ES of the package cma, with its default population size."""
+    import cma  # slow import
+
+    problem, limits = run.problem, run.limits
+    strategy = cma.CMAEvolutionStrategy(run.best.x, SIGMA, {
+        "bounds": [problem.low.tolist(), problem.high.tolist()], "seed": SEED + 1,
+        "verbose": -9, "tolx": limits.step / 10, "tolfun": 0, "tolfunhist": 0, "tolflatfitness": 5,
+    })
+    while not strategy.stop():
+        points = strategy.ask()
+        strategy.tell(points, [min(run.value(np.asarray(x)), _INFEASIBLE_VALUE) for x in points])
+    return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
+
+
+METHODS: dict[str, Method] = {"lm": levenberg_marquardt, "lbfgs": lbfgs, "cmaes": cma_es}
+
+
 TARGETS = {"plate": "this project's plate, another mesh", "hinges": "hinges, another mesh",
            "style3d": "Style3D"}
 SEARCHES = {
@@ -38,7 +83,7 @@ SEARCHES = {
     "cmaes": "vertices, CMA-ES", "grid": "2-D spectrum (000, Eq. 9), Levenberg–Marquardt",
     "rings": "spectrum along rings, Levenberg–Marquardt"}
 _SOURCES = ("sim", "drapenet/refine", "experiments/papers/descriptors.py",
-            "experiments/physics/style3d.py", "experiments/papers/minimisers.py")
+            "experiments/physics/style3d.py")
 _SPRING_FORCE = 0.05  # of the springs at 1 mm, relative to the weight, as for scans
 _CURVATURE = 50.0  # 1/m, at which secant moduli are compared
 _START_STIFFNESS = 2.0  # relative stiffness of the drape at which Style3D starts

@@ -67,8 +67,7 @@ def linear_case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
               "elsewhere": None}
     for name, (one, other) in {"fitted": (target, found), "elsewhere": other_start}.items():
         if one.converged and other.converged:
-            difference = compare(one, other)
-            result[name] = [1e3 * difference.displacement, 100 * difference.curvature]
+            result[name] = compare(one, other).row
     return result
 
 

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.comparison import compare, equilibrium_near
+from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.physics import style3d
@@ -54,12 +53,10 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
                          fabric, Laws())
     result: dict[str, Any] = {}
     for name, (mesh, one, laws) in cases.items():
-        equilibrium = equilibrium_near(plate.rest, plate.positions, mesh, rig, one, laws)
+        equilibrium = equilibrium_near(plate, mesh, rig, one, laws)
         result[name] = None
         if equilibrium.status is Status.CONVERGED:
-            found = compare(plate, SimpleNamespace(positions=equilibrium.state.positions,
-                                                   rest=mesh.mesh.rest, faces=mesh.mesh.faces))
-            result[name] = [1e3 * found.displacement, 100 * found.curvature]
+            result[name] = _difference(plate, equilibrium.state.positions, mesh)
     return result
 
 
@@ -75,7 +72,7 @@ def style3d_case(
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
-    linear = equilibrium_near(plate.rest, plate.positions, mesh, plate.rig, Fabric(fabric.alpha))
+    linear = equilibrium_near(plate, mesh, plate.rig, Fabric(fabric.alpha))
     result: dict[str, Any] = {
         "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)
                                if linear.status is Status.CONVERGED else None)}
@@ -91,9 +88,7 @@ def style3d_case(
 
 def _difference(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[float]:
     """Displacement, mm, and difference of mean curvature, %, of positions (V, 3), m."""
-    found = compare(plate, SimpleNamespace(positions=positions, rest=mesh.mesh.rest,
-                                           faces=mesh.mesh.faces))
-    return [1e3 * found.displacement, 100 * found.curvature]
+    return compare(plate, Shape.of(mesh, positions)).row
 
 
 def run(config: Config) -> Result:

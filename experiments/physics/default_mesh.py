@@ -11,7 +11,7 @@ import time
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.comparison import Draped, compare, equilibrium_near, same_folds
+from experiments.comparison import Draped, Shape, compare, equilibrium_near, same_folds
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, label_log_axes, run_cases
 from sim.drape import DrapeResult, drape
@@ -32,29 +32,20 @@ def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
     drape(fabric, rig=tester, edge=0.01)  # compiles or loads the kernels of all meshes
     default, default_cost = timed_drape(fabric, tester, None, index)
     specimen = fine_specimen(tester, default, index % TOPOLOGIES)
-    found = equilibrium_near(default.rest, default.positions, specimen, tester, fabric,
-                             self_contact=True)
-    finest = Shape(specimen, found.state.positions)
+    found = equilibrium_near(default, specimen, tester, fabric, self_contact=True)
+    finest = Shape.of(specimen, found.state.positions)
     rows = [difference(default, default.converged, finest, tester, "default, as draped",
                        default_cost)]
     for name, edge in (("default", default.edge), *((f"{mm:g}", 1e-3 * mm) for mm in edges_mm)):
         coarse = make_specimen(tester, edge=edge, topology=index % TOPOLOGIES)
-        placed = equilibrium_near(finest.rest, finest.positions, coarse, tester, fabric,
-                                  self_contact=True)
+        placed = equilibrium_near(finest, coarse, tester, fabric, self_contact=True)
         cost = default_cost if name == "default" else timed_drape(fabric, tester, edge, index)[1]
-        rows.append(difference(Shape(coarse, placed.state.positions), placed.converged, finest,
+        rows.append(difference(Shape.of(coarse, placed.state.positions), placed.converged, finest,
                                tester, name, cost))
     return {"rig": rig, "alpha_uN_m": (fabric.alpha / MICRO).tolist(),
             "edge_mm": 1e3 * default.edge, "triangles": len(default.faces),
             "fine_triangles": len(finest.faces), "fine_converged": found.converged,
             "meshes": rows}
-
-
-class Shape:
-    """A specimen at positions (V, 3), m, as :class:`experiments.comparison.Draped`."""
-
-    def __init__(self, specimen: Specimen, positions: np.ndarray) -> None:
-        self.rest, self.faces, self.positions = specimen.mesh.rest, specimen.mesh.faces, positions
 
 
 def timed_drape(

@@ -13,14 +13,13 @@ All start from one drape with 200 N/m, so that they have the same folds.
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.render.shade import shade
-from experiments.comparison import compare, equilibrium_near, same_folds
-from experiments.result import Config, Result, load_arrays, run_cases
+from experiments.comparison import Shape, compare, equilibrium_near, same_folds
+from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
 from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
@@ -65,13 +64,12 @@ def simulate(
     fabric = Fabric(np.full(3, alpha * MICRO), density=density)
     laws = Laws(membrane=membrane(law, stiffness))
     if begin is None:
-        found = drape(fabric, rig=rig, edge=1e-3 * edge_mm, seed=seed, laws=laws,
-                      start="sine")
+        found = drape(fabric, rig=rig, edge=1e-3 * edge_mm, seed=seed, laws=laws, start="sine")
         mesh, steps = found.mesh, found.iterations
     else:
-        start = load_arrays(Path(begin).parent, Path(begin).stem)
+        start = Shape.load(Path(begin).parent, Path(begin).stem)
         specimen = make_specimen(rig, edge=1e-3 * edge_mm, topology=seed % TOPOLOGIES)
-        found = equilibrium_near(start["rest"], start["positions"], specimen, rig, fabric, laws)
+        found = equilibrium_near(start, specimen, rig, fabric, laws)
         mesh, steps = specimen.mesh, found.newton.iterations
     positions = found.state.positions
     return {
@@ -130,9 +128,9 @@ class Drapes:
     def __init__(self, folder: Path, reports: dict[str, dict]) -> None:
         self._folder, self.reports = folder, reports
 
-    def drape(self, case: Case) -> SimpleNamespace:
+    def drape(self, case: Case) -> Shape:
         """Rest points, positions and faces of a case."""
-        return SimpleNamespace(**load_arrays(self._folder, case.name))
+        return Shape.load(self._folder, case.name)
 
     def displacement(self, case: Case, other: Case) -> float:
         """Mean displacement between two cases, mm; NaN if one has not converged."""

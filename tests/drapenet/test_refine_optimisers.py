@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from drapenet.refine.minimise import Limits, Status, minimise
-from experiments.papers.minimisers import METHODS
+from experiments.papers.optimisers import METHODS
 
 DERIVATIVES = ("lm", "lbfgs")
 

@@ -1,12 +1,12 @@
 """Differences between two shapes whose distance, curvature or folds are known."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from common.errors import InputError
-from experiments.comparison import compare, mean_curvature, same_folds
+from experiments.comparison import Shape, compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
 from sim.mesh.specimen import make_specimen
@@ -20,7 +20,7 @@ def specimen(resolution: int, *, seed: int = 0) -> Mesh:
     return make_specimen(RIG, edge=0.3 / (resolution - 1), grading=1, topology=seed).mesh
 
 
-def bell(mesh: Mesh, *, folds: int = 5, phase: float = 0.0, depth: float = 0.02) -> SimpleNamespace:
+def bell(mesh: Mesh, *, folds: int = 5, phase: float = 0.0, depth: float = 0.02) -> Shape:
     """A smooth drape: bent over the rim along an arc of 30 mm, then down, with folds."""
     radius, angle = np.hypot(*mesh.rest.T), np.arctan2(mesh.rest[:, 1], mesh.rest[:, 0])
     over = np.maximum(radius - 0.05, 0)
@@ -30,18 +30,18 @@ def bell(mesh: Mesh, *, folds: int = 5, phase: float = 0.0, depth: float = 0.02)
     reach += depth * (over / 0.1) ** 2 * np.cos(folds * angle + phase)
     height = -0.03 * (1 - np.cos(turn)) - straight * np.sin(1.2)
     positions = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), height])
-    return SimpleNamespace(positions=positions, rest=mesh.rest, faces=mesh.faces)
+    return Shape(positions=positions, rest=mesh.rest, faces=mesh.faces)
 
 
-def turned(drape: SimpleNamespace, angle: float) -> SimpleNamespace:
+def turned(drape: Shape, angle: float) -> Shape:
     """The drape turned about the vertical axis in space, its cloth not."""
     c, s = np.cos(angle), np.sin(angle)
     about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return SimpleNamespace(positions=drape.positions @ about_z.T, rest=drape.rest,
+    return Shape(positions=drape.positions @ about_z.T, rest=drape.rest,
                            faces=drape.faces)
 
 
-def outline(drape: SimpleNamespace) -> np.ndarray:
+def outline(drape: Shape) -> np.ndarray:
     return fold_outline(drape.positions, drape.rest, RIG)
 
 
@@ -104,7 +104,7 @@ def test_one_shape_on_two_meshes_hardly_differs(resolutions):
 def test_points_of_the_cloth_are_compared_wherever_it_lies():
     centred, shifted = specimen(31), specimen(41, seed=1)
     one, other = bell(centred), bell(shifted)
-    other.rest = other.rest + np.array([0.01, -0.004])
+    other = replace(other, rest=other.rest + np.array([0.01, -0.004]))
     assert compare(one, other).displacement < 2e-5
 
 
@@ -121,7 +121,7 @@ def test_displacement_is_the_mean_over_the_area():
 
 def test_halving_the_size_of_a_shape_doubles_its_curvature():
     drape = bell(specimen(31))
-    smaller = SimpleNamespace(positions=0.5 * drape.positions, rest=drape.rest, faces=drape.faces)
+    smaller = Shape(positions=0.5 * drape.positions, rest=drape.rest, faces=drape.faces)
     assert compare(drape, smaller).curvature == pytest.approx(1.0)
     assert compare(smaller, drape).curvature == pytest.approx(0.5)
 
@@ -133,7 +133,8 @@ def test_alignment_removes_a_turn_and_a_rigid_motion():
     assert compare(drape, other, align="turn").largest < 1e-12
     c, s = np.cos(0.2), np.sin(0.2)
     tilted = turned(drape, 2.0)
-    tilted.positions = tilted.positions @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) + 0.01
+    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    tilted = replace(tilted, positions=tilted.positions @ tilt + 0.01)
     assert compare(drape, tilted, align="turn").displacement > 0.01
     assert compare(drape, tilted, align="rigid").largest < 1e-12
     assert compare(drape, tilted, align="rigid").curvature < 1e-9
@@ -142,7 +143,7 @@ def test_alignment_removes_a_turn_and_a_rigid_motion():
 def test_a_mirror_image_is_no_rigid_motion():
     mesh = specimen(31)
     drape, mirrored = bell(mesh), bell(mesh)
-    mirrored.positions = mirrored.positions * [1, 1, -1]
+    mirrored = replace(mirrored, positions=mirrored.positions * [1, 1, -1])
     assert compare(drape, mirrored, align="rigid").displacement > 0.005
 
 
@@ -166,7 +167,7 @@ def test_flat_outlines_have_the_same_folds():
 def test_other_specimens_and_words_are_refused():
     drape = bell(specimen(31))
     with pytest.raises(InputError, match="not drapes of one specimen"):
-        compare(drape, SimpleNamespace(positions=drape.positions[:500], rest=drape.rest[:500],
+        compare(drape, Shape(positions=drape.positions[:500], rest=drape.rest[:500],
                                        faces=drape.faces[(drape.faces < 500).all(axis=1)]))
     with pytest.raises(InputError, match="none, turn, rigid"):
         compare(drape, drape, align="best")

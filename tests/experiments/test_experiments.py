@@ -14,7 +14,7 @@ from common.command import schema_of
 from common.configs import group_options
 from common.errors import InputError
 from experiments.__main__ import FILES, FOLDERS, main, module_of, usage
-from experiments.comparison import compare, equilibrium_near
+from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.estimation import information, refine_views
 from experiments.page import ORDER, PAGE, page_text
 from experiments.physics import default_mesh
@@ -125,8 +125,8 @@ def draped():
 def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
     for edge, low, high in ((8e-3, 0.0, 1e-6), (6e-3, 1e-4, 5e-3)):
         specimen = make_specimen(Rig(), edge=edge, topology=2)
-        found = equilibrium_near(draped.rest, draped.positions, specimen, Rig(), draped.fabric)
-        shape = default_mesh.Shape(specimen, found.state.positions)
+        found = equilibrium_near(draped, specimen, Rig(), draped.fabric)
+        shape = Shape.of(specimen, found.state.positions)
         assert found.converged
         assert low <= compare(draped, shape).displacement < high
 

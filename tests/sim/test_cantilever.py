@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from common.errors import InputError
-from experiments.physics.cylinders import cylinder_moduli, cylinder_torque, free_modulus
 from experiments.physics.guides import LevelSides, TiedRows, guided
+from experiments.physics.strips import cylinder_moduli, cylinder_torque, free_modulus
 from sim.cantilever import (
     aspect_ratio,
     elastica,
