@@ -23,8 +23,6 @@ from common.files import folder_named
 from data.captures.capture import Capture, captures_in, read_capture
 from data.captures.description import checked_density
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.export.formats import export_all, targets_named
-from drapenet.export.material import read_material
 from drapenet.network.checkpoint import header_for
 from drapenet.result.files import (
     ESTIMATE,
@@ -41,7 +39,10 @@ from sim.mesh.specimen import check_edge
 def main(config: InferConfig) -> None:
     """Estimate one fabric or many, print the estimates, and write the files."""
     options = options_of(config)
-    targets = targets_named(config.export, "export") if config.export else []
+    if config.export:
+        from drapenet.export.formats import targets_named
+
+        targets_named(config.export, "export")  # refuses an unknown name before any work
     if config.captures:
         from drapenet.batch.batch import estimate_fabrics
 
@@ -49,9 +50,8 @@ def main(config: InferConfig) -> None:
                                  checkpoint=config.checkpoint, workers=config.workers)
     else:
         files = [estimate_fabric(config, options)]
-    for file in files if targets else ():
-        written = export_all(read_material(file), targets, file.parent)
-        print(f"exports:  {', '.join(str(path) for path in written)}")
+    if config.export:
+        export_estimates(files, config.export)
 
 
 def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
@@ -75,8 +75,9 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
             print(f"{capture.path}: {len(capture.views)} views; the estimate takes about half a "
                   "minute", file=sys.stderr, flush=True)
         result = estimate_capture(capture, header, options, out=folder, scan=scan)
-        results.append((result.estimate, result.document))
-        print(f"{result.document.text()}\nestimate: {folder / ESTIMATE}")
+        document = result.document
+        results.append((result.estimate, document))
+        print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
         if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
             print(f"report:   {', '.join(files)}")
     if len(results) > 1:
@@ -85,6 +86,16 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
         write_estimate(out, estimate, document)
         print(f"{document.text()}\nestimate: {out / ESTIMATE}")
     return out / ESTIMATE
+
+
+def export_estimates(files: list[Path], names: str) -> None:
+    """Write files for other tools beside each ``estimate.json``."""
+    from drapenet.export.formats import export_all, targets_named
+    from drapenet.export.material import read_material
+
+    for file in files:
+        written = export_all(read_material(file), targets_named(names, "export"), file.parent)
+        print(f"exports:  {', '.join(str(path) for path in written)}")
 
 
 def options_of(config: InferConfig) -> EstimateOptions:

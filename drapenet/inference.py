@@ -18,7 +18,6 @@ from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
 from common.types import Metres
 from data.captures.capture import Capture
-from data.fabrics.nuisances import Nuisances, at_density
 from drapenet.config import EstimateOptions
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
@@ -151,8 +150,9 @@ def network_estimate(
     """
     located = LocatedViews.of(capture)
     drape = radial_map(located)
-    known = {} if membrane is None else at_density({"membrane": membrane}, capture.density,
-                                                   REFERENCE_DENSITY)
+    known = {}
+    if membrane is not None:
+        known["membrane"] = membrane * REFERENCE_DENSITY / capture.density
     draws, = predict(network_of(header), header, [drape], **known)
     estimate = make_estimate(draws, capture=capture, header=header)
     return CaptureEstimate(capture, header, located, drape, known, estimate)
@@ -197,6 +197,7 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> None:
     """Simulate ``drapes`` drapes of the estimate, unless a refinement has, and keep the one that
     fits the capture best.
     """
+    from data.fabrics.nuisances import Nuisances
     from drapenet.report.drape import resimulate
 
     if result.drape is None:

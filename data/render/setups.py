@@ -19,7 +19,6 @@ from common.types import Faces, Points, Radians, Turns, Views
 from common.units import si
 from data.captures.description import MAX_VIEWS
 from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera, size_ratio
-from data.render.raster import rasterise
 from data.render.sensors import Share, load_sensor
 from sim.rig import SQUARE_RIG, Rig
 
@@ -127,6 +126,8 @@ class Setups:
         wrong = rng.normal(0.0, self.turn, count)
         wrong[0] = 0.0
         orientation = float(rng.uniform(*self.orientation))
+        from data.render.raster import rasterise  # Numba, which a reader of set-ups need not load
+
         views = rasterise(positions, faces, camera, orientation + turns + wrong)
         name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
         noisy = load_sensor(name)(views, camera, int(rng.integers(2**63)))

@@ -86,8 +86,7 @@ class Estimate:
         return self.samples.std(axis=0) / self.spread
 
     def moduli(self, density: Density | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """alpha (S, 3) N·m and beta (S, 3) N·m² of the fabric, at this ``density`` or at its own.
-        """
+        """alpha (S, 3) N·m and beta (S, 3) N·m² at this ``density``, kg/m², or at the fabric's."""
         alpha, beta = from_theta(self.samples)
         scale = (self.density if density is None else density) / REFERENCE_DENSITY
         return alpha * scale, beta * scale

@@ -24,9 +24,6 @@ import numpy as np
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
-from data.dataset.folder import finished_manifest
-from data.dataset.shards import Shard
-from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
@@ -108,6 +105,10 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray, *, constan
 @command("placement", PlacementConfig)
 def main(config: PlacementConfig) -> None:
     """Fit the coefficients of one rig and write the table of all rigs with them."""
+    from data.dataset.folder import finished_manifest
+    from data.dataset.shards import Shard
+    from data.render.setups import Setups
+
     if not config.data:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     require_file(Path(config.out))
