@@ -9,7 +9,7 @@ DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve perturbed lint sim prior dataset dataset-testers train evaluate bench-sim bench docs studies example validate matrix clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset dataset-testers train evaluate bench-sim bench docs studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -43,14 +43,11 @@ test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as ro
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
 
-campaign: $(STAMP)  ## robustness tests: damaged input, kills, full disks; an hour, resumes; writes docs/validation/campaign.json
+campaign: $(STAMP)  ## robustness tests: damaged input, kills, full disks; an hour
 	$(BIN)/python tests/campaign
 
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
-
-perturbed: $(STAMP)  ## fast tests of the simulator, repeated 20 times with starts perturbed by 1e-9 m
-	$(BIN)/python tests/perturbed.py
 
 matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python tools/matrix.py

@@ -5,7 +5,6 @@ import io
 import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,9 @@ from fastapi.staticfiles import StaticFiles
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
-from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
-from common.errors import InputError, one_line
+from common.errors import InputError
 from common.files import folder_named, require_folder
 from data.captures.capture import CAPTURE_FILES
 from data.testers import TESTERS
@@ -34,7 +32,6 @@ from drapenet.export.material import MESHES, read_material
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
-from drapenet.service.protocol import TimeoutProtocol
 from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
@@ -44,39 +41,35 @@ FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "captures" / "twill"
 _TIDY_INTERVAL = 600.0  # s between removals of old results
-_SECURE = {
-    "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
-    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src "
-                               "'self' data: blob:; connect-src 'self' data: blob:; "
-                               "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"}
-_MAX_DRAINED = 1 << 20  # bytes read of a refused upload, so that the client reads the response
-_DRAIN_TIMEOUT = 2.0  # s
-_ANSWERS = {404: "no such estimate, or file of it", 408: "the upload paused or took too long",
-            409: "not yet available", 413: "too many or too large files",
-            415: "a kind of file that is not taken", 422: "not a capture",
-            429: "the queue is full: try again"}
+_POLICY = ("default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+           "connect-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; "
+           "form-action 'self'")
+_SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+           "Content-Security-Policy": _POLICY}
+_MAX_FORM = 1 << 20  # bytes of a request beside its files
+_DRAIN_TIMEOUT = 2.0  # s, for which a refused upload is read, so that the client reads the answer
+_FIELDS = {name: {"type": "number"} for name in NUMBERS} | {
+    name: {"type": "string"} for name in TEXTS} | {
+    "files": {"type": "array", "items": {"type": "string", "format": "binary"},
+              "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"}}
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
-    "type": "object", "required": ["files"],
-    "properties": {
-        "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"},
-        **{name: {"type": "number"} for name in NUMBERS},
-        **{name: {"type": "string"} for name in TEXTS}}}}}}
+    "type": "object", "required": ["files"], "properties": _FIELDS}}}}
+_STATUSES = {
+    404: "no such estimate, or file of it", 408: "the upload paused or took too long",
+    409: "not yet available", 413: "too many or too large files",
+    415: "a kind of file that is not taken", 422: "not a capture",
+    429: "the queue is full: try again"}
+_RESPONSES = {status: {"description": text} for status, text in _STATUSES.items()}
 router = APIRouter()
 """The HTTP interface."""
 
 
 def serve(settings: Settings) -> None:
-    """Serve until interrupted; keys in ``configs/serve.yaml``.
-
-    Raises:
-        InputError: settings out of range, or an address that cannot be bound.
-    """
+    """Serve until interrupted; InputError for an address that cannot be bound."""
     require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
-        http=TimeoutProtocol, ws="none",
-        limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
+        ws="none", limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
         timeout_graceful_shutdown=3, server_header=False))
     try:
         listening = server.config.bind_socket()
@@ -109,6 +102,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.middleware("http")(_guarded)
     app.exception_handler(HTTPException)(_refused)
     app.exception_handler(ClientDisconnect)(_closed)
+    app.exception_handler(Exception)(_failed)
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
     _add_pages(app, settings)
@@ -117,15 +111,13 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def _add_pages(app: FastAPI, settings: Settings) -> None:
-    @cache
-    def page() -> bytes:
-        return render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
-                      testers={name: RIGS[name] for name in TESTERS},
-                      kinds=KINDS, example=EXAMPLE.is_dir())
+    page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
+                  testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
+                  example=EXAMPLE.is_dir())
 
     @app.get("/", include_in_schema=False)
     def start() -> HTMLResponse:
-        return HTMLResponse(page())
+        return HTMLResponse(page)
 
     @app.get("/docs", include_in_schema=False)
     def docs() -> HTMLResponse:
@@ -135,28 +127,20 @@ def _add_pages(app: FastAPI, settings: Settings) -> None:
             swagger_css_url="/swagger/swagger-ui.css",
             swagger_favicon_url="/swagger/favicon-32x32.png")
         answer.headers["Content-Security-Policy"] = (  # its page has a script inside
-            _SECURE["Content-Security-Policy"] + "; script-src 'self' 'unsafe-inline'")
+            _POLICY + "; script-src 'self' 'unsafe-inline'")
         return answer
 
     @app.get("/example.zip", include_in_schema=False)
     def example() -> Response:
         if not EXAMPLE.is_dir():
             raise RequestError(404, "the example is not installed")
-        return Response(_example(), media_type="application/zip")
-
-
-@cache
-def _example() -> bytes:
-    return _zipped({file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
-                    if file.suffix == ".png" or file.name in CAPTURE_FILES})
-
-
-def _answers(*statuses: int) -> dict[int, dict[str, str]]:
-    return {status: {"description": _ANSWERS[status]} for status in statuses}
+        return Response(_zipped({file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
+                                 if file.suffix == ".png" or file.name in CAPTURE_FILES}),
+                        media_type="application/zip")
 
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
-             responses=_answers(408, 413, 415, 422, 429))
+             responses={status: _RESPONSES[status] for status in (408, 413, 415, 422, 429)})
 async def begin(request: Request) -> dict[str, str]:
     """Upload a capture or a scan and start its estimate."""
     jobs: Jobs = request.app.state.jobs
@@ -176,25 +160,24 @@ async def begin(request: Request) -> dict[str, str]:
     return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
 
-@router.get("/estimates/{identity}", responses=_answers(404))
+@router.get("/estimates/{identity}", responses={404: _RESPONSES[404]})
 def state(identity: str, request: Request) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
     `estimate` has the content of estimate.json as soon as the network's estimate is available.
     """
-    folder, found = request.app.state.jobs.found(identity)
-    content = read_json(folder / ESTIMATE)
+    folder, content = request.app.state.jobs.state(identity)
     files = [name for name in FILES if (folder / name).is_file()]
-    return JSONResponse(found | {"estimate": content, "files": files},
+    return JSONResponse(content | {"estimate": read_json(folder / ESTIMATE), "files": files},
                         headers={"Cache-Control": "no-store"})
 
 
-@router.get("/estimates/{identity}/{file}", responses=_answers(404, 409),
-            response_class=FileResponse)
+@router.get("/estimates/{identity}/{file}", response_class=FileResponse,
+            responses={status: _RESPONSES[status] for status in (404, 409)})
 def file(identity: str, file: str, request: Request) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
     preview.png.
     """
-    folder, _ = request.app.state.jobs.found(identity)
+    folder, _ = request.app.state.jobs.state(identity)
     if file not in FILES:
         raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
     if not (folder / file).is_file():
@@ -203,35 +186,29 @@ def file(identity: str, file: str, request: Request) -> FileResponse:
 
 
 @router.get("/estimates/{identity}/export/{name}", response_class=Response,
-            responses=_answers(404, 409, 422))
+            responses={status: _RESPONSES[status] for status in (404, 409, 422)})
 def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
            edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
     """A file for another tool, or a zip of several files; `mesh` and `edge_mm` are for tools with
     hinges, `curvature_1_m` is that of the secant for tools with one modulus.
     """
-    folder, found = request.app.state.jobs.found(identity)
+    folder, content = request.app.state.jobs.state(identity)
     if name not in TARGETS:
         raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
-    if found["state"] != DONE:
+    if content["state"] != DONE:
         raise RequestError(409, "the estimate is not finished")
+    title = f"{plain_name(content['name'])}-{TARGETS[name].file}"
     try:
         material = read_material(folder / ESTIMATE, curvature_1_m=curvature_1_m, mesh=mesh,
-                                 edge_mm=edge_mm, name=found["name"])
-        target = TARGETS[name]
-        title = f"{plain_name(found['name'])}-{target.file}"
-        files = target.write(material, title)
+                                 edge_mm=edge_mm, name=content["name"])
+        files = TARGETS[name].write(material, title)
     except InputError as error:
         raise RequestError(422, str(error).replace(str(folder), "")) from None
-    several = len(files) > 1
-    title = f"{Path(title).stem}.zip" if several else title
-    return Response(_zipped(files) if several else files[title],
-                    media_type="application/octet-stream",
-                    headers={"Content-Disposition": _attachment(title)})
-
-
-def _attachment(name: str) -> str:
-    ascii_name = name.encode("ascii", "replace").decode().replace("?", "_")
-    return f"attachment; filename=\"{ascii_name}\""
+    data = files[title] if len(files) == 1 else _zipped(files)
+    title = title if len(files) == 1 else f"{Path(title).stem}.zip"
+    ascii_title = title.encode("ascii", "replace").decode().replace("?", "_")
+    return Response(data, media_type="application/octet-stream",
+                    headers={"Content-Disposition": f"attachment; filename=\"{ascii_title}\""})
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
@@ -249,20 +226,9 @@ async def _form(
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         await _drain(request)
         raise RequestError(415, "send the files as multipart/form-data, in the field files")
-    stated = request.headers.get("content-length", "0")
-    if stated.isdigit() and int(stated) > settings.bytes + _MAX_DRAINED:
-        raise RequestError(413, f"the upload has {int(stated) / 1e6:.0f} MB; at most "
-                           f"{settings.bytes / 1e6:g}")
-    _limit(request, settings)
-    parser = MultiPartParser(request.headers, request.stream(), max_files=settings.files,
-                             max_fields=32, max_part_size=1 << 16)
-    parser.spool_max_size = settings.bytes + _MAX_DRAINED  # keeps all files in memory
-    try:
-        form = await parser.parse()
-    except MultiPartException as error:
-        raise RequestError(422, one_line(Exception(error.message))) from None
+    limited = Request(request.scope, _limited(request, settings))
     files, texts = [], {}
-    try:
+    async with limited.form(max_files=settings.files, max_fields=32, max_part_size=1 << 16) as form:
         for key, value in form.multi_items():
             if isinstance(value, UploadFile):
                 if key != "files":
@@ -272,30 +238,28 @@ async def _form(
                 raise RequestError(422, f"the field {key[:60]!r} is given twice; give it once")
             else:
                 texts[key] = value
-    finally:
-        await form.close()
     return files, texts
 
 
-def _limit(request: Request, settings: Settings) -> None:
-    """Limit the size, duration and pauses of a request."""
-    receive, total = request._receive, 0
-    end = asyncio.get_running_loop().time() + settings.upload_seconds
+def _limited(request: Request, settings: Settings) -> Callable[[], Awaitable[Any]]:
+    """The messages of a request, of limited size, duration and pauses."""
+    clock, total = asyncio.get_running_loop().time, 0
+    end = clock() + settings.upload_seconds
 
-    async def limited() -> Any:
+    async def receive() -> Any:
         nonlocal total
-        left = end - asyncio.get_running_loop().time()
+        pause = max(0.0, min(end - clock(), settings.idle_seconds))
         try:
-            message = await asyncio.wait_for(receive(), max(0.0, min(left, settings.idle_seconds)))
+            message = await asyncio.wait_for(request.receive(), pause)
         except asyncio.TimeoutError:
             raise RequestError(408, f"the upload paused for {settings.idle_seconds:g} s or took "
                                f"more than {settings.upload_seconds:g} s; try again") from None
         total += len(message.get("body", b""))
-        if total > settings.bytes + _MAX_DRAINED:
+        if total > settings.bytes + _MAX_FORM:
             raise RequestError(413, f"the upload has more than {settings.bytes / 1e6:g} MB")
         return message
 
-    request._receive = limited
+    return receive
 
 
 async def _drain(request: Request) -> None:
@@ -304,7 +268,7 @@ async def _drain(request: Request) -> None:
         total = 0
         async for part in request.stream():
             total += len(part)
-            if total > _MAX_DRAINED:
+            if total > _MAX_FORM:
                 return
 
     with suppress(Exception):  # the request is refused in any case
@@ -318,16 +282,15 @@ async def _guarded(
     origin = request.headers.get("origin")
     if request.method not in ("GET", "HEAD") and origin is not None and (
             urlsplit(origin).netloc != request.headers.get("host")):
-        answer = _answer(403, "requests from other sites' pages are not taken")
-    else:
-        answer = await call_next(request)
+        return _answer(403, "requests from other sites' pages are not taken")
+    answer = await call_next(request)
     for name, value in _SECURE.items():
         answer.headers.setdefault(name, value)
     return answer
 
 
 def _answer(status: int, sentence: str) -> JSONResponse:
-    headers = {"Retry-After": "30"} if status == 429 else {}
+    headers = _SECURE | ({"Retry-After": "30"} if status == 429 else {})
     return JSONResponse({"error": sentence}, status_code=status, headers=headers)
 
 
@@ -337,6 +300,10 @@ async def _refused(request: Request, error: HTTPException) -> JSONResponse:
 
 async def _closed(request: Request, error: ClientDisconnect) -> JSONResponse:
     return _answer(400, "the connection was closed before the upload was complete")
+
+
+async def _failed(request: Request, error: Exception) -> JSONResponse:
+    return _answer(500, "a fault of the program, which the service's log states")
 
 
 async def _tidy(jobs: Jobs) -> None:

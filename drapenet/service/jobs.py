@@ -17,7 +17,7 @@ from pebble import ProcessPool
 
 from common.errors import InputError, one_line
 from drapenet.service.settings import Settings
-from drapenet.service.uploads import RequestError, Upload, write_upload
+from drapenet.service.uploads import RequestError, Upload
 from drapenet.service.work import (
     ENDED,
     FAILED,
@@ -33,8 +33,6 @@ from drapenet.service.work import (
 _LOG = logging.getLogger(__name__)
 _ID = re.compile(r"[A-Za-z0-9_-]{22}")
 _MAX_TASKS = 500  # estimates after which a worker process is replaced
-_RESTARTED = ("the service was started again before this estimate was finished; upload the capture "
-              "again")
 
 
 class Jobs:
@@ -49,12 +47,12 @@ class Jobs:
         self._places, self._lock = threading.Semaphore(settings.queue), threading.Lock()
         self._unfinished: set[futures.Future] = set()
         settings.folder.mkdir(parents=True, exist_ok=True)
-        for folder in self._folders():
-            state = read_state(folder)
+        for folder, state in self._states():
             if state is None:
                 shutil.rmtree(folder, ignore_errors=True)  # an upload that was never complete
             elif state["state"] not in ENDED:
-                self._end(folder, LOST, _RESTARTED)
+                self._end(folder, LOST, "the service was started again before this estimate was "
+                          "finished; upload the capture again")
         self._pool = self._workers()
 
     def _workers(self) -> ProcessPool:
@@ -71,15 +69,15 @@ class Jobs:
         self._pool.join(timeout=5)
 
     def reserve(self) -> None:
-        """Reserve a place in the queue, to be released by :meth:`release` unless :meth:`submit` is
-        called, which releases it; RequestError with the status 429 if none is free.
+        """Take a place in the queue, which :meth:`release` or the end of the estimate gives back;
+        RequestError with the status 429 if none is free.
         """
         if not self._places.acquire(blocking=False):
             raise RequestError(429, f"{self.settings.queue} estimates are waiting or under way, as "
                                "many as this service takes; try again in a minute")
 
     def release(self) -> None:
-        """Release a place in the queue."""
+        """Give a place in the queue back."""
         self._places.release()
 
     def submit(self, upload: Upload) -> str:
@@ -87,14 +85,14 @@ class Jobs:
         identity = secrets.token_urlsafe(16)
         folder = self.settings.folder / identity
         try:
-            write_upload(upload, folder / UPLOADED)
+            (folder / UPLOADED).mkdir(parents=True)
+            for name, data in upload.files.items():
+                (folder / UPLOADED / name).write_bytes(data)
             change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
                          refine=upload.refine, progress=None, error=None, warnings=[],
                          created=time.time(), ended=None)
-            density = upload.fields.get("density_g_m2")
-            self._schedule(folder, {
-                "refine": upload.refine, "scan": upload.scan, "name": upload.name,
-                "density": density and 1e-3 * density})
+            self._schedule(folder, {"refine": upload.refine, "scan": upload.scan,
+                                    "name": upload.name, "density": upload.density})
         except BaseException as error:
             self.release()
             shutil.rmtree(folder, ignore_errors=True)
@@ -111,8 +109,11 @@ class Jobs:
                 try:
                     future = self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
                                                  timeout=self.settings.job_seconds)
-                except RuntimeError:  # a thread of the pool has died
-                    self._replace_pool()
+                except RuntimeError:  # a thread of the pool has died: it finishes no estimate
+                    self.close()
+                    for waiting in tuple(self._unfinished):
+                        waiting.cancel()  # calls _ended
+                    self._pool = self._workers()
                     continue
                 self._unfinished.add(future)
                 future.add_done_callback(lambda done: self._ended(folder, done))
@@ -120,14 +121,7 @@ class Jobs:
         raise RequestError(503, "the worker processes cannot be started; the service's log says "
                            "why")
 
-    def _replace_pool(self) -> None:
-        """Replace a broken pool, which finishes none of its estimates: they fail."""
-        self.close()
-        for future in tuple(self._unfinished):
-            future.cancel()  # calls _ended
-        self._pool = self._workers()
-
-    def found(self, identity: str) -> tuple[Path, dict[str, Any]]:
+    def state(self, identity: str) -> tuple[Path, dict[str, Any]]:
         """Folder and state of an estimate; RequestError with the status 404 where there is none."""
         folder = self.settings.folder / identity
         state = read_state(folder) if _ID.fullmatch(identity) else None
@@ -137,24 +131,20 @@ class Jobs:
 
     def tidy(self) -> None:
         """Remove results that are too old or too many."""
-        now, ended = time.time(), []
-        for folder in self._folders():
-            state = read_state(folder)
-            if state is not None and state["state"] in ENDED:
-                ended.append((state.get("ended") or 0.0, folder))
-        ended.sort(key=lambda item: item[0])
+        ended = sorted((state.get("ended") or 0.0, folder) for folder, state in self._states()
+                       if state is not None and state["state"] in ENDED)
         for k, (moment, folder) in enumerate(ended):
-            if now - moment > self.settings.keep_seconds or len(ended) - k > self.settings.keep:
+            old = time.time() - moment > self.settings.keep_seconds
+            if old or len(ended) - k > self.settings.keep:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def _folders(self) -> list[Path]:
-        return [folder for folder in self.settings.folder.iterdir()
+    def _states(self) -> list[tuple[Path, dict[str, Any] | None]]:
+        """Folders of estimates with their states."""
+        return [(folder, read_state(folder)) for folder in self.settings.folder.iterdir()
                 if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
 
-    def _ended(self, folder: Path, done: Any) -> None:
-        """Release the place and record failures; called at the end of a task, or at its
-        cancellation.
-        """
+    def _ended(self, folder: Path, done: futures.Future) -> None:
+        """Release the place and record failures, at the end of a task or at its cancellation."""
         self._unfinished.discard(done)
         self.release()
         error = futures.CancelledError() if done.cancelled() else done.exception()

@@ -10,6 +10,7 @@ from common.configs import read_option
 from common.documents import read_json as read_document
 from common.errors import InputError
 from common.files import replace_file, replace_json
+from common.types import Density
 from common.workers import end_with_parent
 from drapenet.config import EstimateOptions
 
@@ -54,13 +55,11 @@ def warm_up() -> None:
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 
-def estimate_upload(folder: Path, *, refine: bool, scan: str | None, name: str,
-                    density: float | None) -> None:
-    """Estimate the upload in ``folder``; input errors are recorded in its state.
-
-    Args:
-        scan: file of a scan; None for a capture.
-        name: of the capture, for display. density: kg/m², of a scan.
+def estimate_upload(
+    folder: Path, *, refine: bool, scan: str, name: str, density: Density | None
+) -> None:
+    """Estimate the upload in ``folder``, of :class:`drapenet.service.uploads.Upload`; input errors
+    are recorded in its state.
     """
     from data.captures.capture import read_capture
     from drapenet.inference import CaptureEstimate, estimate_capture

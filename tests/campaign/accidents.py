@@ -28,6 +28,7 @@ from data.dataset.generate import generate_dataset
 from drapenet.config import TrainConfig
 from drapenet.network.training import open_captures
 
+Kill = Callable[[Path, random.Random], dict]
 DRAPES, PER_SHARD = 36, 3
 MOST_ATTEMPTS = 400
 TRAINING = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "device=cpu",
@@ -132,6 +133,11 @@ def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
     last = ended(forked(lambda: make_dataset(out)))
     same = digest(out) == digest(peaceful)
     return {"kills": kills, "same": same and last == 0, "failed": wrong}
+
+
+def kill_dataset_with_workers(work: Path, rng: random.Random) -> dict:
+    """As :func:`kill_dataset`, each process with two workers."""
+    return kill_dataset(work, rng, workers=2)
 
 
 def _require_complete(out: Path) -> None:

@@ -56,7 +56,7 @@ from drapenet.network.training import load_state, save_state
 from drapenet.refine.scans import read_cloud
 from drapenet.result.files import write_estimate
 from drapenet.service.settings import Settings
-from drapenet.service.uploads import RequestError, checked_upload, write_upload
+from drapenet.service.uploads import RequestError, checked_upload
 from sim.material import MICRO
 from sim.rig import Rig
 
@@ -368,11 +368,14 @@ def _read_upload(folder: Path) -> None:
         folder / "fields.json")
     texts = {str(key): value if isinstance(value, str) else repr(value)
              for key, value in (fields.items() if isinstance(fields, dict) else ())}
-    written = folder / f"written_{os.getpid()}"
     try:
-        write_upload(checked_upload([("capture.zip", data)], texts, settings), written)
+        upload = checked_upload([("capture.zip", data)], texts, settings)
     except RequestError as error:
         raise InputError(error.detail) from None
+    written = folder / f"written_{os.getpid()}"
+    written.mkdir()
+    for name, content in upload.files.items():
+        (written / name).write_bytes(content)
     read_capture(written)
 
 

@@ -7,7 +7,6 @@ from dataclasses import fields
 from importlib import import_module
 
 import numpy as np
-import perturbed
 import pytest
 
 from common.command import schema_of
@@ -25,12 +24,10 @@ from experiments.result import (
     read_report,
     table,
 )
-from sim.cloth import Cloth
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
-from sim.solver.newton import NewtonOptions
 
 
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
@@ -184,21 +181,3 @@ def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
     assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
     assert content["summary"]["midedge"]["pairs"] == 3
     assert "three kinds of meshes" not in capsys.readouterr().out  # without the hinge law
-
-
-def test_searches_are_perturbed_alike_for_equal_starts_and_changed_outcomes_are_listed(draped):
-    scene = draped.scene
-    potential = Cloth(scene, draped.fabric).potential
-    stop = NewtonOptions(max_iterations=0)
-    moves = [perturbed.Perturbation(seed, 1e-9).minimise(potential, draped.state.q, stop).q
-             - draped.state.q for seed in (None, 0, 0, 1)]
-    assert not moves[0].any() and np.array_equal(moves[1], moves[2])
-    assert not np.array_equal(moves[1], moves[3])
-    coordinates = moves[1][: 3 * len(draped.rest)].reshape(-1, 3)
-    assert not coordinates[scene.held].any()
-    assert coordinates[~scene.held].std() == pytest.approx(1e-9, rel=0.1)
-    plain = {"a": "passed", "b": "passed", "c": "failed"}
-    runs = [plain, plain | {"b": "failed"}, plain | {"b": "failed", "c": "passed"}]
-    assert perturbed.compare(plain, runs) == {
-        "b": {"unperturbed": "passed", "perturbed": {"passed": 1, "failed": 2}},
-        "c": {"unperturbed": "failed", "perturbed": {"failed": 2, "passed": 1}}}

@@ -2,7 +2,7 @@
 
 import io
 import json
-import os
+import multiprocessing
 import time
 import zipfile
 from collections.abc import Callable
@@ -86,7 +86,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     scene = trimesh.load(io.BytesIO(client.get(f"/estimates/{finished['id']}/drape.glb").content),
                          file_type="glb")
     assert set(scene.geometry) == {"captured", "simulated", "support"}
-    folder, _ = client.app.state.jobs.found(finished["id"])
+    folder, _ = client.app.state.jobs.state(finished["id"])
     assert not (folder / "uploaded").exists()
 
 
@@ -138,7 +138,7 @@ def test_refusals_are_sentences(client):
     large = client.post("/estimates", files=[("files", ("a.png", b"\0" * 34_000_000))])
     assert large.status_code == 413 and "MB" in large.json()["error"]
     form = {"content-type": "multipart/form-data; boundary=x"}
-    assert client.post("/estimates", content=b"--x\r\nnonsense", headers=form).status_code == 422
+    assert client.post("/estimates", content=b"--x\r\nnonsense", headers=form).status_code == 400
     foreign = client.post("/estimates", headers={"origin": "http://elsewhere.example"},
                           files=[("files", ("a.png", b""))])
     assert foreign.status_code == 403
@@ -183,13 +183,13 @@ def test_a_restart_keeps_results_and_says_what_it_lost(tmp_path):
     change_state(old, id=old.name, name="o", state="done", ended=time.time() - 200)
     jobs = Jobs(settings)
     try:
-        assert jobs.found(kept.name)[1]["state"] == "done"
-        assert jobs.found(lost.name)[1]["state"] == "interrupted"
-        assert "upload the capture again" in jobs.found(lost.name)[1]["error"]
+        assert jobs.state(kept.name)[1]["state"] == "done"
+        assert jobs.state(lost.name)[1]["state"] == "interrupted"
+        assert "upload the capture again" in jobs.state(lost.name)[1]["error"]
         assert not (lost / "uploaded").exists() and not torn.exists()
         jobs.tidy()
         with pytest.raises(RequestError):
-            jobs.found(old.name)
+            jobs.state(old.name)
         change_state(tmp_path / ("m" * 22), state="failed", ended=time.time() - 50)
         jobs.tidy()  # the oldest of three goes
         assert {one.name for one in tmp_path.iterdir()} == {kept.name, lost.name}
@@ -221,15 +221,15 @@ def test_a_broken_pool_is_replaced_and_its_places_come_back(tmp_path, monkeypatc
 
     def submitted() -> str:
         jobs.reserve()
-        return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, {}, "scan.obj", "a"))
+        return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a"))
 
     first, second, broken = submitted(), submitted(), jobs._pool
     broken.broken = True
     third = submitted()
     assert broken.joined and jobs._pool is not broken
-    assert [jobs.found(one)[1]["state"] for one in (first, second, third)] == [
+    assert [jobs.state(one)[1]["state"] for one in (first, second, third)] == [
         "failed", "failed", "queued"]
-    assert "report this capture" in jobs.found(first)[1]["error"]
+    assert "report this capture" in jobs.state(first)[1]["error"]
     for _ in range(jobs.settings.queue - 1):
         jobs.reserve()
     with pytest.raises(RequestError):
@@ -240,10 +240,10 @@ def test_the_text_of_an_exception_is_for_the_log(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
     jobs = Jobs(settings_for(tmp_path))
     jobs.reserve()
-    identity = jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, {}, "scan.obj", "a"))
+    identity = jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a"))
     future, = jobs._unfinished
     future.set_exception(OSError(f"cannot open {tmp_path}/secret"))
-    state = jobs.found(identity)[1]
+    state = jobs.state(identity)[1]
     assert state["state"] == "failed" and "secret" not in state["error"]
     assert "secret" in caplog.text and identity in caplog.text
 
@@ -251,13 +251,12 @@ def test_the_text_of_an_exception_is_for_the_log(tmp_path, monkeypatch, caplog):
 @pytest.mark.slow
 def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
     begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()
-    jobs = client.app.state.jobs
     for _ in range(600):
         if client.get(begun["url"]).json()["state"] == "running":
             break
         time.sleep(0.05)
-    worker, = jobs._pool._pool_manager.worker_manager.workers.values()
-    os.kill(worker.pid, 9)
+    for worker in multiprocessing.active_children():
+        worker.kill()
     found = ended(client, begun["id"])
     assert found["state"] == "failed" and "report this capture" in found["error"]
     again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()

@@ -13,9 +13,9 @@ import yaml
 from PIL import Image
 
 from common.command import compose_config
-from data.captures.capture import read_capture
+from data.captures.capture import Capture, read_capture
 from drapenet.service.settings import Settings
-from drapenet.service.uploads import RequestError, Upload, checked_upload, write_upload
+from drapenet.service.uploads import RequestError, Upload, checked_upload
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 VIEWS = [(file.name, file.read_bytes()) for file in sorted(EXAMPLE.glob("view_*.png"))]
@@ -55,9 +55,11 @@ def npy(array: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def written(upload: Upload, folder: Path) -> dict[str, bytes]:
-    write_upload(upload, folder)
-    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*")}
+def capture_of(upload: Upload, folder: Path) -> Capture:
+    folder.mkdir()
+    for name, data in upload.files.items():
+        (folder / name).write_bytes(data)
+    return read_capture(folder)
 
 
 def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_path):
@@ -65,9 +67,9 @@ def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_pat
     packed = checked_upload([("My fabric.zip", zipped([
         *((f"twill/{name}", data) for name, data in (*VIEWS, YAML)),
         ("twill/truth.json", b"{}"), ("__MACOSX/twill/._view_0.png", b"x")]))], {}, settings)
-    assert written(plain, tmp_path / "a") == written(packed, tmp_path / "b")
+    assert plain.files == packed.files
     assert (plain.name, packed.name) == ("capture", "My_fabric")
-    read, expected = (read_capture(folder) for folder in (tmp_path / "a", EXAMPLE))
+    read, expected = capture_of(plain, tmp_path / "a"), read_capture(EXAMPLE)
     assert np.array_equal(read.views, expected.views)
     assert read.density == expected.density and read.warp_direction == expected.warp_direction
 
@@ -80,38 +82,36 @@ def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tm
                                             **{key: str(intrinsics[key]) for key in intrinsics}},
                             settings)
     assert upload.refine
-    files = written(upload, tmp_path / "capture")
-    assert [files[f"view_{k}.png"] for k in range(4)] == [data for _, data in VIEWS]
-    assert read_capture(tmp_path / "capture").density == pytest.approx(0.1235)
+    assert [upload.files[f"view_{k}.png"] for k in range(4)] == [data for _, data in VIEWS]
+    assert capture_of(upload, tmp_path / "capture").density == pytest.approx(0.1235)
 
 
-def test_a_field_overrides_the_description(settings, tmp_path):
+def test_a_field_overrides_the_description(settings):
     upload = checked_upload([*VIEWS, YAML], {"density_g_m2": "90", "warp_direction_deg": "12"},
                             settings)
-    content = yaml.safe_load(written(upload, tmp_path / "capture")["capture.yaml"])
+    content = yaml.safe_load(upload.files["capture.yaml"])
     before = yaml.safe_load(YAML[1])
     assert content["density_g_m2"] == 90 and content["warp_direction_deg"] == 12
     assert content["intrinsics"] == before["intrinsics"]
 
 
 @pytest.mark.parametrize("text", ["0, 90, 180", "0;90;180", "[0 90.0 180]"])
-def test_turns_of_the_table_are_a_list(settings, tmp_path, text):
+def test_turns_of_the_table_are_a_list(settings, text):
     intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
     upload = checked_upload(VIEWS[:3], {"density_g_m2": "90", "turns_deg": text,
                                         "tester": "square300_cylinder100",
                                         **{key: str(intrinsics[key]) for key in intrinsics}},
                             settings)
-    written(upload, tmp_path / "capture")
-    assert np.allclose(np.degrees(read_capture(tmp_path / "capture").turns), [0, 90, 180])
+    turns = yaml.safe_load(upload.files["capture.yaml"])["turns_deg"]
+    assert turns == [0, 90, 180]
 
 
-def test_names_are_never_paths(settings, tmp_path):
+def test_names_are_never_paths(settings):
     names = ["../../../etc/view_0.png", "/root/view_1.png", "..\\..\\view_2.png", "a/b/view_3.png"]
     files = [(name, data) for name, (_, data) in zip(names, VIEWS, strict=True)]
-    for k, given in enumerate(([*files, YAML], [("x.zip", zipped([*files, YAML]))])):
-        found = written(checked_upload(given, {}, settings), tmp_path / str(k) / "inside")
-        assert sorted(found) == ["capture.yaml", *(f"view_{k}.png" for k in range(4))]
-        assert [path.name for path in (tmp_path / str(k)).iterdir()] == ["inside"]
+    for sent in ([*files, YAML], [("x.zip", zipped([*files, YAML]))]):
+        upload = checked_upload(sent, {}, settings)
+        assert sorted(upload.files) == ["capture.yaml", *(f"view_{k}.png" for k in range(4))]
 
 
 CAMERA = {"density_g_m2": "90", "fx": "305", "fy": "305", "cx": "119.5", "cy": "89.5"}
@@ -156,15 +156,15 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_capture_is_refused_with_a_sentence(case, settings, tmp_path):
+def test_invalid_uploads_are_refused_with_a_sentence(case, settings):
     files, fields, status, sentence = REFUSED[case]
     with pytest.raises(RequestError) as refused:
-        write_upload(checked_upload(files, fields, settings), tmp_path / "capture")
+        checked_upload(files, fields, settings)
     assert refused.value.status_code == status
     assert sentence in refused.value.detail and "\n" not in refused.value.detail
 
 
-def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings, tmp_path):
+def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings):
     rng = random.Random(5)
     whole = zipped([*VIEWS, YAML])
     small = io.BytesIO()
@@ -179,9 +179,8 @@ def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings,
             damaged[rng.randrange(len(damaged))] = rng.randrange(256)
         damaged = damaged[: rng.randrange(1, len(damaged) + 1) if trial % 3 == 0 else None]
         try:
-            write_upload(checked_upload([(name, bytes(damaged))],
-                                        {"density_g_m2": "100", "tester": "disc300_support180"},
-                                        settings), tmp_path / str(trial))
+            checked_upload([(name, bytes(damaged))],
+                           {"density_g_m2": "100", "tester": "disc300_support180"}, settings)
             outcomes["taken"] += 1
         except RequestError:
             outcomes["refused"] += 1
