@@ -1,9 +1,11 @@
 """The installed project: importable from anywhere, with its data files."""
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -24,15 +26,12 @@ def test_imports_from_outside_the_repository(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_console_scripts_answer(tmp_path):
-    scripts = Path(sys.executable).parent
-    names = ("sim", "generate", "train", "infer", "evaluate", "export", "serve", "capture")
-    running = {name: subprocess.Popen([scripts / f"drapenet-{name}", "nonsense=1"], cwd=tmp_path,
-                                      stderr=subprocess.PIPE, text=True) for name in names}
-    for name, process in running.items():
-        _, error = process.communicate()
-        assert process.returncode == 2, (name, error)
-        assert error.startswith("error: ") and "nonsense" in error
+def test_console_scripts_are_functions():
+    scripts = re.findall(r'^drapenet-\w+ = "([\w.]+):(\w+)"$',
+                         (ROOT / "pyproject.toml").read_text(), re.M)
+    assert len(scripts) > 8
+    for module, name in scripts:
+        assert callable(getattr(import_module(module), name))
 
 
 @pytest.fixture(scope="module")
